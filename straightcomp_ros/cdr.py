@@ -1,0 +1,174 @@
+"""Fixed-layout CDR: messages whose strings and lengths never change, packed and read by one `struct` call.
+
+ROS 2 serialises a message as CDR (OMG DDS-XTypes 7.4, plain CDR, little endian). In a stream whose
+names and array lengths are constant, every byte but the stamp and the numbers is constant too. A
+:class:`Layout` holds those constants and the places of the numbers: packing costs about 1 µs where
+building and serialising a message object costs 15 µs, and the same places make a NumPy view of a
+whole bag. A message of another layout is refused, never misread.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+_ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian
+NANOSECONDS = 1_000_000_000
+
+
+class LayoutMismatch(ValueError):
+    """The bytes are not a message of this layout (other names, other lengths, or cut off)."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where stamp and numbers stand in the bytes of one stream.
+
+    Attributes:
+        type_name: ROS type, e.g. ``sensor_msgs/msg/JointState``.
+        columns: name of each number, in the order of the bytes.
+        constants: the constant byte runs: after the stamp, between the numbers.
+        runs: how many float64 follow each constant run.
+    """
+
+    type_name: str
+    columns: tuple[str, ...]
+    constants: tuple[bytes, ...]
+    runs: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        parts = [f"{len(constant)}s{run}d" for constant, run in zip(self.constants, self.runs, strict=True)]
+        packer = struct.Struct("<4siI" + "".join(parts))
+        object.__setattr__(self, "_struct", packer)
+        object.__setattr__(self, "_plain", self.runs == (len(self.columns),) and len(self.constants) == 1)
+
+    @property
+    def size(self) -> int:
+        """Bytes of a message."""
+        return int(self._struct.size)  # type: ignore[attr-defined]
+
+    def pack(self, stamp_ns: int, *numbers: float) -> bytes:
+        """Serialise one message.
+
+        Args:
+            stamp_ns: header stamp in ns since the epoch.
+            numbers: as many float64 as ``columns``.
+        """
+        sec, nanosec = divmod(stamp_ns, NANOSECONDS)
+        if self._plain:  # type: ignore[attr-defined]
+            return bytes(self._struct.pack(_ENCAPSULATION, sec, nanosec, self.constants[0], *numbers))  # type: ignore[attr-defined]
+        arguments: list[bytes | float] = []
+        first = 0
+        for constant, run in zip(self.constants, self.runs, strict=True):
+            arguments.append(constant)
+            arguments.extend(numbers[first : first + run])
+            first += run
+        return bytes(self._struct.pack(_ENCAPSULATION, sec, nanosec, *arguments))  # type: ignore[attr-defined]
+
+    def unpack(self, data: bytes) -> tuple[int, list[float]]:
+        """Read one message: (stamp in ns, numbers in the order of ``columns``).
+
+        Raises:
+            LayoutMismatch: other constants, or too short.
+        """
+        try:
+            fields = self._struct.unpack_from(data)  # type: ignore[attr-defined]
+        except struct.error as error:
+            raise LayoutMismatch(f"{self.type_name}: {len(data)} bytes, {self.size} expected") from error
+        if fields[0] != _ENCAPSULATION:
+            raise LayoutMismatch(f"{self.type_name}: encapsulation {fields[0].hex()} is not little-endian CDR")
+        numbers: list[float] = []
+        place = 3
+        for constant, run in zip(self.constants, self.runs, strict=True):
+            if fields[place] != constant:
+                raise LayoutMismatch(f"{self.type_name}: other names or array lengths than {self.columns}")
+            numbers.extend(fields[place + 1 : place + 1 + run])
+            place += 1 + run
+        return fields[1] * NANOSECONDS + fields[2], numbers
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Structured dtype of a message: ``encapsulation``, ``sec``, ``nanosec``, ``constant_<i>`` (bytes)
+        and one float64 field for each column; packed, so that ``itemsize == size``."""
+        fields: list[tuple[str, str]] = [("encapsulation", "V4"), ("sec", "<i4"), ("nanosec", "<u4")]
+        names = iter(self.columns)
+        for index, (constant, run) in enumerate(zip(self.constants, self.runs, strict=True)):
+            fields.append((f"constant_{index}", f"V{len(constant)}"))
+            fields.extend((next(names), "<f8") for _ in range(run))
+        return np.dtype(fields)
+
+
+class _Builder:
+    """Lays out CDR fields one after the other; CDR aligns relative to the end of the encapsulation header."""
+
+    def __init__(self) -> None:
+        self._offset = 8  # stamp
+        self._constant = b""
+        self.constants: list[bytes] = []
+        self.runs: list[int] = []
+
+    def _align(self, size: int) -> None:
+        self.raw(bytes(-self._offset % size))
+
+    def raw(self, data: bytes) -> None:
+        self._constant += data
+        self._offset += len(data)
+
+    def uint32(self, value: int) -> None:
+        self._align(4)
+        self.raw(struct.pack("<I", value))
+
+    def string(self, text: str) -> None:
+        encoded = text.encode() + b"\0"
+        self.uint32(len(encoded))
+        self.raw(encoded)
+
+    def strings(self, texts: Sequence[str]) -> None:
+        self.uint32(len(texts))
+        for text in texts:
+            self.string(text)
+
+    def doubles(self, count: int) -> None:
+        self.uint32(count)
+        if count:
+            self._align(8)
+            self.constants.append(self._constant)
+            self.runs.append(count)
+            self._constant = b""
+            self._offset += 8 * count
+
+    def layout(self, type_name: str, columns: Sequence[str]) -> Layout:
+        if self._constant:
+            self.constants.append(self._constant)
+            self.runs.append(0)
+        return Layout(type_name, tuple(columns), tuple(self.constants), tuple(self.runs))
+
+
+def joint_state(
+    names: Sequence[str], *, position: Sequence[str] = (), velocity: Sequence[str] = (), effort: Sequence[str] = ()
+) -> Layout:
+    """Layout of a sensor_msgs/JointState with an empty frame_id; the arrays are given by their columns."""
+    builder = _Builder()
+    builder.string("")
+    builder.strings(names)
+    for columns in (position, velocity, effort):
+        builder.doubles(len(columns))
+    return builder.layout("sensor_msgs/msg/JointState", (*position, *velocity, *effort))
+
+
+def joint_trajectory_point(
+    joint: str, *, position: Sequence[str], velocity: Sequence[str], acceleration: Sequence[str]
+) -> Layout:
+    """Layout of a trajectory_msgs/JointTrajectory with one joint and one point at time_from_start 0."""
+    builder = _Builder()
+    builder.string("")
+    builder.strings([joint])
+    builder.uint32(1)
+    for columns in (position, velocity, acceleration, ()):
+        builder.doubles(len(columns))
+    builder.uint32(0)
+    builder.uint32(0)
+    return builder.layout("trajectory_msgs/msg/JointTrajectory", (*position, *velocity, *acceleration))

@@ -1,0 +1,82 @@
+"""What the nodes say to each other: topics, joint names, columns. Each is written here and nowhere else.
+
+All numbers are SI (m, s, A, N). Every stream is stamped with the time of the encoder sample that it
+belongs to: the stamp is the sample's identity, so a command can be traced to its sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from straightcomp_ros.cdr import Layout, joint_state, joint_trajectory_point
+
+PACKAGE = "straightcomp_ros"
+STAGE = "stage_x"
+PLATFORM = "platform_y"
+STROKE = 1.760
+"""Length of the stage's travel in m."""
+DEFAULT_RATE = 2000
+"""Control cycles per second."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A topic at the control rate, with the layout of its messages."""
+
+    topic: str
+    layout: Layout
+    description: str
+
+
+ENCODER = Stream(
+    "encoder",
+    joint_state(
+        [STAGE, PLATFORM], position=["x", "y"], effort=["stage_effort", "coil_current"]
+    ),
+    "Sample of both encoders in m. Effort: NaN for the stage, measured control current of the coils in A for the "
+    "platform, NaN while the amplifier is off.",
+)
+REFERENCE = Stream(
+    "reference",
+    joint_trajectory_point(PLATFORM, position=["r"], velocity=["r_dot"], acceleration=["r_ddot"]),
+    "Where the platform must be for the sample's x: r in m, its rate in m/s, its acceleration in m/s².",
+)
+COMMAND = Stream(
+    "command",
+    joint_state([PLATFORM], effort=["control_current"]),
+    "Control current i_c in A, stamped as the sample that it was computed from.",
+)
+_CONTROLLER_VARIABLES = (
+    "error",
+    "sliding_variable",
+    "equivalent_current",
+    "switching_current",
+    "velocity_estimate",
+    "disturbance_estimate",
+)
+CONTROLLER_STATE = Stream(
+    "controller_state",
+    joint_state(_CONTROLLER_VARIABLES, position=_CONTROLLER_VARIABLES),
+    "Inner variables of the control law: error in m, sliding variable in m/s, the two parts of the control current "
+    "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN where the law has none).",
+)
+_DRIVER_VARIABLES = ("command_latency", "lateness", "applied_current", "enabled")
+DRIVER_STATE = Stream(
+    "driver_state",
+    joint_state(_DRIVER_VARIABLES, position=_DRIVER_VARIABLES),
+    "The driver's own record of each sample: time from the sample that the newest command belongs to until that "
+    "command came in, s (NaN when none came since the last sample); time from this sample until it was published, "
+    "s; control current asked of the amplifier, A; amplifier on (1) or off (0).",
+)
+_TRUTH_VARIABLES = ("true_x", "true_y", "true_y_dot", "friction_force", "magnetic_force", "guide_deviation")
+TRUTH = Stream(
+    "truth",
+    joint_state(_TRUTH_VARIABLES, position=_TRUTH_VARIABLES),
+    "Simulation only: the plant's true state at the sample: m, m/s, N, and the guide's deviation δ(x) in m.",
+)
+STREAMS = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE, TRUTH)
+
+STAGE_TRAJECTORY = "stage_trajectory"
+"""trajectory_msgs/JointTrajectory: motion asked of the stage (joint `stage_x`)."""
+DIAGNOSTICS = "diagnostics"
+"""diagnostic_msgs/DiagnosticArray, 1 Hz, from each node."""

@@ -1,0 +1,170 @@
+"""One declaration per parameter: default, unit, range and description live in a dataclass field.
+
+From these declarations come the validation of every parameter set, the descriptors that the nodes
+declare to ROS 2, and the reference documentation. A parameter set is a frozen dataclass; a field that
+is itself a parameter set is a group, addressed with a dot: ``plant.actuator.turns``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import typing
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+class ParameterError(ValueError):
+    """A parameter is unknown, of the wrong type or out of its range; the message names all three."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Declaration:
+    """What is known of one parameter; ``name`` is the dotted name, ``kind`` one of bool, int, float, str."""
+
+    name: str
+    kind: type
+    default: Any
+    description: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    exclusive_minimum: bool = False
+    choices: tuple[str, ...] = ()
+
+    def allowed(self) -> str:
+        """The allowed values in words, for messages and documentation."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        if self.kind is bool:
+            return "true or false"
+        bounds = []
+        if self.minimum is not None:
+            bounds.append(f"{'>' if self.exclusive_minimum else '>='} {self.minimum:g}")
+        if self.maximum is not None:
+            bounds.append(f"<= {self.maximum:g}")
+        return " and ".join(bounds) or {float: "a finite number", int: "an integer", str: "a text"}[self.kind]
+
+    def check(self, value: Any) -> Any:
+        """Return ``value`` as ``kind`` (an integer is accepted where a float is meant), or raise ParameterError."""
+        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if type(value) is not self.kind:
+            raise self._refused(value, f"is not {_KIND_WORDS[self.kind]}")
+        if self.choices and value not in self.choices:
+            raise self._refused(value, "is not known")
+        if self.kind in (int, float):
+            if not math.isfinite(value):
+                raise self._refused(value, "is not finite")
+            if self.minimum is not None and (
+                value < self.minimum or (self.exclusive_minimum and value == self.minimum)
+            ):
+                raise self._refused(value, "is too small")
+            if self.maximum is not None and value > self.maximum:
+                raise self._refused(value, "is too large")
+        return value
+
+    def _refused(self, value: Any, why: str) -> ParameterError:
+        unit = f" {self.unit}" if self.unit else ""
+        return ParameterError(f"parameter '{self.name}': {value!r}{unit} {why}; allowed: {self.allowed()}{unit}")
+
+
+_KIND_WORDS = {bool: "a truth value", int: "an integer", float: "a number", str: "a text"}
+
+
+def parameter(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    above: float | None = None,
+    maximum: float | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """Declare a field: ``minimum`` is inclusive, ``above`` exclusive, ``maximum`` inclusive."""
+    return dataclasses.field(
+        default=default,
+        metadata={
+            "description": description,
+            "unit": unit,
+            "minimum": above if above is not None else minimum,
+            "exclusive_minimum": above is not None,
+            "maximum": maximum,
+            "choices": choices,
+        },
+    )
+
+
+def group(parameter_set: type[T]) -> T:
+    """Declare a field that holds another parameter set."""
+    return typing.cast(T, dataclasses.field(default_factory=parameter_set))
+
+
+@cache
+def _field_types(parameter_set: type) -> dict[str, Any]:
+    return typing.get_type_hints(parameter_set)
+
+
+def declarations(parameter_set: type, prefix: str = "") -> Iterator[Declaration]:
+    """All parameters of a set and of the groups in it, in the order of declaration."""
+    for field in dataclasses.fields(parameter_set):
+        kind = _field_types(parameter_set)[field.name]
+        if dataclasses.is_dataclass(kind):
+            yield from declarations(typing.cast(type, kind), f"{prefix}{field.name}.")
+        else:
+            yield Declaration(name=prefix + field.name, kind=kind, default=field.default, **field.metadata)
+
+
+def from_mapping(parameter_set: type[T], values: Mapping[str, Any]) -> T:
+    """Build a validated parameter set from dotted names; what is not named keeps its default.
+
+    Raises:
+        ParameterError: a name is unknown (the nearest known one is suggested), or a value is refused.
+    """
+    known = {declaration.name: declaration for declaration in declarations(parameter_set)}
+    for name in values:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(known)}"
+            raise ParameterError(f"parameter '{name}' is unknown{hint}")
+    checked = {name: declaration.check(values.get(name, declaration.default)) for name, declaration in known.items()}
+    return _build(parameter_set, checked, "")
+
+
+def _build(parameter_set: type[T], checked: Mapping[str, Any], prefix: str) -> T:
+    arguments = {}
+    for field in dataclasses.fields(parameter_set):  # type: ignore[arg-type]
+        kind = _field_types(parameter_set)[field.name]
+        if dataclasses.is_dataclass(kind):
+            arguments[field.name] = _build(typing.cast(type, kind), checked, f"{prefix}{field.name}.")
+        else:
+            arguments[field.name] = checked[prefix + field.name]
+    return parameter_set(**arguments)
+
+
+def to_mapping(parameters: Any, prefix: str = "") -> dict[str, Any]:
+    """The values of a parameter set by dotted name: the inverse of :func:`from_mapping`."""
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(parameters):
+        value = getattr(parameters, field.name)
+        if dataclasses.is_dataclass(value):
+            values.update(to_mapping(value, f"{prefix}{field.name}."))
+        else:
+            values[prefix + field.name] = value
+    return values
+
+
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings, as a YAML parameter file has them, to dotted names."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            flat.update(flatten(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
