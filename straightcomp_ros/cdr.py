@@ -12,11 +12,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian
 NANOSECONDS = 1_000_000_000
+_HEADER_STAMP = struct.Struct("<iI")
 
 
 class LayoutMismatch(ValueError):
@@ -32,12 +34,14 @@ class Layout:
         columns: name of each number, in the order of the bytes.
         constants: the constant byte runs: after the stamp, between the numbers.
         runs: how many float64 follow each constant run.
+        places: for each column the message's array and the joint whose entry it is.
     """
 
     type_name: str
     columns: tuple[str, ...]
     constants: tuple[bytes, ...]
     runs: tuple[int, ...]
+    places: tuple[tuple[str, str], ...]
 
     def __post_init__(self) -> None:
         parts = [f"{len(constant)}s{run}d" for constant, run in zip(self.constants, self.runs, strict=True)]
@@ -140,29 +144,67 @@ class _Builder:
             self._constant = b""
             self._offset += 8 * count
 
-    def layout(self, type_name: str, columns: Sequence[str]) -> Layout:
+    def layout(self, type_name: str, columns: Sequence[str], places: Sequence[tuple[str, str]]) -> Layout:
         if self._constant:
             self.constants.append(self._constant)
             self.runs.append(0)
-        return Layout(type_name, tuple(columns), tuple(self.constants), tuple(self.runs))
+        return Layout(type_name, tuple(columns), tuple(self.constants), tuple(self.runs), tuple(places))
+
+
+def read_by_names(layout: Layout, message: Any) -> tuple[int, list[float]]:
+    """Read a deserialised message (of rclpy or rosbags) that has the layout's joints, in whatever order.
+
+    Returns:
+        Stamp in ns, and the numbers in the order of ``layout.columns``.
+
+    Raises:
+        LayoutMismatch: a joint, an array or a point is missing; the message says which.
+    """
+    stamp = message.header.stamp
+    if layout.type_name == "sensor_msgs/msg/JointState":
+        names, arrays = list(message.name), message
+    else:
+        if not message.points:
+            raise LayoutMismatch("a point")
+        names, arrays = list(message.joint_names), message.points[0]
+    numbers = []
+    for array, joint in layout.places:
+        values = getattr(arrays, array)
+        if joint not in names or names.index(joint) >= len(values):
+            raise LayoutMismatch(f"{array} of '{joint}'")
+        numbers.append(float(values[names.index(joint)]))
+    return stamp.sec * NANOSECONDS + stamp.nanosec, numbers
 
 
 def joint_state(
     names: Sequence[str], *, position: Sequence[str] = (), velocity: Sequence[str] = (), effort: Sequence[str] = ()
 ) -> Layout:
-    """Layout of a sensor_msgs/JointState with an empty frame_id; the arrays are given by their columns."""
+    """Layout of a sensor_msgs/JointState with an empty frame_id.
+
+    Args:
+        names: joints.
+        position, velocity, effort: columns of each array, for the first joints of ``names``; () leaves it empty.
+    """
     builder = _Builder()
     builder.string("")
     builder.strings(names)
-    for columns in (position, velocity, effort):
+    arrays = {"position": position, "velocity": velocity, "effort": effort}
+    places: list[tuple[str, str]] = []
+    for array, columns in arrays.items():
         builder.doubles(len(columns))
-    return builder.layout("sensor_msgs/msg/JointState", (*position, *velocity, *effort))
+        places += [(array, joint) for joint, _ in zip(names, columns, strict=False)]
+    return builder.layout("sensor_msgs/msg/JointState", (*position, *velocity, *effort), places)
 
 
 def joint_trajectory_point(
     joint: str, *, position: Sequence[str], velocity: Sequence[str], acceleration: Sequence[str]
 ) -> Layout:
-    """Layout of a trajectory_msgs/JointTrajectory with one joint and one point at time_from_start 0."""
+    """Layout of a trajectory_msgs/JointTrajectory with one joint and one point at time_from_start 0.
+
+    Args:
+        joint: the joint.
+        position, velocity, acceleration: the one column of each array.
+    """
     builder = _Builder()
     builder.string("")
     builder.strings([joint])
@@ -171,4 +213,11 @@ def joint_trajectory_point(
         builder.doubles(len(columns))
     builder.uint32(0)
     builder.uint32(0)
-    return builder.layout("trajectory_msgs/msg/JointTrajectory", (*position, *velocity, *acceleration))
+    places = [(array, joint) for array in ("positions", "velocities", "accelerations")]
+    return builder.layout("trajectory_msgs/msg/JointTrajectory", (*position, *velocity, *acceleration), places)
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """Stamp in ns of any message that starts with a std_msgs/Header, from its serialised bytes."""
+    sec, nanosec = _HEADER_STAMP.unpack_from(data, len(_ENCAPSULATION))
+    return int(sec * NANOSECONDS + nanosec)

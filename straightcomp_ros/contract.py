@@ -30,9 +30,7 @@ class Stream:
 
 ENCODER = Stream(
     "encoder",
-    joint_state(
-        [STAGE, PLATFORM], position=["x", "y"], effort=["stage_effort", "coil_current"]
-    ),
+    joint_state([STAGE, PLATFORM], position=["x", "y"], effort=["stage_effort", "coil_current"]),
     "Sample of both encoders in m. Effort: NaN for the stage, measured control current of the coils in A for the "
     "platform, NaN while the amplifier is off.",
 )

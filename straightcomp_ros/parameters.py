@@ -12,7 +12,7 @@ import difflib
 import math
 import typing
 from collections.abc import Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -100,9 +100,11 @@ def parameter(
     )
 
 
-def group(parameter_set: type[T]) -> T:
-    """Declare a field that holds another parameter set."""
-    return typing.cast(T, dataclasses.field(default_factory=parameter_set))
+def group(parameter_set: type[T], **defaults: Any) -> T:
+    """Declare a field that holds another parameter set, with other ``defaults`` for some of its fields."""
+    return typing.cast(
+        T, dataclasses.field(default_factory=partial(parameter_set, **defaults), metadata={"defaults": defaults})
+    )
 
 
 @cache
@@ -115,7 +117,10 @@ def declarations(parameter_set: type, prefix: str = "") -> Iterator[Declaration]
     for field in dataclasses.fields(parameter_set):
         kind = _field_types(parameter_set)[field.name]
         if dataclasses.is_dataclass(kind):
-            yield from declarations(typing.cast(type, kind), f"{prefix}{field.name}.")
+            start = f"{prefix}{field.name}."
+            for declaration in declarations(typing.cast(type, kind), start):
+                default = field.metadata["defaults"].get(declaration.name[len(start) :], declaration.default)
+                yield dataclasses.replace(declaration, default=default)
         else:
             yield Declaration(name=prefix + field.name, kind=kind, default=field.default, **field.metadata)
 

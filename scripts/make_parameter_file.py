@@ -1,0 +1,52 @@
+"""Writes config/straightcomp.yaml: every parameter of every node, from its declaration in the code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from straightcomp_ros.configuration import NODE_PARAMETERS
+from straightcomp_ros.parameters import declarations
+
+FILE = Path(__file__).resolve().parent.parent / "config" / "straightcomp.yaml"
+CHANGED: dict[str, dict[str, Any]] = {
+    "driver": {"simulated.command_timeout": 0.25, "realtime.priority": 40},
+    "feedforward": {"realtime.priority": 40},
+    "controller": {"realtime.priority": 40},
+    "logger": {"realtime.priority": 30},
+}
+"""Values that differ from the default; the head of the file says why."""
+HEAD = """\
+# Parameters of all nodes of straightcomp_ros, for `--params-file` and for the launch files.
+# Made by scripts/make_parameter_file.py from the declarations in the code; SI units.
+# Two values differ from their defaults. realtime.priority asks for real-time scheduling; where it is
+# not permitted the nodes say so and run without. simulated.command_timeout is then longer than the
+# default of 5 ms: a desktop stalls for longer at times, and a simulated machine breaks nothing.
+"""
+
+
+def parameter_file() -> str:
+    """Text of the file."""
+    lines = [HEAD]
+    for node, parameter_set in NODE_PARAMETERS.items():
+        lines.append(f"/**/{node}:\n  ros__parameters:")
+        for declaration in declarations(parameter_set):
+            value = CHANGED.get(node, {}).get(declaration.name, declaration.default)
+            unit = f" [{declaration.unit}]" if declaration.unit else ""
+            lines.append(f"    # {declaration.description}{unit}; {declaration.allowed()}")
+            lines.append(f"    {declaration.name}: {_as_yaml(value)}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _as_yaml(value: Any) -> str:
+    # YAML 1.1 takes 1e-07 for a text: a float needs its point.
+    if isinstance(value, float) and "e" in repr(value) and "." not in repr(value):
+        return repr(value).replace("e", ".0e")
+    return yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None).splitlines()[0]
+
+
+if __name__ == "__main__":
+    FILE.write_text(parameter_file())

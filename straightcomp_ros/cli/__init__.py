@@ -1,0 +1,1 @@
+"""`straightcomp …`: one module for each verb."""

@@ -1,0 +1,46 @@
+"""What all verbs share on the terminal: errors, progress, JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+console = Console()
+"""Standard output: results."""
+notes = Console(stderr=True)
+"""Standard error: progress and remarks, so that results can be piped."""
+
+
+class CommandFailed(Exception):
+    """The command cannot do what was asked; the message says why, and what would help."""
+
+    def __init__(self, message: str, exit_code: int = 1) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+def progress_bar() -> Progress:
+    """A progress bar on standard error, silent when that is no terminal."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        console=notes,
+        disable=not sys.stderr.isatty(),
+        transient=True,
+    )
+
+
+def print_json(values: Mapping[str, Any]) -> None:
+    """One JSON object on standard output; what is not finite becomes null, which JSON can say."""
+    plain = {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()
+    }
+    print(json.dumps(plain))

@@ -1,0 +1,40 @@
+"""Tables for people: our figures beside the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.table import Table
+
+PAPER_PP_UM = {"linear": 1.77, "smc": 0.40}
+"""Published peak-to-peak error in µm, encoder 0.1 µm, 12-bit D/A, 2 kHz."""
+
+_ROWS = (
+    ("encoder_pp_um", "compensation error p-p, encoder", "µm", 3),
+    ("true_pp_um", "compensation error p-p, true", "µm", 3),
+    ("encoder_rms_um", "compensation error RMS, encoder", "µm", 3),
+    ("true_rms_um", "compensation error RMS, true", "µm", 3),
+    ("uncompensated_pp_um", "straightness p-p before (ISO 230-1)", "µm", 2),
+    ("residual_pp_um", "straightness p-p after (ISO 230-1)", "µm", 2),
+    ("expected_samples", "samples expected", "", 0),
+    ("received_samples", "samples received", "", 0),
+    ("lost_samples", "samples lost", "", 0),
+    ("latency_p50_us", "loop latency p50", "µs", 0),
+    ("latency_p99_us", "loop latency p99", "µs", 0),
+)
+
+
+def results_table(figures: Mapping[str, Any]) -> Table:
+    """A table of those figures that are there; the paper's figure beside the p-p error as its encoder saw it."""
+    law = figures["law"]
+    table = Table(title=f"Straightness compensation, law '{law}'", title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    table.add_column("paper", justify="right")
+    for key, words, unit, digits in _ROWS:
+        if figures.get(key) is not None:
+            paper = f"{PAPER_PP_UM[law]:.2f}" if key == "encoder_pp_um" and law in PAPER_PP_UM else ""
+            table.add_row(words, f"{figures[key]:.{digits}f}", unit, paper)
+    return table

@@ -1,0 +1,152 @@
+"""The parameters of every node, and the parameter file that sets them. Offline runs read the same file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from straightcomp_ros.contract import DEFAULT_RATE
+from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.hardware.simulated import SimulatedParameters
+from straightcomp_ros.model.stage import MotionParameters
+from straightcomp_ros.parameters import ParameterError, flatten, from_mapping, group, parameter
+from straightcomp_ros.straightness.feedforward import FeedforwardParameters
+from straightcomp_ros.straightness.map import MapParameters
+
+
+@dataclass(frozen=True)
+class RealtimeParameters:
+    """Scheduling of a node's process."""
+
+    priority: int = parameter(0, "SCHED_FIFO priority; 0 leaves the normal scheduling", minimum=0, maximum=98)
+
+
+@dataclass(frozen=True)
+class DriverNodeParameters:
+    """Parameters of the node `driver`."""
+
+    hardware: str = parameter("simulated", "Backend", choices=("simulated",))
+    current_limit: float = parameter(
+        1.0,
+        "A command beyond ± this switches the amplifier off and latches a fault",
+        unit="A",
+        above=0.0,
+        maximum=100.0,
+    )
+    lockstep: bool = parameter(
+        False, "Advance the simulated machine only when the command for its last sample came, instead of in real time"
+    )
+    lockstep_delay: float = parameter(
+        0.5,
+        "In lockstep: command delay from the sample, in sampling periods",
+        unit="samples",
+        minimum=0.0,
+        maximum=10.0,
+    )
+    simulated: SimulatedParameters = group(SimulatedParameters)
+    guide: MapParameters = group(MapParameters, file="config/guide_synthetic.csv")
+    realtime: RealtimeParameters = group(RealtimeParameters)
+
+
+@dataclass(frozen=True)
+class FeedforwardNodeParameters:
+    """Parameters of the node `feedforward`."""
+
+    map: MapParameters = group(MapParameters)
+    feedforward: FeedforwardParameters = group(FeedforwardParameters)
+    realtime: RealtimeParameters = group(RealtimeParameters)
+
+
+@dataclass(frozen=True)
+class ControllerNodeParameters:
+    """Parameters of the node `controller`."""
+
+    rate: int = parameter(DEFAULT_RATE, "Control cycles per second", unit="Hz", minimum=10, maximum=20_000)
+    trigger: str = parameter(
+        "timer", "What starts a cycle: the node's own timer, or each sample's arrival", choices=("timer", "sample")
+    )
+    control: ControlParameters = group(ControlParameters)
+    realtime: RealtimeParameters = group(RealtimeParameters)
+
+
+@dataclass(frozen=True)
+class LoggerNodeParameters:
+    """Parameters of the node `logger`."""
+
+    output: str = parameter("", "Folder of the bag; empty makes one named after the time of the start")
+    compression: str = parameter("zstd", "Compression of the bag's chunks", choices=("zstd", "lz4", "none"))
+    queue_depth: int = parameter(
+        8000, "Messages of each topic that may wait in the middleware while this process is held up", minimum=1
+    )
+    queue_limit: int = parameter(
+        200_000, "Messages in memory that wait for the disk; beyond it they are dropped and counted", minimum=1000
+    )
+    nodes: str = parameter(
+        "driver feedforward controller", "Nodes whose parameters are attached to the bag, separated by blanks"
+    )
+    realtime: RealtimeParameters = group(RealtimeParameters)
+
+
+@dataclass(frozen=True)
+class CellNodeParameters:
+    """Parameters of the node `cell`."""
+
+    nodes: str = parameter("driver feedforward controller logger", "Nodes that must be there, separated by blanks")
+    start_timeout: float = parameter(30.0, "Longest wait for the nodes, and for the amplifier", unit="s", above=0.0)
+    sample_timeout: float = parameter(2.0, "Silence of the encoder that ends the run", unit="s", above=0.0)
+    progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output as the stage moves")
+    motion: MotionParameters = group(MotionParameters)
+    realtime: RealtimeParameters = group(RealtimeParameters)
+
+
+NODE_PARAMETERS: Mapping[str, type] = {
+    "driver": DriverNodeParameters,
+    "feedforward": FeedforwardNodeParameters,
+    "controller": ControllerNodeParameters,
+    "logger": LoggerNodeParameters,
+    "cell": CellNodeParameters,
+}
+"""Parameter set of each node, by the node's name."""
+
+
+def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
+    """Values of a ROS 2 parameter file, by node and dotted name; every node of ours is a key.
+
+    A key of the file is a node's name, with or without a namespace before it (``/**/driver``, ``driver``).
+
+    Raises:
+        ParameterError: the file is not there or no YAML, or is not laid out as a parameter file.
+    """
+    try:
+        tree = yaml.safe_load(Path(path).read_text()) or {}
+    except OSError as error:
+        raise ParameterError(f"parameter file {path}: {error.strerror}") from error
+    except yaml.YAMLError as error:
+        raise ParameterError(f"parameter file {path}: no YAML: {' '.join(str(error).split())}") from error
+    values: dict[str, dict[str, Any]] = {name: {} for name in NODE_PARAMETERS}
+    if not isinstance(tree, Mapping):
+        raise ParameterError(f"parameter file {path}: has no 'NODE: ros__parameters:' level")
+    for key, section in tree.items():
+        name = str(key).rsplit("/", 1)[-1]
+        if name not in values:
+            raise ParameterError(f"parameter file {path}: node '{key}' is unknown; known: {', '.join(values)}")
+        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
+            raise ParameterError(f"parameter file {path}: node '{key}' has no 'ros__parameters:'")
+        values[name].update(flatten(section["ros__parameters"]))
+    return values
+
+
+def node_parameters(name: str, values: Mapping[str, Any]) -> Any:
+    """Validated parameter set of the node ``name``.
+
+    Raises:
+        ParameterError: a name is unknown or a value refused; the message names the node too.
+    """
+    try:
+        return from_mapping(NODE_PARAMETERS[name], values)
+    except ParameterError as error:
+        raise ParameterError(f"node {name}: {error}") from error

@@ -1,0 +1,1 @@
+"""Design of the servo and its control laws. No ROS, and no NumPy in a step."""

@@ -1,0 +1,153 @@
+"""Design of the sliding surface (8) and of the closed loop that it gives, continuous and sampled.
+
+State x = [−∫e, y, ẏ]ᵀ (6), sliding variable σ = S x with S = [ωn², 2ζωn, 1] (8). On the nominal plant
+(9) without its switching term places the poles at the roots of s² + 2ζωn s + ωn² and at −φ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from straightcomp_ros.model.actuator import ActuatorParameters, stiffness_errors
+from straightcomp_ros.parameters import group, parameter
+
+
+@dataclass(frozen=True)
+class NominalPlant:
+    """What the control law believes of the plant (5)."""
+
+    mass: float = parameter(3.0, "Moving mass M", unit="kg", above=0.0, maximum=1e4)
+    friction: float = parameter(
+        0.9, "Largest friction force expected, for the check of rho by (11)", unit="N", minimum=0.0
+    )
+    travel: float = parameter(25e-6, "Largest |y| in operation, for the check of rho by (11)", unit="m", above=0.0)
+    actuator: ActuatorParameters = group(ActuatorParameters)
+
+
+@dataclass(frozen=True)
+class SlidingDesign:
+    """Sliding surface and reaching law of (8) and (9)."""
+
+    zeta: float = parameter(0.8, "Damping ratio ζ on the sliding surface", above=0.0, maximum=10.0)
+    natural_frequency: float = parameter(
+        35.0, "Natural frequency ωn/2π on the surface", unit="Hz", above=0.0, maximum=1e4
+    )
+    phi: float = parameter(100.0, "Rate φ at which the sliding variable decays", unit="1/s", above=0.0, maximum=1e5)
+    rho: float = parameter(1.0, "Switching gain ρ of law 'smc'", unit="m/s²", above=0.0, maximum=1e4)
+    gamma: float = parameter(0.1, "Margin γ of the reaching condition (11)", unit="m/s²", minimum=0.0, maximum=1e4)
+    enforce_reaching: bool = parameter(True, "Refuse a rho that does not fulfil the reaching condition (11)")
+    boundary_layer: float = parameter(
+        4e-3,
+        "Half width of the boundary layer around σ = 0; 0 switches with sgn σ",
+        unit="m/s",
+        minimum=0.0,
+        maximum=10.0,
+    )
+
+    @property
+    def omega_n(self) -> float:
+        """ωn in rad/s."""
+        return 2.0 * math.pi * self.natural_frequency
+
+
+def state_matrices(nominal: NominalPlant) -> tuple[np.ndarray, np.ndarray]:
+    """A (3, 3) and B (3,) of (6), with the control current in A as the input instead of u (so K_a = 1)."""
+    actuator = nominal.actuator
+    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, actuator.position_stiffness / nominal.mass, 0.0]])
+    return a, np.array([0.0, 0.0, actuator.current_stiffness / nominal.mass])
+
+
+def feedback_gains(design: SlidingDesign, nominal: NominalPlant) -> np.ndarray:
+    """K (3,) with i_c = −K x: (9) without its switching term and with r = 0, i.e. (SB)⁻¹ (SA + φS)."""
+    a, b = state_matrices(nominal)
+    s = np.array([design.omega_n**2, 2.0 * design.zeta * design.omega_n, 1.0])
+    return np.asarray((s @ a + design.phi * s) / (s @ b))
+
+
+def closed_loop_poles(design: SlidingDesign, nominal: NominalPlant) -> np.ndarray:
+    """Poles (3,) in rad/s of the nominal plant under (9) without its switching term: the eigenvalues of A − B K."""
+    a, b = state_matrices(nominal)
+    return np.linalg.eigvals(a - np.outer(b, feedback_gains(design, nominal)))
+
+
+def sampled_poles(
+    design: SlidingDesign,
+    nominal: NominalPlant,
+    *,
+    period: float,
+    delay: float,
+    amplifier_bandwidth: float,
+    velocity_bandwidth: float,
+    boundary_gain: float = 0.0,
+) -> np.ndarray:
+    """Poles of the loop as it runs: sampled, with command delay, amplifier and velocity estimate.
+
+    Args:
+        period: sampling period in s.
+        delay: time from the sample to the effect of its command in s, at most one period.
+        amplifier_bandwidth: of the first-order current amplifier, Hz.
+        velocity_bandwidth: of the filtered difference that stands for ẏ, Hz.
+        boundary_gain: ρ/ε in 1/s, the slope of the switching term inside the boundary layer; it adds to φ.
+
+    Returns:
+        Eigenvalues (6,) in the z plane; the loop is stable when all lie inside the unit circle. State:
+        y, ẏ, i_c, previous command, previous reading, velocity estimate; the integral makes it 7.
+    """
+    if not 0.0 <= delay <= period:
+        raise ValueError(f"delay {delay} s is outside 0 to one period ({period} s)")
+    actuator = nominal.actuator
+    rate = 2.0 * math.pi * amplifier_bandwidth
+    continuous = np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [actuator.position_stiffness / nominal.mass, 0.0, actuator.current_stiffness / nominal.mass, 0.0],
+            [0.0, 0.0, -rate, rate],
+            [0.0, 0.0, 0.0, 0.0],
+        ]
+    )
+    with_old, with_new = expm(continuous * delay), expm(continuous * (period - delay))
+    plant = with_new[:3, :3] @ with_old[:3, :3]
+    old_command = with_new[:3, :3] @ with_old[:3, 3]
+    new_command = with_new[:3, 3]
+    smoothing = 1.0 - math.exp(-2.0 * math.pi * velocity_bandwidth * period)
+    k_integral, k_position, k_velocity = feedback_gains(
+        SlidingDesign(design.zeta, design.natural_frequency, design.phi + boundary_gain), nominal
+    )
+    # State at the sample: [y, ẏ, i, u_old, y_old, v_old, x1]; the law sees y and the estimate that y gives.
+    n = 7
+    estimate = np.zeros(n)
+    estimate[[0, 4, 5]] = smoothing / period, -smoothing / period, 1.0 - smoothing
+    command = -k_velocity * estimate
+    command[0] -= k_position
+    command[6] -= k_integral
+    step = np.zeros((n, n))
+    step[:3, :3] = plant
+    step[:3, 3] = old_command
+    step[:3] += np.outer(new_command, command)
+    step[3] = command
+    step[4, 0] = 1.0
+    step[5] = estimate
+    step[6, [6, 0]] = 1.0, period
+    return np.linalg.eigvals(step)
+
+
+def reaching_bound(design: SlidingDesign, nominal: NominalPlant) -> float:
+    """Smallest ρ in m/s² that fulfils (11) within the nominal travel, at rest on the reference.
+
+    There SAx + SB_r r = (K̄_y/M) y (x₁ = 0, ẏ = 0, y = r), the matched disturbance is friction over
+    mass and the stiffness error m_y, and |m_i| is largest at full travel with the current that holds
+    position and friction.
+    """
+    actuator = nominal.actuator
+    a = nominal.travel / actuator.air_gap
+    hold = (actuator.position_stiffness * nominal.travel + nominal.friction) / actuator.current_stiffness
+    m_y, m_i = stiffness_errors(a, min(1.0, hold / actuator.bias_current))
+    if abs(m_i) >= 1.0:
+        return math.inf
+    position = actuator.position_stiffness / nominal.mass * nominal.travel
+    disturbance = m_y * position + nominal.friction / nominal.mass
+    return (abs(m_i) * position + disturbance + design.gamma) / (1.0 - abs(m_i))

@@ -1,0 +1,100 @@
+"""The paper's law (9), sampled: linear control, and sliding-mode control with the switching term."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from straightcomp_ros.control.design import NominalPlant, SlidingDesign, feedback_gains, state_matrices
+from straightcomp_ros.control.law import Command
+
+
+class Gains(NamedTuple):
+    """Numbers of one sampled law: (9) with the current as input, per sample."""
+
+    period: float
+    smoothing: float
+    surface_integral: float
+    surface_position: float
+    k_integral: float
+    k_position: float
+    k_velocity: float
+    k_reference: float
+    k_switching: float
+    boundary_layer: float
+    current_limit: float
+
+
+@dataclass
+class _Memory:
+    integral: float = 0.0
+    y: float = 0.0
+    velocity: float = 0.0
+
+
+def gains(
+    design: SlidingDesign,
+    nominal: NominalPlant,
+    *,
+    switching: bool,
+    period: float,
+    velocity_bandwidth: float,
+    current_limit: float,
+) -> Gains:
+    """Numbers of (9) for a sampling period in s, a velocity estimate in Hz and a limit of i_c in A.
+
+    (SB)⁻¹ SB_r r = −ωn² r M / K̄_i is the reference's part.
+    """
+    k_integral, k_position, k_velocity = feedback_gains(design, nominal).tolist()
+    input_gain = float(state_matrices(nominal)[1][2])
+    return Gains(
+        period=period,
+        smoothing=1.0 - math.exp(-2.0 * math.pi * velocity_bandwidth * period),
+        surface_integral=design.omega_n**2,
+        surface_position=2.0 * design.zeta * design.omega_n,
+        k_integral=k_integral,
+        k_position=k_position,
+        k_velocity=k_velocity,
+        k_reference=design.omega_n**2 / input_gain,
+        k_switching=design.rho / input_gain if switching else 0.0,
+        boundary_layer=design.boundary_layer,
+        current_limit=current_limit,
+    )
+
+
+def switching_function(sigma: float, boundary_layer: float) -> float:
+    """sgn σ, or inside a boundary layer of half width ε its continuous replacement σ/ε (Slotine and Sastry, 1983)."""
+    if abs(sigma) < boundary_layer:
+        return sigma / boundary_layer
+    return math.copysign(1.0, sigma) if sigma != 0.0 else 0.0
+
+
+class SlidingModeLaw:
+    """Law (9) on x = [−∫e, y, ẏ]: ``linear`` where the switching gain is zero, ``smc`` otherwise.
+
+    ẏ is the difference of two readings over the period, smoothed by a first-order filter. While the
+    current is at its limit the integral is held whenever it would push further (anti-windup).
+    """
+
+    def __init__(self, numbers: Gains) -> None:
+        self._gains = numbers
+        self._memory = _Memory()
+
+    def reset(self, y: float) -> None:
+        self._memory = _Memory(y=y)
+
+    def step(self, y: float, r: float, r_dot: float, r_ddot: float) -> Command:
+        g, memory = self._gains, self._memory
+        velocity = memory.velocity + g.smoothing * ((y - memory.y) / g.period - memory.velocity)
+        integral = memory.integral
+        sigma = g.surface_integral * integral + g.surface_position * y + velocity
+        equivalent = g.k_reference * r - (g.k_integral * integral + g.k_position * y + g.k_velocity * velocity)
+        switching = -g.k_switching * switching_function(sigma, g.boundary_layer)
+        asked = equivalent + switching
+        current = max(-g.current_limit, min(g.current_limit, asked))
+        # More ∫(y − r) means less current: hold it when that is where the limit already stands.
+        if current == asked or (y - r) * asked > 0.0:
+            memory.integral = integral + g.period * (y - r)
+        memory.y, memory.velocity = y, velocity
+        return Command(current, r - y, sigma, equivalent, switching, velocity, math.nan)

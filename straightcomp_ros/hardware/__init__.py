@@ -1,0 +1,1 @@
+"""One interface to the machine, and its backends. No ROS."""

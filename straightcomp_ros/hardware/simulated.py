@@ -1,0 +1,175 @@
+"""The simulated machine: plant, encoders, D/A, amplifier and stage behind the hardware interface.
+
+It stands for a board with a sampling clock of its own: samples lie on an exact grid of the sampling
+period, whenever the host comes to fetch them, and a command takes effect when it arrives. How late
+that is, is the loop's own latency; nothing is added to it here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from straightcomp_ros.contract import DEFAULT_RATE
+from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
+from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
+from straightcomp_ros.model.stage import Trajectory, Waypoint
+from straightcomp_ros.parameters import group, parameter
+from straightcomp_ros.straightness.map import StraightnessMap
+
+
+@dataclass(frozen=True)
+class SimulatedParameters:
+    """The simulated machine."""
+
+    rate: int = parameter(DEFAULT_RATE, "Samples per second", unit="Hz", minimum=10, maximum=20_000)
+    command_timeout: float = parameter(
+        0.005,
+        "Age of the newest command at which the board switches the amplifier off",
+        unit="s",
+        above=0.0,
+        maximum=1.0,
+    )
+    sample_memory: int = parameter(256, "Samples that the board keeps for a late host", minimum=1, maximum=100_000)
+    initial_y: float = parameter(0.0, "Platform's position at the start", unit="m", minimum=-1e-2, maximum=1e-2)
+    plant: PlantParameters = group(PlantParameters)
+
+
+class SimulatedHardware(Hardware):
+    """Plant and stage in simulated time, integrated up to whatever time the caller names.
+
+    Args:
+        parameters: the machine.
+        guide: true deviation of the guide δ(x).
+    """
+
+    def __init__(self, parameters: SimulatedParameters, guide: StraightnessMap) -> None:
+        self.period_ns = round(1e9 / parameters.rate)
+        self._parameters = parameters
+        self._guide = guide
+        self._constants = as_array(parameters.plant.constants())
+        self._plant_state = np.array(PlantState(y=parameters.initial_y))
+        # The first call compiles; it must not happen inside the loop.
+        advance(self._constants, self._plant_state.copy(), 0.0, 0.0, 1)
+        self._timeout_ns = round(parameters.command_timeout * 1e9)
+        self._commands: deque[tuple[int, float]] = deque()
+        self._command = 0.0
+        self._bias = 0.0
+        self._time_ns = 0
+        self._next_sample_ns = 0
+        self._last_command_ns = 0
+        self._trajectory = Trajectory([Waypoint(0, 0.0, 0.0)])
+        self._trajectory_start_ns = 0
+        self._state = State.OFF
+        self._fault = ""
+        self._lost = 0
+
+    def start(self, now_ns: int) -> None:
+        self._time_ns = self._next_sample_ns = self._last_command_ns = now_ns
+
+    def read(self, now_ns: int) -> list[tuple[Sample, Truth]]:
+        samples = []
+        while self._next_sample_ns <= now_ns:
+            self._integrate(self._next_sample_ns)
+            self._watch_commands()
+            samples.append(self._sample())
+            self._next_sample_ns += self.period_ns
+        surplus = len(samples) - self._parameters.sample_memory
+        if surplus > 0:
+            self._lost += surplus
+            del samples[:surplus]
+        return samples
+
+    def write(self, current: float, at_ns: int) -> None:
+        if not math.isfinite(current):
+            raise ValueError(f"control current {current} A is not finite")
+        effective = max(at_ns, self._time_ns)
+        if self._commands:
+            effective = max(effective, self._commands[-1][0])
+        self._commands.append((effective, self._parameters.plant.drive.converted(current)))
+        self._last_command_ns = effective
+
+    def enable(self) -> None:
+        if self._state is State.FAULT:
+            raise HardwareError(f"a fault is latched: {self._fault}")
+        if self._state is State.OFF:
+            self._state = State.ON
+            self._bias = self._parameters.plant.actuator.bias_current
+            self._last_command_ns = max(self._last_command_ns, self._time_ns)
+
+    def disable(self) -> None:
+        self._currents_off()
+        if self._state is State.ON:
+            self._state = State.OFF
+
+    def reset_fault(self) -> None:
+        if self._state is State.FAULT:
+            self._state = State.OFF
+            self._fault = ""
+
+    def move(self, trajectory: Trajectory, start_ns: int) -> None:
+        here = self._stage_position(self._time_ns)
+        away = abs(trajectory.position(0) - here)
+        if away > 1e-6:
+            raise HardwareError(
+                f"stage trajectory starts at {trajectory.position(0)} m, but the stage stands at {here} m"
+            )
+        self._trajectory, self._trajectory_start_ns = trajectory, start_ns
+
+    @property
+    def state(self) -> State:
+        return self._state
+
+    @property
+    def fault(self) -> str:
+        return self._fault
+
+    @property
+    def lost_samples(self) -> int:
+        return self._lost
+
+    @property
+    def applied_current(self) -> float:
+        """Control current in A that is asked of the amplifier at present."""
+        return self._command
+
+    def _stage_position(self, time_ns: int) -> float:
+        return self._trajectory.position(time_ns - self._trajectory_start_ns)
+
+    def _currents_off(self) -> None:
+        self._commands.clear()
+        self._command = 0.0
+        self._bias = 0.0
+
+    def _integrate(self, until_ns: int) -> None:
+        commands = self._commands
+        while commands and commands[0][0] <= until_ns:
+            at_ns, current = commands.popleft()
+            self._hold_currents(at_ns)
+            if self._state is State.ON:
+                self._command = current
+        self._hold_currents(until_ns)
+
+    def _hold_currents(self, until_ns: int) -> None:
+        duration_ns = until_ns - self._time_ns
+        if duration_ns > 0:
+            advance(self._constants, self._plant_state, self._command, self._bias, duration_ns)
+            self._time_ns = until_ns
+
+    def _watch_commands(self) -> None:
+        age_ns = self._time_ns - self._last_command_ns
+        if self._state is State.ON and age_ns > self._timeout_ns:
+            self._state = State.FAULT
+            self._fault = f"no command for {age_ns * 1e-6:.1f} ms (command_timeout {self._timeout_ns * 1e-6:g} ms)"
+            self._currents_off()
+
+    def _sample(self) -> tuple[Sample, Truth]:
+        y, velocity, _, control, _, friction, magnetic = self._plant_state.tolist()
+        x = self._stage_position(self._time_ns)
+        reading = self._parameters.plant.encoder.reading
+        measured = control if self._state is State.ON else math.nan
+        truth = Truth(x, y, velocity, friction, magnetic, self._guide.deviation(x))
+        return Sample(self._time_ns, reading(x), reading(y), measured), truth

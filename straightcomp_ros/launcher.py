@@ -1,0 +1,158 @@
+"""Starts the nodes as processes of their own, watches them, and stops them: what `ros2 launch` does, without it.
+
+It imports no ROS: executables are found as `ros2 run` finds them, through the ament index; without an
+installed package the modules are run by this Python.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.contract import PACKAGE
+
+_STOP_WITHIN_S = 5.0
+_PR_SET_PDEATHSIG = 1
+
+
+class LaunchError(RuntimeError):
+    """A node could not be started, died, or did not stop; the message says which, and how it ended."""
+
+
+def ros_available() -> bool:
+    """Whether rclpy can be imported here."""
+    return importlib.util.find_spec("rclpy") is not None
+
+
+def executable_command(executable: str) -> list[str]:
+    """How to start an executable of this package, e.g. ``driver_node``."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix) / "lib" / PACKAGE / executable
+        if prefix and os.access(path, os.X_OK):
+            return [str(path)]
+    return [sys.executable, "-m", f"{PACKAGE}.nodes.{executable}"]
+
+
+def isolated_environment() -> dict[str, str]:
+    """This environment, with traffic kept on this machine and, where none is set, a ROS domain of its own."""
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # 1 to 101 are free of the ports that Linux gives out by itself.
+    environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    return environment
+
+
+class Graph:
+    """Processes of one graph; use it as a context manager, which stops them all.
+
+    Args:
+        log_folder: gets one file for each node with what it printed.
+        environment: of the processes; :func:`isolated_environment` if None.
+    """
+
+    def __init__(self, log_folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        self._log_folder = log_folder
+        self._environment = dict(environment or isolated_environment())
+        self._processes: dict[str, subprocess.Popen[str]] = {}
+        log_folder.mkdir(parents=True, exist_ok=True)
+
+    def __enter__(self) -> Graph:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.stop()
+
+    def start(
+        self,
+        name: str,
+        parameters: Mapping[str, Any],
+        parameter_file: Path | None = None,
+        *,
+        arguments: Sequence[str] = (),
+        read_output: bool = False,
+    ) -> subprocess.Popen[str]:
+        """Start the node ``name`` (executable ``<name>_node``).
+
+        Args:
+            name: the node.
+            parameters: values that win over the file's.
+            parameter_file: ROS 2 parameter file.
+            arguments: further ROS arguments, e.g. a remapping.
+            read_output: standard output is a pipe for the caller instead of going to the log.
+        """
+        command = [*executable_command(f"{name}_node"), "--ros-args", *arguments]
+        if parameter_file:
+            command += ["--params-file", str(parameter_file)]
+        for key, value in parameters.items():
+            command += ["-p", f"{key}:={_as_argument(value)}"]
+        with self.log(name).open("w") as log:
+            process = subprocess.Popen(
+                command,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE if read_output else log,
+                stderr=log,
+                text=True,
+                preexec_fn=_end_with_parent,
+            )
+        self._processes[name] = process
+        return process
+
+    def log(self, name: str) -> Path:
+        """The file with what the node printed."""
+        return self._log_folder / f"{name}.log"
+
+    def check(self) -> None:
+        """Raise LaunchError if a process has ended with an error, or has ended though it should run on."""
+        for name, process in self._processes.items():
+            code = process.poll()
+            if code is not None:
+                raise LaunchError(f"node '{name}' ended with {_exit_words(code)}: {self.last_words(name)}")
+
+    def last_words(self, name: str) -> str:
+        """The last line that a node printed, for a message."""
+        lines = [line for line in self.log(name).read_text(errors="replace").splitlines() if line.strip()]
+        return lines[-1].strip() if lines else "it printed nothing"
+
+    def stop(self, names: Sequence[str] | None = None) -> dict[str, int]:
+        """Interrupt the named nodes (all, if None), wait until they are gone; returns their exit codes."""
+        stopping = {name: self._processes.pop(name) for name in (names or list(self._processes))}
+        for process in stopping.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + _STOP_WITHIN_S
+        for process in stopping.values():
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if process.stdout:
+                process.stdout.close()
+        return {name: process.returncode for name, process in stopping.items()}
+
+
+def _as_argument(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    # Quotes keep a text a text in the YAML of the command line ("1" or "on" would turn into something else).
+    return f"'{value}'" if isinstance(value, str) else repr(value)
+
+
+def _exit_words(code: int) -> str:
+    return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
+def _end_with_parent() -> None:
+    # Nodes of a launcher that was killed must not run on: a spinning orphan spoils every later run.
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

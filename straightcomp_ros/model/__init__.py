@@ -1,0 +1,1 @@
+"""The machine as equations: actuator, friction, platform, amplifier, stage, converters. No ROS."""

@@ -1,0 +1,54 @@
+"""Compiles numerical functions with numba, and keeps the machine code where it cannot go stale.
+
+numba notices a change in the file of the compiled function, but not in the files of the functions
+that it calls. The cache folder therefore carries a digest of all sources that may be compiled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import numba
+from numba.extending import register_jitable
+
+F = TypeVar("F", bound=Callable)
+
+
+@cache
+def cache_directory() -> Path:
+    """Folder for machine code of exactly these sources: in the user's cache, or in the temporary folder."""
+    digest = hashlib.sha256()
+    package = Path(__file__).resolve().parent.parent
+    for source in sorted([*package.glob("model/*.py"), *package.glob("control/*.py")]):
+        digest.update(source.read_bytes())
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    name = f"numba-{digest.hexdigest()[:16]}"
+    for place in (home / "straightcomp_ros", Path(tempfile.gettempdir()) / f"straightcomp_ros-{os.getuid()}"):
+        try:
+            (place / name).mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(place / name, os.W_OK):
+            return place / name
+    return Path(tempfile.mkdtemp(prefix="straightcomp_ros-"))
+
+
+def compilable(function: F) -> F:
+    """Mark a scalar function that runs as plain Python and may also be called from a compiled one."""
+    return register_jitable(error_model="numpy")(function)
+
+
+def compiled(function: F) -> F:
+    """``numba.njit`` with the machine code kept on disk; IEEE arithmetic, nothing reordered."""
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_directory())
+    try:
+        return numba.njit(cache=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = previous

@@ -1,0 +1,12 @@
+"""Time that never steps, in ns since the epoch: for stamps that must stay on the sampling grid."""
+
+from __future__ import annotations
+
+import time
+
+_OFFSET_NS = time.time_ns() - time.monotonic_ns()
+
+
+def now_ns() -> int:
+    """Monotonic clock, set to the system's time once, when the process started."""
+    return time.monotonic_ns() + _OFFSET_NS

@@ -1,0 +1,64 @@
+"""Declares a parameter set to ROS 2: types, ranges and descriptions come from its dataclass."""
+
+from __future__ import annotations
+
+import sys
+from typing import TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+from straightcomp_ros.parameters import Declaration, declarations, from_mapping
+
+T = TypeVar("T")
+
+_ROS_OWN = ("use_sim_time", "start_type_description_service")
+
+
+def declare(node: Node, parameter_set: type[T]) -> T:
+    """Take what launch file, YAML and command line gave to ``node``, validated, and declare every parameter.
+
+    The node must have been made with ``automatically_declare_parameters_from_overrides=True``: only so
+    does it show names that nobody knows.
+
+    Raises:
+        ParameterError: unknown name, wrong type or value out of range.
+    """
+    given = {
+        name: value.value
+        for name, value in node.get_parameters_by_prefix("").items()
+        if name not in _ROS_OWN and not name.startswith("qos_overrides.")
+    }
+    parameters = from_mapping(parameter_set, given)
+    for declaration in declarations(parameter_set):
+        value = declaration.check(given.get(declaration.name, declaration.default))
+        if declaration.name in given:
+            node.undeclare_parameter(declaration.name)
+        node.declare_parameter(declaration.name, value, _descriptor(declaration))
+    return parameters
+
+
+def _descriptor(declaration: Declaration) -> ParameterDescriptor:
+    unit = f" [{declaration.unit}]" if declaration.unit else ""
+    descriptor = ParameterDescriptor(
+        description=f"{declaration.description}{unit}",
+        additional_constraints=declaration.allowed(),
+        read_only=True,
+    )
+    low, high = declaration.minimum, declaration.maximum
+    if declaration.kind is float and (low is not None or high is not None):
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=-sys.float_info.max if low is None else float(low),
+                to_value=sys.float_info.max if high is None else float(high),
+            )
+        ]
+    elif declaration.kind is int and (low is not None or high is not None):
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-(2**63) if low is None else int(low),
+                to_value=2**63 - 1 if high is None else int(high),
+                step=1,
+            )
+        ]
+    return descriptor

@@ -1,0 +1,179 @@
+"""driver: publishes the machine's samples, hands it the commands, switches its amplifier."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from straightcomp_ros.configuration import DriverNodeParameters
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY, TRUTH
+from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.nodes.clock import now_ns
+from straightcomp_ros.nodes.declare import declare
+from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.lockstep import Lockstep
+from straightcomp_ros.nodes.runner import run
+from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
+from straightcomp_ros.nodes.streams import publisher, subscribe
+from straightcomp_ros.straightness.map import load_map
+
+
+class DriverNode:
+    """Polls the hardware at its sampling rate, or runs it in lockstep with the controller."""
+
+    def __init__(self, node: Node) -> None:
+        parameters = declare(node, DriverNodeParameters)
+        self.node, self.done, self.realtime = node, Future(), parameters.realtime
+        self._current_limit = parameters.current_limit
+        self._command_timeout_ns = round(parameters.simulated.command_timeout * 1e9)
+        self._hardware: Hardware = SimulatedHardware(parameters.simulated, load_map(parameters.guide))
+        self._publish_sample = publisher(node, ENCODER)
+        self._publish_truth = publisher(node, TRUTH)
+        self._publish_state = publisher(node, DRIVER_STATE)
+        self._samples = self._commands = self._stale_commands = 0
+        self._command_stamp_ns = 0
+        self._command = 0.0
+        self._latency = math.nan
+        self._fault = ""
+        self._reported_fault = ""
+        self._lockstep: Lockstep | None = None
+        node.create_service(SetBool, "~/enable", self._on_enable)
+        node.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
+        node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10)
+        subscribe(node, COMMAND, self._on_command)
+        if parameters.lockstep:
+            self._lockstep = Lockstep(
+                node, self._hardware, round(1e9 / parameters.simulated.rate), parameters.lockstep_delay, self._publish
+            )
+        else:
+            self._hardware.start(now_ns())
+            node.create_timer(1.0 / parameters.simulated.rate, self._poll)
+        Diagnostics(node, self._counters)
+
+    def _poll(self) -> None:
+        for sample, truth in self._hardware.read(now_ns()):
+            self._publish(sample, truth)
+        self._report_fault()
+
+    def _publish(self, sample: Sample, truth: Truth | None) -> None:
+        self._publish_sample(*sample[:3], math.nan, sample.current)
+        if truth is not None:
+            self._publish_truth(sample.stamp_ns, *truth)
+        lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
+        on = 1.0 if self._hardware.state is State.ON else 0.0
+        self._publish_state(sample.stamp_ns, self._latency, lateness, self._command, on)
+        self._latency = math.nan
+        self._samples += 1
+
+    def _on_command(self, stamp_ns: int, numbers: list[float]) -> None:
+        if self._lockstep:
+            if self._lockstep.awaits(stamp_ns) and self._check(numbers[0]):
+                self._commands += 1
+                self._command = numbers[0]
+                self._latency = self._lockstep.delay_ns * 1e-9
+                self._lockstep.answer(numbers[0])
+            return
+        arrival_ns = now_ns()
+        age_ns = arrival_ns - stamp_ns
+        if stamp_ns <= self._command_stamp_ns or age_ns > self._command_timeout_ns:
+            self._stale_commands += 1
+            return
+        if not self._check(numbers[0]):
+            return
+        self._hardware.write(numbers[0], arrival_ns)
+        self._command_stamp_ns = stamp_ns
+        self._command = numbers[0]
+        self._latency = age_ns * 1e-9
+        self._commands += 1
+
+    def _check(self, current: float) -> bool:
+        if math.isfinite(current) and abs(current) <= self._current_limit:
+            return True
+        self._hardware.disable()
+        self._fault = f"command of {current} A is outside ±{self._current_limit:g} A; amplifier switched off"
+        self._report_fault()
+        return False
+
+    @property
+    def _present_fault(self) -> str:
+        return self._fault or self._hardware.fault
+
+    def _report_fault(self) -> None:
+        fault = self._present_fault
+        if fault != self._reported_fault:
+            self._reported_fault = fault
+            if fault:
+                self.node.get_logger().error(f"fault, amplifier off: {fault}")
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if not request.data:
+            self._hardware.disable()
+            response.success, response.message = True, "amplifier off"
+            return response
+        refusal = self._enable_refusal()
+        if not refusal:
+            try:
+                self._hardware.enable()
+            except HardwareError as error:
+                refusal = str(error)
+        response.success, response.message = not refusal, refusal or "amplifier on"
+        self.node.get_logger().info(f"enable: {response.message}")
+        return response
+
+    def _enable_refusal(self) -> str:
+        if self._present_fault:
+            return f"a fault is latched: {self._present_fault}; call reset_fault"
+        if self._lockstep:
+            return ""
+        age_ns = now_ns() - self._command_stamp_ns
+        if age_ns > self._command_timeout_ns:
+            return "no fresh command from the controller; is it running, and is its map loaded?"
+        return ""
+
+    def _on_reset_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.message = f"cleared: {self._present_fault}" if self._present_fault else "there was no fault"
+        self._hardware.reset_fault()
+        self._fault = self._reported_fault = ""
+        response.success = True
+        return response
+
+    def _on_stage_trajectory(self, message: JointTrajectory) -> None:
+        try:
+            trajectory = trajectory_from_message(message)
+            if self._lockstep:
+                self._lockstep.start(trajectory, now_ns())
+            else:
+                self._hardware.move(trajectory, now_ns())
+        except (ValueError, HardwareError) as error:
+            self.node.get_logger().error(f"stage trajectory refused: {error}")
+
+    def _counters(self) -> dict[str, object]:
+        counters: dict[str, object] = {
+            "samples": self._samples,
+            "lost_samples": self._hardware.lost_samples,
+            "commands": self._commands,
+            "stale_commands": self._stale_commands,
+            "amplifier": self._hardware.state.value,
+        }
+        if self._present_fault:
+            counters["error"] = self._present_fault
+        return counters
+
+    def close(self) -> None:
+        """Amplifier off."""
+        self._hardware.close()
+
+
+def main() -> int:
+    """Entry point of `ros2 run straightcomp_ros driver_node`."""
+    return run("driver", DriverNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,48 @@
+"""feedforward: encoder sample in, straightness reference for it out."""
+
+from __future__ import annotations
+
+import sys
+
+from rclpy.node import Node
+from rclpy.task import Future
+
+from straightcomp_ros.configuration import FeedforwardNodeParameters
+from straightcomp_ros.contract import ENCODER, REFERENCE
+from straightcomp_ros.nodes.declare import declare
+from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.runner import run
+from straightcomp_ros.nodes.streams import publisher, subscribe
+from straightcomp_ros.straightness.feedforward import Feedforward
+from straightcomp_ros.straightness.map import load_map
+
+
+class FeedforwardNode:
+    """Looks the reference up in the map, for each sample as it comes."""
+
+    def __init__(self, node: Node) -> None:
+        parameters = declare(node, FeedforwardNodeParameters)
+        self.node, self.done, self.realtime = node, Future(), parameters.realtime
+        straightness = load_map(parameters.map)
+        node.get_logger().info(f"map {parameters.map.file}: {straightness.report}")
+        self._feedforward = Feedforward(straightness, parameters.feedforward)
+        self._publish = publisher(node, REFERENCE)
+        self._samples = 0
+        subscribe(node, ENCODER, self._on_sample)
+        Diagnostics(node, lambda: {"samples": self._samples})
+
+    def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+        self._samples += 1
+        self._publish(stamp_ns, *self._feedforward.step(stamp_ns, numbers[0]))
+
+    def close(self) -> None:
+        """Nothing to make safe."""
+
+
+def main() -> int:
+    """Entry point of `ros2 run straightcomp_ros feedforward_node`."""
+    return run("feedforward", FeedforwardNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""logger: records the graph's topics to a rosbag2 MCAP bag, as raw bytes."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections import deque
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from trajectory_msgs.msg import JointTrajectory
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cdr import header_stamp_ns
+from straightcomp_ros.configuration import LoggerNodeParameters
+from straightcomp_ros.contract import DIAGNOSTICS, STAGE_TRAJECTORY, STREAMS
+from straightcomp_ros.nodes.declare import declare
+from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.remote_parameters import RemoteParameters
+from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
+from straightcomp_ros.nodes.streams import message_type, stream_qos
+
+_WRITE_INTERVAL_S = 0.02
+
+
+class LoggerNode:
+    """Receives on the executor's thread, writes on its own: the disk never holds up receiving."""
+
+    def __init__(self, node: Node) -> None:
+        parameters = declare(node, LoggerNodeParameters)
+        self.node, self.done, self.realtime = node, Future(), parameters.realtime
+        folder = Path(parameters.output or datetime.now().strftime("straightcomp_%Y_%m_%d-%H_%M_%S"))
+        self._bag = BagWriter(folder, compression=parameters.compression)
+        self._queue: deque[tuple[str, bytes, int]] = deque()
+        self._queue_limit = parameters.queue_limit
+        self._dropped = self._received = self._written = 0
+        self._failure: Exception | None = None
+        self._stopping = threading.Event()
+        for stream in STREAMS:
+            self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(parameters.queue_depth))
+        self._record(JointTrajectory, STAGE_TRAJECTORY, QoSProfile(depth=10))
+        self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
+        self._remote = RemoteParameters(node, parameters.nodes.split())
+        Diagnostics(node, self._counters)
+        node.create_timer(0.2, self._watch)
+        self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")
+        self._thread.start()
+        node.get_logger().info(f"recording to {folder}")
+
+    def _record(self, kind: Any, topic: str, qos: QoSProfile) -> None:
+        full_name = self.node.resolve_topic_name(topic)
+        self._bag.add_topic(full_name, _type_name(kind), _bag_qos(qos))
+        queue = self._queue
+
+        def receive(data: bytes) -> None:
+            self._received += 1
+            if len(queue) < self._queue_limit:
+                queue.append((full_name, data, time.time_ns()))
+            else:
+                self._dropped += 1
+
+        self.node.create_subscription(kind, topic, receive, qos, raw=True)
+
+    def _write_until_stopped(self) -> None:
+        try:
+            while not self._stopping.wait(_WRITE_INTERVAL_S):
+                self._write_queue()
+            self._write_queue()
+        except (OSError, BagError) as error:
+            self._failure = error
+
+    def _write_queue(self) -> None:
+        queue = self._queue
+        for _ in range(len(queue)):
+            topic, data, received_ns = queue.popleft()
+            self._bag.write(topic, data, received_ns, header_stamp_ns(data))
+            self._written += 1
+
+    def _watch(self) -> None:
+        if self._failure and not self.done.done():
+            self.node.get_logger().error(f"recording stopped: {self._failure}")
+            self.done.set_result(EXIT_FAILURE)
+
+    def _counters(self) -> dict[str, object]:
+        counters: dict[str, object] = {
+            "received": self._received,
+            "written": self._written,
+            "dropped": self._dropped,
+            "queued": len(self._queue),
+        }
+        if self._failure:
+            counters["error"] = f"recording stopped: {self._failure}"
+        return counters
+
+    def close(self) -> None:
+        """Write what is queued, attach the parameters, finish the bag."""
+        self._stopping.set()
+        self._thread.join()
+        self._bag.attach("parameters.yaml", "application/yaml", self._remote.as_yaml().encode())
+        self._bag.add_metadata("logger", {"received": str(self._received), "dropped": str(self._dropped)})
+        self._bag.close()
+
+
+def main() -> int:
+    """Entry point of `ros2 run straightcomp_ros logger_node`."""
+    return run("logger", LoggerNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

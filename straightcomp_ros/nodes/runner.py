@@ -1,0 +1,119 @@
+"""Runs a node until it is told to stop: executor, scheduling, signals, exit code. All nodes share it.
+
+The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI wheels of Jazzy its bare
+``spin()`` never fires a timer; ``spin_until_future_complete`` works there and with an installed Jazzy.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.straightness.survey import SurveyError
+
+EXIT_CONFIGURATION = 2
+"""A parameter or a file is wrong; nothing was started."""
+EXIT_FAILURE = 1
+"""The node failed while it ran."""
+# Longer values overflow in the executor and end the wait at once.
+_LONGEST_WAIT_S = 1e6
+_LONGEST_DEAFNESS_S = 0.2
+
+
+class Runnable(Protocol):
+    """What the runner needs: a node to spin, whether and how it is done, and a way to leave the outputs safe."""
+
+    node: Node
+    done: Future  # its result is the process's exit code
+    realtime: RealtimeParameters
+
+    def close(self) -> None:
+        """Leave everything safe and saved. The ROS context may be gone already."""
+
+
+def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | None = None) -> int:
+    """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
+
+    Returns:
+        Exit code: 0 after a stop that was asked for, 2 when parameters or files are wrong, 1 when the node
+        failed, or what the node itself gave as the result of ``done``.
+    """
+    try:
+        # rclpy's own handlers shut the context down under a running callback; ours let it end first.
+        rclpy.init(
+            args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
+        )
+        node = Node(name, automatically_declare_parameters_from_overrides=True)
+    except Exception as error:
+        # rclpy has one exception type for each kind of bad argument; all mean the same to the user.
+        print(f"{name}: {error}", file=sys.stderr)
+        return EXIT_CONFIGURATION
+    try:
+        try:
+            runnable = make(node)
+        except (ParameterError, SurveyError, HardwareError, BagError, OSError) as error:
+            print(f"{name}: {error}", file=sys.stderr)
+            return EXIT_CONFIGURATION
+        try:
+            return _spin(runnable)
+        finally:
+            runnable.close()
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _spin(runnable: Runnable) -> int:
+    done = runnable.done
+
+    def stop(*_: object) -> None:
+        if not done.done():
+            done.set_result(0)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    # Python sees a signal only between two steps of its own; an idle executor takes none.
+    runnable.node.create_timer(_LONGEST_DEAFNESS_S, lambda: None)
+    executor = EventsExecutor()
+    executor.add_node(runnable.node)
+    if refusal := _schedule(runnable.realtime):
+        runnable.node.get_logger().warning(refusal)
+    gc.collect()
+    gc.freeze()
+    try:
+        while not done.done():
+            executor.spin_until_future_complete(done, timeout_sec=_LONGEST_WAIT_S)
+    except ExternalShutdownException:
+        return 0
+    return int(done.result())
+
+
+def _schedule(realtime: RealtimeParameters) -> str:
+    """Take the real-time priority asked for; returns why not, or an empty text."""
+    if realtime.priority == 0:
+        return ""
+    try:
+        # All threads: the middleware's receiving threads have been started before.
+        for thread in os.listdir("/proc/self/task"):
+            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(realtime.priority))
+    except (OSError, AttributeError) as error:
+        return (
+            f"real-time priority {realtime.priority} is not permitted ({error}); running with normal scheduling. "
+            "Remedy: give this user rtprio in limits.conf"
+        )
+    return ""

@@ -1,0 +1,106 @@
+"""The graph without ROS: driver, feedforward and controller in one loop, in simulated time.
+
+The parts are those that the nodes run, called in the order of `lockstep`, so that both give the same
+numbers to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.configuration import (
+    CellNodeParameters,
+    ControllerNodeParameters,
+    DriverNodeParameters,
+    FeedforwardNodeParameters,
+    node_parameters,
+)
+from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.model.stage import Trajectory, forward_and_back
+from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.straightness.feedforward import Feedforward
+from straightcomp_ros.straightness.map import StraightnessMap, load_map
+
+_PROGRESS_EVERY = 2000
+
+
+class Simulation:
+    """One cycle of the stage under the parameters of the nodes.
+
+    Args:
+        values: parameters by node and dotted name, as `read_parameter_file` gives them.
+
+    Raises:
+        ParameterError: a parameter is refused, or controller and machine disagree about the rate.
+        SurveyError: the map or the guide is refused.
+
+    Attributes:
+        map: what the feedforward looks the reference up in.
+        delay: command delay from the sample, in sampling periods.
+    """
+
+    map: StraightnessMap
+    delay: float
+
+    def __init__(self, values: Mapping[str, Mapping[str, Any]]) -> None:
+        self._driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
+        feedforward: FeedforwardNodeParameters = node_parameters("feedforward", values.get("feedforward", {}))
+        self._controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
+        cell: CellNodeParameters = node_parameters("cell", values.get("cell", {}))
+        rate = self._driver.simulated.rate
+        if self._controller.rate != rate:
+            raise ParameterError(
+                f"node controller: parameter 'rate': {self._controller.rate} Hz; allowed: {rate} Hz, as the driver has"
+            )
+        self.map = load_map(feedforward.map)
+        self.delay = self._driver.lockstep_delay
+        self._hardware = SimulatedHardware(self._driver.simulated, load_map(self._driver.guide))
+        self._feedforward = Feedforward(self.map, feedforward.feedforward)
+        self._servo = Servo(make_law(self._controller.control, 1.0 / rate))
+        self._trajectory = Trajectory(forward_and_back(cell.motion))
+
+    def run(self, progress: Callable[[float], None] = lambda fraction: None) -> StrokeRecord:
+        """Run the cycle once.
+
+        Args:
+            progress: called now and then with the fraction that is done.
+        """
+        hardware, step, reference_at = self._hardware, self._servo.step, self._feedforward.step
+        period_ns = hardware.period_ns
+        delay_ns = round(self.delay * period_ns)
+        count = -(-self._trajectory.end_ns // period_ns)
+        rows = []
+        hardware.enable()
+        hardware.start(0)
+        hardware.move(self._trajectory, 0)
+        for index in range(count):
+            sample, truth = hardware.read(index * period_ns)[-1]
+            reference = reference_at(sample.stamp_ns, sample.x)
+            command = step(sample.stamp_ns, sample.y, sample.current, reference)
+            # A sample of the simulated machine is finite and newer than the last.
+            assert command is not None
+            hardware.write(command.current, sample.stamp_ns + delay_ns)
+            rows.append(
+                (sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation)
+            )
+            if index % _PROGRESS_EVERY == 0:
+                progress(index / count)
+        progress(1.0)
+        x, y, r, current, true_x, true_y, guide = np.array(rows).T.copy()
+        return StrokeRecord(
+            time=np.arange(count) * (period_ns * 1e-9),
+            x=x,
+            y=y,
+            r=r,
+            current=current,
+            true_x=true_x,
+            true_y=true_y,
+            guide=guide,
+            law=self._controller.control.law,
+        )
