@@ -116,26 +116,35 @@ NODE_PARAMETERS: Mapping[str, type] = {
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """Values of a ROS 2 parameter file, by node and dotted name; every node of ours is a key.
 
-    A key of the file is a node's name, with or without a namespace before it (``/**/driver``, ``driver``).
-
     Raises:
         ParameterError: the file is not there or no YAML, or is not laid out as a parameter file.
     """
     try:
-        tree = yaml.safe_load(Path(path).read_text()) or {}
+        tree = yaml.safe_load(Path(path).read_text())
     except OSError as error:
         raise ParameterError(f"parameter file {path}: {error.strerror}") from error
     except yaml.YAMLError as error:
         raise ParameterError(f"parameter file {path}: no YAML: {' '.join(str(error).split())}") from error
+    return read_parameter_tree(tree or {}, f"parameter file {path}")
+
+
+def read_parameter_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
+    """Values of a parameter file's content; ``source`` names it in messages.
+
+    A key is a node's name, with or without a namespace before it (``/**/driver``, ``driver``).
+
+    Raises:
+        ParameterError: another layout, or a node that is not ours.
+    """
     values: dict[str, dict[str, Any]] = {name: {} for name in NODE_PARAMETERS}
     if not isinstance(tree, Mapping):
-        raise ParameterError(f"parameter file {path}: has no 'NODE: ros__parameters:' level")
+        raise ParameterError(f"{source}: has no 'NODE: ros__parameters:' level")
     for key, section in tree.items():
         name = str(key).rsplit("/", 1)[-1]
         if name not in values:
-            raise ParameterError(f"parameter file {path}: node '{key}' is unknown; known: {', '.join(values)}")
+            raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(values)}")
         if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
-            raise ParameterError(f"parameter file {path}: node '{key}' has no 'ros__parameters:'")
+            raise ParameterError(f"{source}: node '{key}' has no 'ros__parameters:'")
         values[name].update(flatten(section["ros__parameters"]))
     return values
 

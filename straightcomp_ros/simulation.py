@@ -6,6 +6,7 @@ numbers to the last bit.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -75,7 +76,7 @@ class Simulation:
         period_ns = hardware.period_ns
         delay_ns = round(self.delay * period_ns)
         count = -(-self._trajectory.end_ns // period_ns)
-        rows = []
+        rows = array("d")
         hardware.enable()
         hardware.start(0)
         hardware.move(self._trajectory, 0)
@@ -86,13 +87,11 @@ class Simulation:
             # A sample of the simulated machine is finite and newer than the last.
             assert command is not None
             hardware.write(command.current, sample.stamp_ns + delay_ns)
-            rows.append(
-                (sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation)
-            )
+            rows.extend((sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation))
             if index % _PROGRESS_EVERY == 0:
                 progress(index / count)
         progress(1.0)
-        x, y, r, current, true_x, true_y, guide = np.array(rows).T.copy()
+        x, y, r, current, true_x, true_y, guide = np.frombuffer(rows).reshape(count, -1).T.copy()
         return StrokeRecord(
             time=np.arange(count) * (period_ns * 1e-9),
             x=x,

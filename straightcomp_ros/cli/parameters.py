@@ -19,7 +19,9 @@ DEFAULT_FILE = "config/straightcomp.yaml"
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     """Add --law, --params-file and --set."""
     parser.add_argument("--law", choices=LAWS, help="control law (default: the parameter file's)")
-    parser.add_argument("--params-file", metavar="FILE", help=f"ROS 2 parameter file (default: the installed {DEFAULT_FILE})")
+    parser.add_argument(
+        "--params-file", metavar="FILE", help=f"ROS 2 parameter file (default: the installed {DEFAULT_FILE})"
+    )
     parser.add_argument(
         "--set",
         action="append",

@@ -20,7 +20,9 @@ SUMMARY = "run a stroke forward and back offline"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_parameter_options(parser)
-    parser.add_argument("--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)")
+    parser.add_argument(
+        "--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)"
+    )
     parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 

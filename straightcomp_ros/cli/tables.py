@@ -20,6 +20,7 @@ _ROWS = (
     ("expected_samples", "samples expected", "", 0),
     ("received_samples", "samples received", "", 0),
     ("lost_samples", "samples lost", "", 0),
+    ("lost_commands", "samples without a command", "", 0),
     ("latency_p50_us", "loop latency p50", "µs", 0),
     ("latency_p99_us", "loop latency p99", "µs", 0),
 )

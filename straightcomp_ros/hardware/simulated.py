@@ -55,6 +55,8 @@ class SimulatedHardware(Hardware):
         # The first call compiles; it must not happen inside the loop.
         advance(self._constants, self._plant_state.copy(), 0.0, 0.0, 1)
         self._timeout_ns = round(parameters.command_timeout * 1e9)
+        self._reading = parameters.plant.encoder.reading
+        self._converted = parameters.plant.drive.converted
         self._commands: deque[tuple[int, float]] = deque()
         self._command = 0.0
         self._bias = 0.0
@@ -74,7 +76,8 @@ class SimulatedHardware(Hardware):
         samples = []
         while self._next_sample_ns <= now_ns:
             self._integrate(self._next_sample_ns)
-            self._watch_commands()
+            if self._time_ns - self._last_command_ns > self._timeout_ns:
+                self._miss_command()
             samples.append(self._sample())
             self._next_sample_ns += self.period_ns
         surplus = len(samples) - self._parameters.sample_memory
@@ -89,7 +92,7 @@ class SimulatedHardware(Hardware):
         effective = max(at_ns, self._time_ns)
         if self._commands:
             effective = max(effective, self._commands[-1][0])
-        self._commands.append((effective, self._parameters.plant.drive.converted(current)))
+        self._commands.append((effective, self._converted(current)))
         self._last_command_ns = effective
 
     def enable(self) -> None:
@@ -159,17 +162,17 @@ class SimulatedHardware(Hardware):
             advance(self._constants, self._plant_state, self._command, self._bias, duration_ns)
             self._time_ns = until_ns
 
-    def _watch_commands(self) -> None:
-        age_ns = self._time_ns - self._last_command_ns
-        if self._state is State.ON and age_ns > self._timeout_ns:
+    def _miss_command(self) -> None:
+        if self._state is State.ON:
+            age_ms = (self._time_ns - self._last_command_ns) * 1e-6
             self._state = State.FAULT
-            self._fault = f"no command for {age_ns * 1e-6:.1f} ms (command_timeout {self._timeout_ns * 1e-6:g} ms)"
+            self._fault = f"no command for {age_ms:.1f} ms (command_timeout {self._timeout_ns * 1e-6:g} ms)"
             self._currents_off()
 
     def _sample(self) -> tuple[Sample, Truth]:
         y, velocity, _, control, _, friction, magnetic = self._plant_state.tolist()
         x = self._stage_position(self._time_ns)
-        reading = self._parameters.plant.encoder.reading
+        reading = self._reading
         measured = control if self._state is State.ON else math.nan
         truth = Truth(x, y, velocity, friction, magnetic, self._guide.deviation(x))
         return Sample(self._time_ns, reading(x), reading(y), measured), truth

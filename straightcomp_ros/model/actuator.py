@@ -86,5 +86,5 @@ def control_current(actuator: Actuator, y: float, force: float) -> float:
     linear = 1.0 + a2
     discriminant = linear * linear - 4.0 * a * constant
     if discriminant < 0.0:
-        discriminant = 0.0
+        return actuator.bias_current * -linear / (2.0 * a)
     return actuator.bias_current * (-2.0 * constant / (linear + math.sqrt(discriminant)))

@@ -41,6 +41,11 @@ class DriveParameters:
 
     def converted(self, current: float) -> float:
         """Control current in A after the D/A converter: nearest step, limited to its range."""
+        step = self.current_step
+        code = math.floor(current / step + 0.5)
         half = 1 << (self.dac_bits - 1)
-        code = math.floor(current / self.current_step + 0.5)
-        return max(-half, min(half - 1, code)) * self.current_step
+        if code >= half:
+            code = half - 1
+        elif code < -half:
+            code = -half
+        return code * step

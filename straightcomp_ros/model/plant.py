@@ -90,9 +90,7 @@ def _acceleration(plant: Plant, y: float, v: float, z: float, bias: float, contr
 
 
 @compiled
-def advance(
-    constants: np.ndarray, state: np.ndarray, command: float, bias_command: float, duration_ns: int
-) -> None:
+def advance(constants: np.ndarray, state: np.ndarray, command: float, bias_command: float, duration_ns: int) -> None:
     """Move ``state`` on by ``duration_ns`` in equal substeps, with constant commanded currents.
 
     Args:

@@ -51,7 +51,8 @@ def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -
     ramp_distance = 0.5 * peak * ramp
     cruise = (distance - 2.0 * ramp_distance) / peak
     corners = [(ramp, start.position + direction * ramp_distance, direction * peak)]
-    if cruise > 0.0:
+    # Rounding may leave a cruise of 1e-16 s in what is a triangle.
+    if round(cruise * _NS) > 0:
         corners.append((ramp + cruise, goal - direction * ramp_distance, direction * peak))
     corners.append((2.0 * ramp + cruise, goal, 0.0))
     return [Waypoint(start.time_ns + round(time * _NS), position, velocity) for time, position, velocity in corners]
@@ -85,7 +86,8 @@ class Trajectory:
                 continue
             if point.time_ns <= points[-1].time_ns:
                 raise ValueError(
-                    f"stage trajectory, point {number}: time {point.time_ns / _NS} s is not after {points[-1].time_ns / _NS} s"
+                    f"stage trajectory, point {number}: time {point.time_ns / _NS} s "
+                    f"is not after {points[-1].time_ns / _NS} s"
                 )
             points.append(point)
         for number, point in enumerate(points):

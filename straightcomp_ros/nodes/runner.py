@@ -55,9 +55,7 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
     """
     try:
         # rclpy's own handlers shut the context down under a running callback; ours let it end first.
-        rclpy.init(
-            args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
-        )
+        rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name, automatically_declare_parameters_from_overrides=True)
     except Exception as error:
         # rclpy has one exception type for each kind of bad argument; all mean the same to the user.

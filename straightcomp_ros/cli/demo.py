@@ -1,0 +1,71 @@
+"""Run the real node graph for one stroke forward and back on the simulated stage, record it, and judge the bag.
+
+Starts driver, feedforward, controller, logger and cell as processes, as `ros2 launch straightcomp_ros
+cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the output folder."""
+
+from __future__ import annotations
+
+import argparse
+from datetime import datetime
+from pathlib import Path
+
+from straightcomp_ros.analysis.plot import plot_run
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.tables import results_table
+from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate
+from straightcomp_ros.launcher import ros_available
+from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.straightness.survey import SurveyError
+
+SUMMARY = "run the node graph for one stroke, record and evaluate it"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_parameter_options(parser)
+    parser.add_argument(
+        "--output", "-o", metavar="DIR", default="demo_output", help="folder for the results (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--keep", action="store_true", help="keep earlier results: write to a new folder in DIR, named by the time"
+    )
+    parser.add_argument(
+        "--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the graph, print the figures, save the plot."""
+    if not ros_available():
+        raise CommandFailed(
+            "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
+            exit_code=2,
+        )
+    values = chosen_parameters(options)
+    if options.lockstep:
+        values["driver"]["lockstep"] = True
+        values["controller"]["trigger"] = "sample"
+    output = Path(options.output)
+    if options.keep:
+        output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
+    try:
+        with progress_bar() as bar:
+            task = bar.add_task("stage moves", total=1.0)
+            result = demonstrate(values, output, lambda fraction: bar.update(task, completed=fraction))
+    except (ParameterError, SurveyError) as error:
+        raise CommandFailed(str(error), exit_code=2) from error
+    except DemonstrationFailed as error:
+        raise CommandFailed(str(error)) from error
+    picture = output / "run.png"
+    figures = result.figures()
+    plot_run(
+        result.evaluation.record, result.map, result.metrics, picture, title=f"Recorded stroke, law '{figures['law']}'"
+    )
+    if options.json:
+        print_json(figures)
+    else:
+        console.print(results_table(figures))
+        notes.print(f"bag: {result.bag}\nplot: {picture}")
+    return 0

@@ -1,0 +1,73 @@
+import math
+
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.pairing import Pairing
+from straightcomp_ros.control.servo import AMPLIFIER_OFF, Servo
+
+T = 500_000
+HELD = (1e-6, 0.0, 0.0)
+
+
+def servo() -> Servo:
+    return Servo(make_law(ControlParameters(law="linear"), T * 1e-9))
+
+
+def test_a_repeated_sample_gets_the_same_answer_and_changes_nothing():
+    one, other = servo(), servo()
+    for step in range(5):
+        first = one.step(step * T, 1e-7 * step, 0.0, HELD)
+        assert one.step(step * T, 1e-7 * step, 0.0, HELD) == first
+        assert other.step(step * T, 1e-7 * step, 0.0, HELD) == first
+
+
+def test_an_older_sample_is_refused():
+    loop = servo()
+    loop.step(10 * T, 0.0, 0.0, HELD)
+    assert loop.step(9 * T, 0.0, 0.0, HELD) is None
+
+
+def test_non_finite_samples_and_references_are_refused():
+    loop = servo()
+    for y, reference in ((math.nan, HELD), (math.inf, HELD), (0.0, (math.nan, 0.0, 0.0)), (0.0, (0.0, math.inf, 0.0))):
+        assert loop.step(T, y, 0.0, reference) is None
+    assert loop.step(T, 0.0, 0.0, HELD) is not None
+
+
+def test_while_the_amplifier_is_off_nothing_is_integrated():
+    waiting, fresh = servo(), servo()
+    for step in range(1000):
+        answer = waiting.step(step * T, 0.0, math.nan, HELD)
+        assert answer is not None and answer.current == AMPLIFIER_OFF.current == 0.0
+    assert waiting.step(1000 * T, 0.0, 0.0, HELD) == fresh.step(0, 0.0, 0.0, HELD)
+
+
+def test_after_a_long_gap_the_law_starts_anew():
+    loop, fresh = servo(), servo()
+    for step in range(100):
+        loop.step(step * T, 0.0, 0.0, HELD)
+    assert loop.step(100 * T + 10**9, 0.0, 0.0, HELD) == fresh.step(0, 0.0, 0.0, HELD)
+
+
+def test_after_a_clock_step_backward_the_law_starts_anew():
+    loop, fresh = servo(), servo()
+    for step in range(100):
+        loop.step(10**12 + step * T, 0.0, 0.0, HELD)
+    assert loop.step(10**6, 0.0, 0.0, HELD) == fresh.step(0, 0.0, 0.0, HELD)
+
+
+def test_sample_and_reference_meet_in_either_order():
+    pairing = Pairing()
+    pairing.add_sample(1, [0.1])
+    pairing.add_reference(2, [0.2])
+    pairing.add_reference(1, [1.0])
+    pairing.add_sample(2, [2.0])
+    assert list(pairing.ready) == [(1, [0.1], [1.0]), (2, [2.0], [0.2])]
+
+
+def test_halves_without_a_partner_are_forgotten_and_counted():
+    pairing = Pairing()
+    for stamp in range(1000):
+        pairing.add_sample(stamp, [0.0])
+    assert pairing.unmatched > 900
+    pairing.add_reference(0, [0.0])
+    assert not pairing.ready

@@ -1,0 +1,100 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from straightcomp_ros.control.design import NominalPlant, SlidingDesign, state_matrices
+from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
+from straightcomp_ros.control.sliding_mode import switching_function
+
+T = 5e-4
+DESIGN, NOMINAL = SlidingDesign(), NominalPlant()
+
+
+def by_equation_9(x: np.ndarray, r: float, rho: float, boundary_layer: float) -> float:
+    """i_c by (9), written with the matrices of the paper."""
+    a, b = state_matrices(NOMINAL)
+    s = np.array([DESIGN.omega_n**2, 2 * DESIGN.zeta * DESIGN.omega_n, 1.0])
+    b_r = np.array([-1.0, 0.0, 0.0])
+    sigma = s @ x
+    sb = s @ b
+    return float(
+        -(s @ a @ x + s @ b_r * r + DESIGN.phi * sigma) / sb - rho * switching_function(sigma, boundary_layer) / sb
+    )
+
+
+@given(st.floats(-2e-5, 2e-5), st.floats(-2e-5, 2e-5), st.floats(-2e-5, 2e-5))
+def test_a_step_is_equation_9(y0, y1, r):
+    for law, rho in (("linear", 0.0), ("smc", DESIGN.rho)):
+        servo = make_law(ControlParameters(law=law, current_limit=100.0, velocity_bandwidth=1e5), T)
+        servo.reset(y0)
+        servo.step(y0, r, 0.0, 0.0)
+        answer = servo.step(y1, r, 0.0, 0.0)
+        smoothing = 1 - math.exp(-2 * math.pi * 1e5 * T)
+        x = np.array([T * (y0 - r), y1, smoothing * (y1 - y0) / T])
+        assert answer.current == pytest.approx(by_equation_9(x, r, rho, DESIGN.boundary_layer), rel=1e-9, abs=1e-12)
+        assert answer.error == r - y1
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_at_rest_on_the_reference_only_the_negative_stiffness_is_held(law):
+    servo = make_law(ControlParameters(law=law), T)
+    servo.reset(0.0)
+    assert servo.step(0.0, 0.0, 0.0, 0.0).current == 0.0
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
+    for r in (1e-6, -1e-6):
+        servo = make_law(ControlParameters(law=law), T)
+        servo.reset(0.0)
+        assert math.copysign(1.0, servo.step(0.0, r, 0.0, 0.0).current) == math.copysign(1.0, r)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@given(readings=st.lists(st.floats(-1e-3, 1e-3), min_size=1, max_size=50))
+def test_the_current_never_exceeds_its_limit(law, readings):
+    servo = make_law(ControlParameters(law=law, current_limit=0.3), T)
+    servo.reset(0.0)
+    assert all(abs(servo.step(y, 0.0, 0.0, 0.0).current) <= 0.3 for y in readings)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_at_the_limit_nothing_winds_up(law):
+    servo = make_law(ControlParameters(law=law, current_limit=0.05), T)
+    servo.reset(0.0)
+    for _ in range(4000):
+        blocked = servo.step(0.0, 1e-4, 0.0, 0.0)
+    assert blocked.current == 0.05
+    # The reference comes back: the current leaves its limit at once.
+    assert abs(servo.step(0.0, 0.0, 0.0, 0.0).current) < 0.05
+
+
+@given(st.floats(-1e-2, 1e-2), st.floats(0.0, 1e-2))
+def test_the_switching_function_is_odd_bounded_and_sgn_outside_its_layer(sigma, layer):
+    value = switching_function(sigma, layer)
+    assert value == -switching_function(-sigma, layer)
+    assert abs(value) <= 1.0
+    if abs(sigma) >= layer:
+        assert value == (math.copysign(1.0, sigma) if sigma else 0.0)
+
+
+def test_the_surface_is_reached_in_the_time_of_its_closed_form():
+    """σ̇ = −φσ − ρ sgn σ: from σ0 the surface is reached at (1/φ) ln(1 + φ|σ0|/ρ)."""
+    design = SlidingDesign(boundary_layer=0.0)
+    period = 2e-6
+    servo = make_law(ControlParameters(law="smc", current_limit=100.0, velocity_bandwidth=1e6, design=design), period)
+    a, b = state_matrices(NOMINAL)
+    y0 = 2e-4
+    servo.reset(y0)
+    y, v, t = y0, 0.0, 0.0
+    sigma = sigma_0 = 2 * design.zeta * design.omega_n * y0
+    while sigma > 0.01 * sigma_0 and t < 0.1:
+        answer = servo.step(y, 0.0, 0.0, 0.0)
+        sigma = answer.sliding_variable
+        acceleration = a[2, 1] * y + b[2] * answer.current
+        y, v, t = y + period * v + 0.5 * period**2 * acceleration, v + period * acceleration, t + period
+    closed = lambda s: math.log(1 + design.phi * s / design.rho) / design.phi  # noqa: E731
+    assert t == pytest.approx(closed(sigma_0) - closed(0.01 * sigma_0), rel=0.02)

@@ -1,0 +1,108 @@
+import math
+
+import pytest
+
+from straightcomp_ros.hardware.interface import HardwareError, State
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.model.stage import MotionParameters, Trajectory, Waypoint, forward_and_back
+from straightcomp_ros.straightness.map import MapParameters, load_map
+
+PERIOD = 500_000
+GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
+START = 1_700_000_000_123_456_789
+
+
+def machine(**parameters) -> SimulatedHardware:
+    hardware = SimulatedHardware(SimulatedParameters(**parameters), GUIDE)
+    hardware.start(START)
+    return hardware
+
+
+def test_samples_lie_on_the_grid_of_the_sampling_clock_whenever_they_are_fetched():
+    hardware = machine()
+    stamps = []
+    for fetched in (0, 100_000, 1_234_567, 1_300_000, 9_999_999):
+        stamps += [sample.stamp_ns for sample, _ in hardware.read(START + fetched)]
+    assert stamps == [START + k * PERIOD for k in range(20)]
+
+
+def test_a_host_that_is_late_finds_what_the_memory_holds_and_the_rest_is_counted_as_lost():
+    hardware = machine(sample_memory=16)
+    samples = hardware.read(START + 99 * PERIOD)
+    assert len(samples) == 16 and samples[-1][0].stamp_ns == START + 99 * PERIOD
+    assert hardware.lost_samples == 84
+
+
+def test_how_the_time_is_cut_into_fetches_does_not_change_the_machine():
+    def final_state(fetches):
+        hardware = machine(initial_y=1e-5, command_timeout=1.0)
+        hardware.enable()
+        hardware.write(0.02, START + 700_000)
+        hardware.write(-0.01, START + 3_100_000)
+        for fetch in fetches:
+            last = hardware.read(START + fetch * PERIOD)
+        return last[-1]
+
+    assert final_state([40]) == final_state(range(41)) == final_state([3, 11, 40])
+
+
+def test_a_command_acts_from_its_time_on_and_not_before():
+    hardware = machine(command_timeout=1.0)
+    hardware.enable()
+    hardware.write(0.1, START + 4 * PERIOD)
+    currents = [sample.current for sample, _ in hardware.read(START + 8 * PERIOD)]
+    assert currents[:5] == [0.0] * 5
+    assert 0.0 < currents[5] < currents[6] < 0.1
+
+
+def test_the_true_state_is_within_half_a_count_of_the_reading():
+    hardware = machine(initial_y=1.234e-5)
+    hardware.move(Trajectory(forward_and_back(MotionParameters(settle=0.0))), START)
+    for sample, truth in hardware.read(START + 200 * PERIOD)[-100:]:
+        assert abs(sample.x - truth.x) <= 0.51e-7 and abs(sample.y - truth.y) <= 0.51e-7
+        assert truth.guide_deviation == GUIDE.deviation(truth.x)
+
+
+def test_command_older_than_timeout_disables_the_amplifier_and_latches_a_fault():
+    hardware = machine(command_timeout=0.005)
+    hardware.enable()
+    hardware.write(0.1, START)
+    assert hardware.read(START + 9 * PERIOD) and hardware.state is State.ON
+    late = hardware.read(START + 30 * PERIOD)
+    assert hardware.state is State.FAULT and "no command for 5.5 ms" in hardware.fault
+    assert math.isnan(late[-1][0].current)
+    with pytest.raises(HardwareError, match="no command"):
+        hardware.enable()
+    hardware.reset_fault()
+    assert hardware.state is State.OFF and hardware.fault == ""
+    hardware.enable()
+    assert hardware.state is State.ON
+
+
+def test_a_disabled_amplifier_ignores_commands_and_the_magnets_let_go():
+    hardware = machine(initial_y=1e-4)
+    hardware.write(0.5, START)
+    samples = hardware.read(START + 100 * PERIOD)
+    assert all(math.isnan(sample.current) for sample, _ in samples)
+    assert samples[-1][1].magnetic_force == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("current", [math.nan, math.inf, -math.inf])
+def test_a_current_that_is_not_finite_never_reaches_the_amplifier(current):
+    hardware = machine()
+    hardware.enable()
+    with pytest.raises(ValueError, match="not finite"):
+        hardware.write(current, START)
+    assert hardware.applied_current == 0.0
+
+
+def test_a_trajectory_that_starts_elsewhere_than_the_stage_stands_is_refused():
+    with pytest.raises(HardwareError, match="starts at 0.5 m, but the stage stands at 0.0 m"):
+        machine().move(Trajectory([Waypoint(0, 0.5, 0.0)]), START)
+
+
+def test_closing_switches_the_amplifier_off():
+    hardware = machine()
+    hardware.enable()
+    hardware.close()
+    assert hardware.state is State.OFF

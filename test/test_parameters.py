@@ -1,0 +1,116 @@
+from dataclasses import dataclass
+
+import pytest
+import yaml
+
+from straightcomp_ros.configuration import NODE_PARAMETERS, node_parameters, read_parameter_file
+from straightcomp_ros.parameters import (
+    ParameterError,
+    declarations,
+    flatten,
+    from_mapping,
+    group,
+    parameter,
+    to_mapping,
+)
+from straightcomp_ros.share import share_path
+
+
+@dataclass(frozen=True)
+class Inner:
+    gain: float = parameter(2.0, "Gain", unit="N/A", above=0.0, maximum=10.0)
+    name: str = parameter("a", "Name", choices=("a", "b"))
+
+
+@dataclass(frozen=True)
+class Outer:
+    count: int = parameter(3, "Count", minimum=1)
+    on: bool = parameter(False, "On")
+    inner: Inner = group(Inner, gain=5.0)
+
+
+def test_groups_are_addressed_with_a_dot_and_may_have_defaults_of_their_own():
+    assert [(d.name, d.default) for d in declarations(Outer)] == [
+        ("count", 3),
+        ("on", False),
+        ("inner.gain", 5.0),
+        ("inner.name", "a"),
+    ]
+    assert from_mapping(Outer, {}) == Outer()
+    assert from_mapping(Outer, {"inner.gain": 4}).inner.gain == 4.0
+
+
+def test_a_set_and_its_mapping_are_inverse():
+    values = {"count": 7, "on": True, "inner.gain": 1.5, "inner.name": "b"}
+    assert to_mapping(from_mapping(Outer, values)) == values
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"cuont": 1}, "'cuont' is unknown; did you mean 'count'"),
+        ({"count": 0}, r"'count': 0 is too small; allowed: >= 1"),
+        ({"count": 1.5}, r"'count': 1\.5 is not an integer"),
+        ({"count": True}, "'count': True is not an integer"),
+        ({"on": 1}, "'on': 1 is not a truth value"),
+        ({"inner.gain": 0.0}, r"'inner.gain': 0\.0 N/A is too small; allowed: > 0 and <= 10 N/A"),
+        ({"inner.gain": 11}, r"'inner.gain': 11\.0 N/A is too large"),
+        ({"inner.gain": float("nan")}, "not finite"),
+        ({"inner.gain": "1e-3"}, "'1e-3' N/A is not a number"),
+        ({"inner.name": "c"}, "'c' is not known; allowed: one of a, b"),
+    ],
+)
+def test_a_refused_parameter_is_named_with_its_value_and_what_is_allowed(values, words):
+    with pytest.raises(ParameterError, match=words):
+        from_mapping(Outer, values)
+
+
+def test_nested_yaml_and_dotted_names_are_the_same():
+    assert flatten({"inner": {"gain": 1.0}, "count": 2}) == {"inner.gain": 1.0, "count": 2}
+
+
+@pytest.mark.parametrize("node", NODE_PARAMETERS)
+def test_every_default_is_allowed_and_every_parameter_is_described(node):
+    for declaration in declarations(NODE_PARAMETERS[node]):
+        assert declaration.check(declaration.default) == declaration.default
+        assert declaration.description
+
+
+def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script_writes():
+    path = share_path("config/straightcomp.yaml")
+    values = read_parameter_file(path)
+    for node, parameter_set in NODE_PARAMETERS.items():
+        node_parameters(node, values[node])
+        assert list(values[node]) == [declaration.name for declaration in declarations(parameter_set)]
+    source = (path.parent.parent / "scripts" / "make_parameter_file.py").read_text()
+    made: dict = {"__name__": "made", "__file__": str(path.parent.parent / "scripts" / "x.py")}
+    exec(compile(source, "make_parameter_file.py", "exec"), made)
+    assert path.read_text() == made["parameter_file"]()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("drivr: {ros__parameters: {}}", "node 'drivr' is unknown"),
+        ("driver: {}", "has no 'ros__parameters:'"),
+        ("- 1", "NODE: ros__parameters:"),
+        ("a: [", "no YAML"),
+    ],
+)
+def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=words) as refusal:
+        read_parameter_file(path)
+    assert str(path) in str(refusal.value)
+
+
+def test_a_missing_parameter_file_is_refused_with_its_name(tmp_path):
+    with pytest.raises(ParameterError, match=r"none\.yaml"):
+        read_parameter_file(tmp_path / "none.yaml")
+
+
+def test_a_parameter_file_with_namespaces_is_read_by_node(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"rate": 4000}}}}))
+    assert read_parameter_file(path)["driver"] == {"simulated.rate": 4000}
