@@ -111,7 +111,7 @@ def _run_graph(bag: Path, parameter_file: Path, logs: Path, duration: float, pro
 def _follow(graph: Graph, cell: Any, deadline: float, progress: Callable[[float], None]) -> None:
     """Pass the cell's progress on until it ends; raise LaunchError if it or another node fails."""
     while cell.poll() is None:
-        graph.check()
+        graph.check(_RECORDED)
         if time.monotonic() > deadline:
             raise LaunchError("the cycle did not end in time")
         if select.select([cell.stdout], [], [], 0.2)[0]:

@@ -111,10 +111,10 @@ class Graph:
         """The file with what the node printed."""
         return self._log_folder / f"{name}.log"
 
-    def check(self) -> None:
-        """Raise LaunchError if a process has ended with an error, or has ended though it should run on."""
-        for name, process in self._processes.items():
-            code = process.poll()
+    def check(self, names: Sequence[str]) -> None:
+        """Raise LaunchError if one of these nodes, which should run on, has ended."""
+        for name in names:
+            code = self._processes[name].poll()
             if code is not None:
                 raise LaunchError(f"node '{name}' ended with {_exit_words(code)}: {self.last_words(name)}")
 

@@ -11,13 +11,10 @@ import yaml
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.configuration import read_parameter_tree
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
-
-PARAMETERS_ATTACHMENT = "parameters.yaml"
-"""Name of the bag's attachment with the parameters of the nodes that were recorded."""
 
 
 @dataclass(frozen=True)

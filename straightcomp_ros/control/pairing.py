@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
-_WAITING = 64
-"""Halves that wait for their other half: far more than the graph's worst latency."""
+_WAITING = 1000
+"""Halves that wait for their other half: half a second of samples."""
 
 Pair = tuple[int, Sequence[float], Sequence[float]]
 

@@ -37,9 +37,9 @@ class CellNode:
 
     def __init__(self, node: Node) -> None:
         self._parameters = declare(node, CellNodeParameters)
-        self.node, self.done, self.realtime = node, Future(), self._parameters.realtime
+        self.node, self.done, self.realtime, self.loop = node, Future(), self._parameters.realtime, None
         self._waypoints = forward_and_back(self._parameters.motion)
-        self._stamp_ns = 0
+        self._first_stamp_ns = self._stamp_ns = 0
         self._amplifier_on = False
         self._last_sample = 0.0
         self._errors: dict[str, str] = {}
@@ -86,7 +86,7 @@ class CellNode:
         off_since = None
         while True:
             # In lockstep there is no sample before the trajectory.
-            first_ns = first_ns or self._stamp_ns
+            first_ns = first_ns or self._first_stamp_ns
             fraction = (self._stamp_ns - first_ns) / duration_ns
             if self._parameters.progress:
                 print(f"progress {min(fraction, 1.0):.3f}", flush=True)
@@ -132,6 +132,7 @@ class CellNode:
             self.done.set_result(EXIT_FAILURE)
 
     def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+        self._first_stamp_ns = self._first_stamp_ns or stamp_ns
         self._stamp_ns = stamp_ns
         self._amplifier_on = not math.isnan(numbers[3])
         self._last_sample = time.monotonic()

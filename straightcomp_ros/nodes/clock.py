@@ -9,4 +9,9 @@ _OFFSET_NS = time.time_ns() - time.monotonic_ns()
 
 def now_ns() -> int:
     """Monotonic clock, set to the system's time once, when the process started."""
-    return time.monotonic_ns() + _OFFSET_NS
+    return from_monotonic(time.monotonic_ns())
+
+
+def from_monotonic(monotonic_ns: int) -> int:
+    """The same for a reading of ``time.monotonic_ns``."""
+    return monotonic_ns + _OFFSET_NS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -14,8 +15,13 @@ from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.periodic import PeriodicLoop
+from straightcomp_ros.nodes.phase_lock import PhaseLock
 from straightcomp_ros.nodes.runner import run
-from straightcomp_ros.nodes.streams import publisher, subscribe
+from straightcomp_ros.nodes.streams import Inbox, publisher, subscribe, unspun_node
+
+_REFERENCE_WAIT_NS = 50_000
+"""How long a reference is to wait for the cycle that uses it: the usual jitter of its arrival."""
 
 
 class ControllerNode:
@@ -33,27 +39,40 @@ class ControllerNode:
         self._publish_command = publisher(node, COMMAND)
         self._publish_state = publisher(node, CONTROLLER_STATE)
         self._commands = self._refused = self._idle_cycles = 0
-        self._on_arrival = parameters.trigger == "sample"
-        subscribe(node, ENCODER, self._on_sample)
-        subscribe(node, REFERENCE, self._on_reference)
-        if not self._on_arrival:
-            node.create_timer(1.0 / parameters.rate, self._cycle)
+        self.loop: PeriodicLoop | None = None
+        if parameters.trigger == "sample":
+            subscribe(node, ENCODER, self._on_sample)
+            subscribe(node, REFERENCE, self._on_reference)
+        else:
+            unspun = unspun_node(node)
+            self._samples, self._references = Inbox(node, unspun, ENCODER), Inbox(node, unspun, REFERENCE)
+            period_ns = round(1e9 / parameters.rate)
+            self._phase = PhaseLock(period_ns, _REFERENCE_WAIT_NS)
+            self.loop = PeriodicLoop(period_ns, self._cycle)
         Diagnostics(node, self._counters)
 
     def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
         self._pairing.add_sample(stamp_ns, numbers)
-        if self._on_arrival:
-            self._cycle()
+        self._answer()
 
     def _on_reference(self, stamp_ns: int, numbers: list[float]) -> None:
         self._pairing.add_reference(stamp_ns, numbers)
-        if self._on_arrival:
-            self._cycle()
+        self._answer()
 
-    def _cycle(self) -> None:
-        ready = self._pairing.ready
-        if not ready:
+    def _cycle(self, _: int) -> None:
+        for stamp_ns, numbers, _ in self._samples.fetch():
+            self._pairing.add_sample(stamp_ns, numbers)
+        references = self._references.fetch()
+        for stamp_ns, numbers, _ in references:
+            self._pairing.add_reference(stamp_ns, numbers)
+        if references and self.loop:
+            self.loop.shift(self._phase.shift_ns(time.time_ns() - references[-1][2]))
+        if not self._pairing.ready:
             self._idle_cycles += 1
+        self._answer()
+
+    def _answer(self) -> None:
+        ready = self._pairing.ready
         while ready:
             stamp_ns, sample, reference = ready.popleft()
             command = self._servo.step(stamp_ns, sample[1], sample[3], reference)
@@ -70,6 +89,8 @@ class ControllerNode:
             "refused_samples": self._refused,
             "unmatched_samples": self._pairing.unmatched,
             "idle_cycles": self._idle_cycles,
+            "overruns": self.loop.overruns if self.loop else 0,
+            "phase_error_us": self._phase.error_ns * 1e-3 if self.loop else 0.0,
         }
 
     def close(self) -> None:

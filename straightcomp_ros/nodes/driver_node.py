@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -14,13 +15,14 @@ from straightcomp_ros.configuration import DriverNodeParameters
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY, TRUTH
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.nodes.clock import now_ns
+from straightcomp_ros.nodes.clock import from_monotonic, now_ns
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.lockstep import Lockstep
+from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.runner import run
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
-from straightcomp_ros.nodes.streams import publisher, subscribe
+from straightcomp_ros.nodes.streams import Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.straightness.map import load_map
 
 
@@ -40,57 +42,64 @@ class DriverNode:
         self._command_stamp_ns = 0
         self._command = 0.0
         self._latency = math.nan
+        self._started = False
         self._fault = ""
         self._reported_fault = ""
         self._lockstep: Lockstep | None = None
         node.create_service(SetBool, "~/enable", self._on_enable)
         node.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10)
-        subscribe(node, COMMAND, self._on_command)
+        self.loop: PeriodicLoop | None = None
         if parameters.lockstep:
+            subscribe(node, COMMAND, self._on_lockstep_command)
             self._lockstep = Lockstep(
                 node, self._hardware, round(1e9 / parameters.simulated.rate), parameters.lockstep_delay, self._publish
             )
         else:
-            self._hardware.start(now_ns())
-            node.create_timer(1.0 / parameters.simulated.rate, self._poll)
+            self._inbox = Inbox(node, unspun_node(node), COMMAND)
+            self.loop = PeriodicLoop(round(1e9 / parameters.simulated.rate), self._cycle)
         Diagnostics(node, self._counters)
 
-    def _poll(self) -> None:
-        for sample, truth in self._hardware.read(now_ns()):
+    def _cycle(self, wake_ns: int) -> None:
+        if not self._started:
+            # The machine samples when this loop is to wake: a sample is then never a period old when fetched.
+            self._hardware.start(from_monotonic(wake_ns))
+            self._started = True
+        now, system_now = now_ns(), time.time_ns()
+        for stamp_ns, numbers, received_ns in self._inbox.fetch():
+            # The machine has not been integrated past its last sample yet: the command acts from when it came in.
+            self._accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
+        for sample, truth in self._hardware.read(now):
             self._publish(sample, truth)
         self._report_fault()
 
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
+        lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
         self._publish_sample(*sample[:3], math.nan, sample.current)
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
-        lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
         on = 1.0 if self._hardware.state is State.ON else 0.0
         self._publish_state(sample.stamp_ns, self._latency, lateness, self._command, on)
         self._latency = math.nan
         self._samples += 1
 
-    def _on_command(self, stamp_ns: int, numbers: list[float]) -> None:
-        if self._lockstep:
-            if self._lockstep.awaits(stamp_ns) and self._check(numbers[0]):
-                self._commands += 1
-                self._command = numbers[0]
-                self._latency = self._lockstep.delay_ns * 1e-9
-                self._lockstep.answer(numbers[0])
-            return
-        arrival_ns = now_ns()
+    def _on_lockstep_command(self, stamp_ns: int, numbers: list[float]) -> None:
+        if self._lockstep and self._lockstep.awaits(stamp_ns) and self._check(numbers[0]):
+            self._commands += 1
+            self._command = numbers[0]
+            self._latency = self._lockstep.delay_ns * 1e-9
+            self._lockstep.answer(numbers[0])
+
+    def _accept(self, stamp_ns: int, current: float, arrival_ns: int) -> None:
         age_ns = arrival_ns - stamp_ns
         if stamp_ns <= self._command_stamp_ns or age_ns > self._command_timeout_ns:
             self._stale_commands += 1
-            return
-        if not self._check(numbers[0]):
-            return
-        self._hardware.write(numbers[0], arrival_ns)
-        self._command_stamp_ns = stamp_ns
-        self._command = numbers[0]
-        self._latency = age_ns * 1e-9
-        self._commands += 1
+        elif self._check(current):
+            self._hardware.write(current, arrival_ns)
+            self._command_stamp_ns = stamp_ns
+            self._command = current
+            self._latency = age_ns * 1e-9
+            self._commands += 1
 
     def _check(self, current: float) -> bool:
         if math.isfinite(current) and abs(current) <= self._current_limit:
@@ -159,6 +168,7 @@ class DriverNode:
             "lost_samples": self._hardware.lost_samples,
             "commands": self._commands,
             "stale_commands": self._stale_commands,
+            "overruns": self.loop.overruns if self.loop else 0,
             "amplifier": self._hardware.state.value,
         }
         if self._present_fault:

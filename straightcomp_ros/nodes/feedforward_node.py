@@ -22,7 +22,7 @@ class FeedforwardNode:
 
     def __init__(self, node: Node) -> None:
         parameters = declare(node, FeedforwardNodeParameters)
-        self.node, self.done, self.realtime = node, Future(), parameters.realtime
+        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         straightness = load_map(parameters.map)
         node.get_logger().info(f"map {parameters.map.file}: {straightness.report}")
         self._feedforward = Feedforward(straightness, parameters.feedforward)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-import time
 from collections import deque
 from datetime import datetime
 from pathlib import Path
@@ -16,31 +15,34 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.cdr import header_stamp_ns
 from straightcomp_ros.configuration import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, STAGE_TRAJECTORY, STREAMS
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
-from straightcomp_ros.nodes.streams import message_type, stream_qos
+from straightcomp_ros.nodes.streams import RawQueue, message_type, stream_qos, unspun_node
 
+_FETCH_INTERVAL_S = 0.02
 _WRITE_INTERVAL_S = 0.02
 
 
 class LoggerNode:
-    """Receives on the executor's thread, writes on its own: the disk never holds up receiving."""
+    """Fetches all messages 50 times a second, and writes on a thread of its own: the disk never holds up receiving."""
 
     def __init__(self, node: Node) -> None:
         parameters = declare(node, LoggerNodeParameters)
-        self.node, self.done, self.realtime = node, Future(), parameters.realtime
+        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         folder = Path(parameters.output or datetime.now().strftime("straightcomp_%Y_%m_%d-%H_%M_%S"))
         self._bag = BagWriter(folder, compression=parameters.compression)
-        self._queue: deque[tuple[str, bytes, int]] = deque()
+        self._queue: deque[tuple[str, bytes, int, int]] = deque()
         self._queue_limit = parameters.queue_limit
         self._dropped = self._received = self._written = 0
+        self._topics: dict[str, RawQueue] = {}
+        self._unspun = unspun_node(node)
         self._failure: Exception | None = None
         self._stopping = threading.Event()
         for stream in STREAMS:
@@ -49,6 +51,7 @@ class LoggerNode:
         self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
         self._remote = RemoteParameters(node, parameters.nodes.split())
         Diagnostics(node, self._counters)
+        node.create_timer(_FETCH_INTERVAL_S, self._fetch)
         node.create_timer(0.2, self._watch)
         self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")
         self._thread.start()
@@ -56,17 +59,22 @@ class LoggerNode:
 
     def _record(self, kind: Any, topic: str, qos: QoSProfile) -> None:
         full_name = self.node.resolve_topic_name(topic)
-        self._bag.add_topic(full_name, _type_name(kind), _bag_qos(qos))
-        queue = self._queue
+        self._bag.add_topic(
+            full_name,
+            f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}",
+            TopicQos(reliability=qos.reliability.name.lower(), depth=qos.depth),
+        )
+        self._topics[full_name] = RawQueue(self._unspun, kind, full_name, qos)
 
-        def receive(data: bytes) -> None:
-            self._received += 1
-            if len(queue) < self._queue_limit:
-                queue.append((full_name, data, time.time_ns()))
-            else:
-                self._dropped += 1
-
-        self.node.create_subscription(kind, topic, receive, qos, raw=True)
+    def _fetch(self) -> None:
+        queue, limit = self._queue, self._queue_limit
+        for topic, messages in self._topics.items():
+            for data, info in messages.fetch():
+                self._received += 1
+                if len(queue) < limit:
+                    queue.append((topic, data, info["received_timestamp"], info["source_timestamp"]))
+                else:
+                    self._dropped += 1
 
     def _write_until_stopped(self) -> None:
         try:
@@ -79,8 +87,7 @@ class LoggerNode:
     def _write_queue(self) -> None:
         queue = self._queue
         for _ in range(len(queue)):
-            topic, data, received_ns = queue.popleft()
-            self._bag.write(topic, data, received_ns, header_stamp_ns(data))
+            self._bag.write(*queue.popleft())
             self._written += 1
 
     def _watch(self) -> None:
@@ -100,10 +107,11 @@ class LoggerNode:
         return counters
 
     def close(self) -> None:
-        """Write what is queued, attach the parameters, finish the bag."""
+        """Write what has come, attach the parameters, finish the bag."""
+        self._fetch()
         self._stopping.set()
         self._thread.join()
-        self._bag.attach("parameters.yaml", "application/yaml", self._remote.as_yaml().encode())
+        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
         self._bag.add_metadata("logger", {"received": str(self._received), "dropped": str(self._dropped)})
         self._bag.close()
 

@@ -23,6 +23,7 @@ from rclpy.task import Future
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
@@ -41,6 +42,7 @@ class Runnable(Protocol):
     node: Node
     done: Future  # its result is the process's exit code
     realtime: RealtimeParameters
+    loop: PeriodicLoop | None  # runs in the place of the executor, which then gets the idle time
 
     def close(self) -> None:
         """Leave everything safe and saved. The ROS context may be gone already."""
@@ -53,8 +55,9 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
         Exit code: 0 after a stop that was asked for, 2 when parameters or files are wrong, 1 when the node
         failed, or what the node itself gave as the result of ``done``.
     """
+    # rclpy's own handlers shut the context down under a running callback; ours let it end first.
+    stop = _StopRequest()
     try:
-        # rclpy's own handlers shut the context down under a running callback; ours let it end first.
         rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name, automatically_declare_parameters_from_overrides=True)
     except Exception as error:
@@ -68,32 +71,54 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
             print(f"{name}: {error}", file=sys.stderr)
             return EXIT_CONFIGURATION
         try:
-            return _spin(runnable)
+            stop.ends(runnable.done)
+            code = _spin(runnable)
         finally:
             runnable.close()
+        return code
+    except (BagError, OSError) as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return EXIT_FAILURE
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
 
 
+class _StopRequest:
+    """SIGINT and SIGTERM from now on: they end a node's future, as soon as there is one."""
+
+    def __init__(self) -> None:
+        self._requested = False
+        self._done: Future | None = None
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._request)
+
+    def ends(self, done: Future) -> None:
+        """A request completes ``done`` with exit code 0; one that came before does so now."""
+        self._done = done
+        if self._requested:
+            self._request()
+
+    def _request(self, *_: object) -> None:
+        self._requested = True
+        if self._done is not None and not self._done.done():
+            self._done.set_result(0)
+
+
 def _spin(runnable: Runnable) -> int:
     done = runnable.done
-
-    def stop(*_: object) -> None:
-        if not done.done():
-            done.set_result(0)
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
     # Python sees a signal only between two steps of its own; an idle executor takes none.
     runnable.node.create_timer(_LONGEST_DEAFNESS_S, lambda: None)
     executor = EventsExecutor()
     executor.add_node(runnable.node)
     if refusal := _schedule(runnable.realtime):
         runnable.node.get_logger().warning(refusal)
+    runnable.node.get_logger().info("ready")
     gc.collect()
     gc.freeze()
     try:
+        if runnable.loop:
+            runnable.loop.run(done.done, idle=lambda: executor.spin_once(timeout_sec=0))
         while not done.done():
             executor.spin_until_future_complete(done, timeout_sec=_LONGEST_WAIT_S)
     except ExternalShutdownException:

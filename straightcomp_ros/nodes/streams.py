@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from rclpy.node import Node
@@ -22,8 +22,8 @@ def message_type(type_name: str) -> Any:
     return _MESSAGE_TYPES[type_name]
 
 
-def stream_qos(depth: int = 64) -> QoSProfile:
-    """Best effort, keep last: a late sample is worth nothing to a servo; loss is counted by the stamps."""
+def stream_qos(depth: int = 1000) -> QoSProfile:
+    """Best effort: a late sample is worth nothing to a servo. The depth outlasts half a second of a stalled process."""
     return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -39,27 +39,101 @@ def publisher(node: Node, stream: Stream) -> Callable[..., None]:
 
 
 def subscribe(node: Node, stream: Stream, callback: Callable[[int, list[float]], None]) -> None:
-    """Call ``callback(stamp_ns, numbers)`` for each message of a stream.
+    """Call ``callback(stamp_ns, numbers)`` for each message of a stream, as it comes.
+
+    A message of another layout is handled as :func:`_reader` says.
+    """
+    read = _reader(node, stream)
+
+    def receive(data: bytes) -> None:
+        message = read(data)
+        if message:
+            callback(*message)
+
+    node.create_subscription(message_type(stream.layout.type_name), stream.topic, receive, stream_qos(), raw=True)
+
+
+class Inbox:
+    """A stream whose messages wait in the middleware until they are fetched.
+
+    Nothing wakes this process when a message comes: where a loop looks into its inbox anyway, that saves two
+    context switches a message. The subscription belongs to a node that no executor spins.
+
+    Args:
+        node: for whose topic names and warnings the inbox stands.
+        unspun: from :func:`unspun_node`.
+        stream: what to receive.
+    """
+
+    def __init__(self, node: Node, unspun: Node, stream: Stream) -> None:
+        self._read = _reader(node, stream)
+        self._queue = RawQueue(unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic))
+
+    def fetch(self) -> list[tuple[int, list[float], int]]:
+        """What has come since the last call: (stamp in ns, numbers, time of reception in ns since the epoch)."""
+        messages = []
+        for data, info in self._queue.fetch():
+            message = self._read(data)
+            if message:
+                messages.append((*message, info["received_timestamp"]))
+        return messages
+
+
+class RawQueue:
+    """Serialised messages of one topic, fetched by the caller.
+
+    Args:
+        unspun: from :func:`unspun_node`.
+        kind: message class.
+        topic: full name.
+        qos: of the subscription; its depth bounds what can wait.
+    """
+
+    def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile | None = None) -> None:
+        self._kind = kind
+        self._handle = unspun.create_subscription(kind, topic, lambda _: None, qos or stream_qos(), raw=True).handle
+
+    def fetch(self) -> Iterator[tuple[bytes, Mapping[str, int]]]:
+        """Messages since the last call, with the middleware's times ``received_timestamp`` and ``source_timestamp``."""
+        take, kind = self._handle.take_message, self._kind
+        with self._handle:
+            while (message := take(kind, True)) is not None:
+                yield message
+
+
+def unspun_node(node: Node) -> Node:
+    """A hidden node (a leading underscore hides it in `ros2 node list`) for subscriptions that no executor serves."""
+    return Node(
+        f"_{node.get_name()}_inbox",
+        namespace=node.get_namespace(),
+        use_global_arguments=False,
+        enable_rosout=False,
+        start_parameter_services=False,
+    )
+
+
+def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, list[float]] | None]:
+    """A function from a serialised message to (stamp_ns, numbers), or None where it lacks what the stream promises.
 
     A message of another layout (other names or order, from somebody else's publisher) is deserialised and
-    read by its names; one that lacks what the stream promises is dropped, with one warning.
+    read by its names; one that cannot be read so is dropped, with one warning.
     """
     layout = stream.layout
     kind = message_type(layout.type_name)
     warned = False
 
-    def receive(data: bytes) -> None:
+    def read(data: bytes) -> tuple[int, list[float]] | None:
         nonlocal warned
         try:
-            stamp_ns, numbers = layout.unpack(data)
+            return layout.unpack(data)
         except LayoutMismatch:
-            try:
-                stamp_ns, numbers = read_by_names(layout, deserialize_message(data, kind))
-            except LayoutMismatch as error:
-                if not warned:
-                    node.get_logger().warning(f"messages on '{stream.topic}' are dropped: they lack {error}")
-                    warned = True
-                return
-        callback(stamp_ns, numbers)
+            pass
+        try:
+            return read_by_names(layout, deserialize_message(data, kind))
+        except LayoutMismatch as error:
+            if not warned:
+                node.get_logger().warning(f"messages on '{stream.topic}' are dropped: they lack {error}")
+                warned = True
+            return None
 
-    node.create_subscription(kind, stream.topic, receive, stream_qos(), raw=True)
+    return read

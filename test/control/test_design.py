@@ -23,9 +23,7 @@ def test_the_poles_are_those_of_the_paper():
 
 
 def test_fast_sampling_without_lag_gives_the_continuous_poles():
-    fast = sampled_poles(
-        DESIGN, NOMINAL, period=1e-6, delay=0.0, amplifier_bandwidth=1e6, velocity_bandwidth=1e5
-    )
+    fast = sampled_poles(DESIGN, NOMINAL, period=1e-6, delay=0.0, amplifier_bandwidth=1e6, velocity_bandwidth=1e5)
     continuous = np.log(fast[np.abs(fast) > 0.99]) / 1e-6
     for pole in closed_loop_poles(DESIGN, NOMINAL):
         assert min(abs(continuous - pole)) < 0.01 * abs(pole)

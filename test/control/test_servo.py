@@ -66,7 +66,7 @@ def test_sample_and_reference_meet_in_either_order():
 
 def test_halves_without_a_partner_are_forgotten_and_counted():
     pairing = Pairing()
-    for stamp in range(1000):
+    for stamp in range(2000):
         pairing.add_sample(stamp, [0.0])
     assert pairing.unmatched > 900
     pairing.add_reference(0, [0.0])

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -23,7 +24,7 @@ def test_the_stribeck_curve_falls_from_static_to_coulomb_friction():
     assert stribeck_force(LUGRE, 0.0) == PARAMETERS.static
     assert stribeck_force(LUGRE, 1.0) == pytest.approx(PARAMETERS.coulomb)
     curve = [stribeck_force(LUGRE, v) for v in np.linspace(0, 1e-4, 50)]
-    assert all(later <= earlier for earlier, later in zip(curve, curve[1:], strict=False))
+    assert all(later <= earlier for earlier, later in itertools.pairwise(curve))
 
 
 def test_before_sliding_the_bristles_are_a_spring():

@@ -16,7 +16,9 @@ FREE = PlantParameters(friction=NO_FRICTION)
 STICKY = PlantParameters()
 
 
-def run(parameters: PlantParameters, state: PlantState, command: float, seconds: float, bias: float = 1.0) -> PlantState:
+def run(
+    parameters: PlantParameters, state: PlantState, command: float, seconds: float, bias: float = 1.0
+) -> PlantState:
     array = np.array(state)
     advance(as_array(parameters.constants()), array, command, bias, round(seconds * 1e9))
     return PlantState(*array)

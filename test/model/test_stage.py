@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,8 +31,8 @@ def test_the_stage_goes_to_the_far_end_and_comes_back():
 def test_speed_and_acceleration_keep_their_limits():
     h = 10_000_000
     x = [CYCLE.position(t) for t in range(0, CYCLE.end_ns, h)]
-    v = [(b - a) / 0.01 for a, b in zip(x, x[1:], strict=False)]
-    a = [(d - c) / 0.01 for c, d in zip(v, v[1:], strict=False)]
+    v = [(b - a) / 0.01 for a, b in itertools.pairwise(x)]
+    a = [(d - c) / 0.01 for c, d in itertools.pairwise(v)]
     assert max(map(abs, v)) <= MOTION.speed * (1 + 1e-9)
     assert max(map(abs, a)) <= MOTION.acceleration * (1 + 1e-6)
 

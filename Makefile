@@ -1,0 +1,81 @@
+# `make` alone lists the targets. Each sets up .venv by itself, once.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.ONESHELL:
+.DEFAULT_GOAL := help
+.PHONY: help demo test setup clean
+
+ARGS ?=
+PYTHON ?=
+
+# A graph of ours talks to this machine only, and tests to no other graph on it.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# Above 101 the ports of DDS collide with those that Linux hands out.
+test: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
+
+# A sourced Jazzy is used as it is; elsewhere its wheels come from PyPI.
+JAZZY := $(shell [ "$${ROS_DISTRO:-}" = jazzy ] && python3 -c 'import rclpy' 2> /dev/null && echo yes)
+KIND := $(if $(JAZZY),jazzy,wheels)
+# Two stamps: .venv was made of this kind (and this PYTHON, if one is asked for); the package is installed in it.
+MADE := $(firstword $(wildcard .venv/made-$(KIND)$(if $(PYTHON),-$(notdir $(PYTHON)))*) \
+                    .venv/made-$(KIND)-$(notdir $(or $(PYTHON),python3)))
+INSTALLED := .venv/installed
+
+help:
+	@cat <<'TEXT'
+	make demo              simulated stroke, uncompensated and compensated; writes plots and a bag
+	make demo ARGS="..."   the same with options, e.g. ARGS="--law linear"; ARGS=--help lists them
+	make test              all tests; ARGS="-k bags" selects
+	make setup             only .venv with the package in it
+	make clean             removes .venv and everything that was built or written
+	PYTHON=python3.12      chooses the interpreter, 3.10 to 3.13
+	TEXT
+
+demo: setup
+	@exec .venv/bin/straightcomp demo $(ARGS)
+
+test: setup
+	@exec .venv/bin/python -m pytest $(ARGS)
+
+setup: $(INSTALLED)
+
+$(INSTALLED): $(MADE) setup.py setup.cfg package.xml pyproject.toml
+	@echo "Installing the package and what it needs into .venv: one to three minutes the first time ..."
+	.venv/bin/python -m pip install -qq --disable-pip-version-check --editable '.[$(if $(JAZZY),,ros$(comma))test]'
+	touch $@
+
+comma := ,
+
+$(MADE):
+	@fits() { "$$1" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' 2> /dev/null; }
+	first_fitting() { for python in "$$@"; do if fits "$$python"; then echo "$$python"; return; fi; done; }
+	apt() {
+	  [ "$$(id -u)" = 0 ] && command -v apt-get > /dev/null || return 1
+	  echo "Installing $$* with apt-get ..."
+	  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$$@" > /dev/null
+	}
+	candidates=($(or $(PYTHON),$(if $(JAZZY),python3,python3 python3.13 python3.12 python3.11 python3.10)))
+	python=$$(first_fitting "$${candidates[@]}")
+	if [ -z "$$python" ] && [ -z "$(PYTHON)" ]; then
+	  apt python3 python3-venv || true
+	  python=$$(first_fitting "$${candidates[@]}")
+	fi
+	if [ -z "$$python" ]; then
+	  echo "No Python 3.10 to 3.13 among: $${candidates[*]}" >&2
+	  echo "Remedy: sudo apt-get install python3 python3-venv, or name an interpreter: make PYTHON=/path/to/python3.12" >&2
+	  exit 1
+	fi
+	venv_package=$$("$$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
+	if ! "$$python" -c 'import ensurepip, venv' 2> /dev/null && ! apt "$$venv_package"; then
+	  echo "$$python cannot make virtual environments. Remedy: sudo apt-get install $$venv_package" >&2
+	  exit 1
+	fi
+	echo "Making .venv with $$("$$python" --version)$(if $(JAZZY), and the sourced ROS 2 Jazzy) ..."
+	rm -rf .venv
+	"$$python" -m venv $(if $(JAZZY),--system-site-packages) .venv
+	touch $@
+
+clean:
+	rm -rf .venv build install log demo_output *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find straightcomp_ros test launch -name __pycache__ -type d -prune -exec rm -rf {} +

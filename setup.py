@@ -1,0 +1,79 @@
+"""Builds the ament_python package: for colcon, and for pip in a plain virtual environment."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+NAME = "straightcomp_ros"
+MANIFEST = ElementTree.parse("package.xml").getroot()
+"""Version and texts are written in package.xml and nowhere else."""
+
+
+def _installed_files(folder):
+    """(destination, files) for ``folder`` and all below it, as setuptools' data_files wants them."""
+    found = {}
+    for path in sorted(Path(folder).rglob("*")):
+        if path.is_file() and path.suffix != ".pyc":
+            found.setdefault(f"share/{NAME}/{path.parent.as_posix()}", []).append(path.as_posix())
+    return sorted(found.items())
+
+
+setup(
+    name=NAME,
+    version=MANIFEST.findtext("version"),
+    description=MANIFEST.findtext("description"),
+    license=MANIFEST.findtext("license"),
+    maintainer=MANIFEST.findtext("maintainer"),
+    maintainer_email=MANIFEST.find("maintainer").get("email"),
+    packages=find_packages(exclude=["test", "test.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *_installed_files("config"),
+        *_installed_files("launch"),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10",
+    install_requires=[
+        "lz4",
+        "matplotlib",
+        "mcap>=1.2",
+        "numba",
+        "numpy",
+        "pyyaml",
+        "rich",
+        "rosbags>=0.10",
+        "scipy",
+        "zstandard",
+    ],
+    extras_require={
+        # ROS 2 Jazzy itself, where none is installed.
+        "ros": [
+            "ros-jazzy-rclpy[fastrtps]",
+            "ros-jazzy-diagnostic-msgs",
+            "ros-jazzy-lifecycle-msgs",
+            "ros-jazzy-sensor-msgs",
+            "ros-jazzy-std-srvs",
+            "ros-jazzy-trajectory-msgs",
+        ],
+        "test": [
+            "pytest",
+            "hypothesis",
+            "colcon-common-extensions",
+            "colcon-ros",
+            # colcon runs setup.py with the environment's own setuptools; virtual environments of Python 3.12
+            # and later have none, and 80 dropped what colcon's builds call.
+            "setuptools>=65.5,<80",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            *(
+                f"{node}_node = {NAME}.nodes.{node}_node:main"
+                for node in ("driver", "feedforward", "controller", "logger", "cell")
+            ),
+            f"straightcomp = {NAME}.cli.main:main",
+        ],
+    },
+)

@@ -1,0 +1,1 @@
+"""What a recorded stroke says of the machine: figures and pictures. No ROS."""

@@ -1,0 +1,142 @@
+"""The figures of a run: what the servo leaves, how straight the workpiece moves, how hard the coils work."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.record import MetricsError, Motion, StrokeRecord, check_finite, find_motion
+from straightcomp_ros.straightness.map import StraightnessMap
+from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
+from straightcomp_ros.straightness.run import Direction
+
+__all__ = ["Metrics", "MetricsError", "evaluate", "residual_over"]
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Figures of one run; lengths in m, currents in A, None where the record holds no truth.
+
+    Compensation error, over the window from the first to the last sample of motion, all strokes and the
+    pauses between them included; ``_forward`` and ``_backward`` over the strokes of that direction only,
+    None if there is none. RMS is about zero, so that a constant error counts.
+
+    Residual straightness, over all samples in motion of both directions together, pauses left out; the
+    least squares line against x is removed (ISO 230-1), each piece of the guide counted by its length.
+
+    Attributes:
+        encoder_pp, encoder_rms: error r − y, y as the encoder sees it.
+        encoder_pp_forward, encoder_pp_backward: the same per direction.
+        true_pp, true_rms: error r(true x) − true y.
+        true_pp_forward, true_pp_backward: the same per direction.
+        residual_pp: guide + true y over true x if the truth is there, otherwise as ``residual_encoder_pp``.
+        residual_encoder_pp: the map's δ(x) + y, both as the encoders see them: blind to the map's own error.
+        uncompensated_pp: residual straightness if y were zero: of the guide, or of the map without truth.
+        control_activity: Σ |Δ i_c| over the window, A.
+        control_rms_step: root mean square of Δ i_c from sample to sample, A.
+        samples: samples in the window.
+        duration: of the window, s.
+    """
+
+    encoder_pp: float
+    encoder_rms: float
+    encoder_pp_forward: float | None
+    encoder_pp_backward: float | None
+    true_pp: float | None
+    true_rms: float | None
+    true_pp_forward: float | None
+    true_pp_backward: float | None
+    residual_pp: float
+    residual_encoder_pp: float
+    uncompensated_pp: float
+    control_activity: float
+    control_rms_step: float
+    samples: int
+    duration: float
+
+    def to_display(self) -> dict[str, float | None]:
+        """The figures as a person reads them: lengths in µm, the unit in each name."""
+        shown: dict[str, float | None] = {}
+        for name, value in dataclasses.asdict(self).items():
+            if name.startswith("control_"):
+                shown[f"{name}_A"] = value
+            elif name == "duration":
+                shown["duration_s"] = value
+            elif name == "samples":
+                shown[name] = value
+            else:
+                shown[f"{name}_um"] = None if value is None else value * 1e6
+        return shown
+
+
+def evaluate(record: StrokeRecord, straightness: StraightnessMap) -> Metrics:
+    """The figures of ``record``, with the map that its reference was made from.
+
+    Raises:
+        MetricsError: the stage does not move, or a number within the window is not finite.
+    """
+    motion = find_motion(record)
+    window = motion.window
+    check_finite(record, tuple(record.columns()), window)
+
+    error = record.r - record.y
+    truth = true_error(record, straightness)
+    steps = np.diff(record.current[window])
+    residual_encoder = residual_over(record.x, straightness.deviations(record.x) + record.y, record, motion)
+    if record.true_x is not None and record.true_y is not None and record.guide is not None:
+        residual = residual_over(record.true_x, record.guide + record.true_y, record, motion)
+        uncompensated = residual_over(record.true_x, record.guide, record, motion)
+    else:
+        residual = residual_encoder
+        uncompensated = residual_over(record.x, straightness.deviations(record.x), record, motion)
+    return Metrics(
+        encoder_pp=peak_to_peak(error[window]),
+        encoder_rms=_rms(error[window]),
+        encoder_pp_forward=_stroke_pp(error, motion, "forward"),
+        encoder_pp_backward=_stroke_pp(error, motion, "backward"),
+        true_pp=None if truth is None else peak_to_peak(truth[window]),
+        true_rms=None if truth is None else _rms(truth[window]),
+        true_pp_forward=None if truth is None else _stroke_pp(truth, motion, "forward"),
+        true_pp_backward=None if truth is None else _stroke_pp(truth, motion, "backward"),
+        residual_pp=peak_to_peak(residual),
+        residual_encoder_pp=peak_to_peak(residual_encoder),
+        uncompensated_pp=peak_to_peak(uncompensated),
+        control_activity=float(np.abs(steps).sum()),
+        control_rms_step=_rms(steps),
+        samples=window.stop - window.start,
+        duration=float(record.time[window.stop - 1] - record.time[window.start]),
+    )
+
+
+def true_error(record: StrokeRecord, straightness: StraightnessMap) -> NDArray[np.float64] | None:
+    """r(true x) − true y, (n,) in m; None without truth."""
+    if record.true_x is None or record.true_y is None:
+        return None
+    return straightness.evaluate(record.true_x)[0] - record.true_y
+
+
+def residual_over(
+    x: NDArray[np.float64], deviation: NDArray[np.float64], record: StrokeRecord, motion: Motion
+) -> NDArray[np.float64]:
+    """``deviation`` beside its least squares line, (m,) in m for the samples ``motion.samples()``.
+
+    Args:
+        x, deviation: (n,) in m, for all samples of the record.
+        record: its time weighs each sample by the speed: in time the stage lingers where it starts and stops.
+        motion: the samples to take.
+    """
+    moving = motion.samples()
+    speed = np.abs(np.gradient(x, record.time))
+    return least_squares_residual(x[moving], deviation[moving], speed[moving])
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values * values)))
+
+
+def _stroke_pp(error: NDArray[np.float64], motion: Motion, direction: Direction) -> float | None:
+    samples = motion.samples(direction)
+    return peak_to_peak(error[samples]) if samples.size else None

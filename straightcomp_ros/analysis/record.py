@@ -1,0 +1,154 @@
+"""One recorded run of the machine, and when the stage moved in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.straightness.run import Direction
+
+SPEED_SPAN = 0.02
+"""Time in s over which the stage's speed is taken: one encoder quantum of 0.1 µm is then 5 µm/s."""
+MOVING = 0.5e-3
+"""Speed in m/s from which the stage counts as moving: reached 2.5 ms after a start at 0.2 m/s²."""
+ARRIVED = 1e-6
+"""Distance in m from a stroke's resting ends within which the stage counts as standing: above its jitter."""
+SHORTEST_STROKE = 1e-3
+"""Travel in m below which a movement is no stroke."""
+
+
+class MetricsError(ValueError):
+    """A record cannot be evaluated; the message says which part of it, and where."""
+
+
+@dataclass(frozen=True, eq=False)
+class StrokeRecord:
+    """One run at the sample rate: all arrays (n,), sample k of each belonging to the same encoder sample.
+
+    Attributes:
+        time: s from the start of the record, rising; samples may be missing.
+        x, y: slider and platform as the encoders see them, m.
+        r: reference, m.
+        current: control current i_c commanded, A.
+        law: name of the control law.
+        true_x, true_y: true positions, m; None on real hardware.
+        guide: true deviation δ of the guide at ``true_x``, m; None on real hardware.
+    """
+
+    time: NDArray[np.float64]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    r: NDArray[np.float64]
+    current: NDArray[np.float64]
+    law: str
+    true_x: NDArray[np.float64] | None = None
+    true_y: NDArray[np.float64] | None = None
+    guide: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.time)
+        if len(shape) != 1:
+            raise MetricsError(f"record: time has shape {shape}; allowed: (n,)")
+        for name, values in self.columns().items():
+            if np.shape(values) != shape:
+                raise MetricsError(f"record: {name} has shape {np.shape(values)}, time has {shape}; allowed: the same")
+        truth = [name for name in ("true_x", "true_y", "guide") if getattr(self, name) is not None]
+        if len(truth) not in (0, 3):
+            raise MetricsError(f"record: of the truth it has {', '.join(truth)} only; allowed: all three, or none")
+
+    def columns(self) -> dict[str, NDArray[np.float64]]:
+        """All arrays by name, without those that are None."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "law"}
+        return {name: column for name, column in values.items() if column is not None}
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A movement one way: samples ``start`` to ``stop`` (exclusive)."""
+
+    start: int
+    stop: int
+    direction: Direction
+
+
+@dataclass(frozen=True)
+class Motion:
+    """When the stage moved: its strokes in order, at least one. Pauses belong to no stroke."""
+
+    strokes: tuple[Stroke, ...]
+
+    @property
+    def window(self) -> slice:
+        """From the first to the last sample of motion, pauses between strokes included."""
+        return slice(self.strokes[0].start, self.strokes[-1].stop)
+
+    def samples(self, direction: Direction | None = None) -> NDArray[np.intp]:
+        """Indices of the samples in motion, in order: of one direction, or of both."""
+        chosen = [stroke for stroke in self.strokes if direction in (None, stroke.direction)]
+        return np.concatenate([np.arange(0), *(np.arange(stroke.start, stroke.stop) for stroke in chosen)])
+
+
+def find_motion(record: StrokeRecord) -> Motion:
+    """The strokes of a record, from the x encoder.
+
+    Speed is taken over :data:`SPEED_SPAN`, which the quantisation of x does not disturb, but which makes a
+    stroke seem longer at both ends; the ends are then drawn in to where x leaves its resting value by
+    :data:`ARRIVED`. At 0.2 m/s² that is 3 ms after the stage began to move.
+
+    Raises:
+        MetricsError: time or x is not finite, time does not rise, or there is no stroke.
+    """
+    check_finite(record, ("time", "x"), slice(None))
+    n = record.time.size
+    steps = np.diff(record.time)
+    if n < 3:
+        raise MetricsError(f"record: {n} samples; allowed: >= 3")
+    if not (steps > 0.0).all():
+        at = int(np.flatnonzero(steps <= 0.0)[0]) + 1
+        raise MetricsError(
+            f"record: time does not rise at sample {at}: {record.time[at]!r} s; allowed: > the one before"
+        )
+    # Half of the span to each side, cut off at the ends of the record.
+    half = max(1, round(0.5 * SPEED_SPAN / float(np.median(steps))))
+    before, after = np.maximum(np.arange(n) - half, 0), np.minimum(np.arange(n) + half, n - 1)
+    speed = (record.x[after] - record.x[before]) / (record.time[after] - record.time[before])
+    way = np.where(np.abs(speed) >= MOVING, np.sign(speed), 0.0)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(way)) + 1, [n]])
+    strokes = [
+        _drawn_in(record.x, int(start), int(stop), "forward" if way[start] > 0.0 else "backward")
+        for start, stop in itertools.pairwise(edges)
+        if way[start] != 0.0 and abs(record.x[stop - 1] - record.x[start]) >= SHORTEST_STROKE
+    ]
+    if not strokes:
+        raise MetricsError(
+            f"record: the stage does not move: x stays within {np.ptp(record.x) * 1e3:.6g} mm; "
+            f"allowed: at least one stroke of {SHORTEST_STROKE * 1e3:g} mm at {MOVING * 1e3:g} mm/s"
+        )
+    return Motion(tuple(strokes))
+
+
+def check_finite(record: StrokeRecord, names: tuple[str, ...], window: slice) -> None:
+    """Refuse a record with NaN or infinity in the columns ``names`` within ``window``.
+
+    Raises:
+        MetricsError: with the column, the sample and its time.
+    """
+    columns = record.columns()
+    for name in names:
+        bad = np.flatnonzero(~np.isfinite(columns[name][window]))
+        if bad.size:
+            at = int(bad[0]) + (window.start or 0)
+            raise MetricsError(
+                f"record: {name} is {columns[name][at]} at sample {at} ({record.time[at]:.6g} s), "
+                f"one of {bad.size}; allowed: finite numbers"
+            )
+
+
+def _drawn_in(x: NDArray[np.float64], start: int, stop: int, direction: Direction) -> Stroke:
+    piece = x[start:stop]
+    away = np.flatnonzero((np.abs(piece - piece[0]) > ARRIVED) & (np.abs(piece - piece[-1]) > ARRIVED))
+    return Stroke(start + int(away[0]), start + int(away[-1]) + 1, direction)

@@ -1,0 +1,9 @@
+"""Bags: rosbag2 folders with MCAP files, written and read without ROS."""
+
+
+class BagError(ValueError):
+    """A bag cannot be written or read; the text names the file, what is wrong and what to do."""
+
+
+PARAMETERS_ATTACHMENT = "parameters.yaml"
+"""Name of a bag's attachment with the parameters of the recorded nodes, as a ROS 2 parameter file."""

@@ -1,0 +1,201 @@
+"""An MCAP file being read: its records one after the other, finished or cut off.
+
+The records are walked in the order of the file, which needs no index: a file that was cut off is read the same way
+as a finished one. Source: MCAP specification (mcap.dev/spec).
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Footer, Schema
+from mcap.writer import MCAP0_MAGIC as MAGIC
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.summary import FRAME, UNREADABLE, Summary, frames, gather, parsed_summary
+
+_FOOTER_SIZE = FRAME.size + 20
+_PRIVATE = 0x80
+"""Opcodes from here on are an application's own and are passed over; those between MCAP's last and this are free."""
+_RECOVER = "copy the bag again from where it was recorded, or save what is left with `mcap recover`"
+
+
+class Record(NamedTuple):
+    """A record: opcode, offset in the file, content."""
+
+    opcode: int
+    offset: int
+    content: bytes
+
+
+class McapInput:
+    """An MCAP file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        BagError: the file cannot be read, or is not MCAP.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = open(path, "rb")  # noqa: SIM115 - closed by __exit__
+        except OSError as error:
+            raise BagError(f"bag {path} cannot be read: {error.strerror}; check the path") from error
+        self._size = self._file.seek(0, 2)
+        start = self._read(0, len(MAGIC))
+        if not start:
+            self._file.close()
+            raise BagError(f"bag {path} is empty: the recording was never started; record again")
+        if start != MAGIC:
+            self._file.close()
+            raise BagError(f"bag {path} is not an MCAP file; give a bag folder or a file that ends with .mcap")
+        self.summary = self._summary()
+        """None when the file was not finished, or its end is damaged."""
+
+    def damaged(self, offset: int, reason: str) -> BagError:
+        """The error for damage at ``offset`` bytes."""
+        return BagError(f"bag {self.path} is damaged at byte {offset}: {reason}; {_RECOVER}")
+
+    def records(self, *opcodes: Opcode) -> Iterator[Record]:
+        """The records of the data section that have one of these opcodes, in the order of the file.
+
+        In an unfinished file the records end before the first one that is not whole; after power was lost this may
+        be a chunk of full length whose content never reached the disk.
+
+        Raises:
+            BagError: a finished file whose records do not follow each other up to its end.
+        """
+        position = len(MAGIC)
+        while position < self._size:
+            frame = self._read(position, FRAME.size)
+            opcode, length = FRAME.unpack(frame) if len(frame) == FRAME.size else (0, 0)
+            whole = position + FRAME.size + length <= self._size
+            if not whole or not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
+                if self.summary:
+                    raise self.damaged(position, "no record starts here, or it is longer than the file")
+                return
+            if opcode in opcodes:
+                record = Record(opcode, position, self._read(position + FRAME.size, length))
+                if opcode == Opcode.CHUNK and not self.summary and not self._is_whole(record):
+                    return
+                yield record
+            if opcode == Opcode.DATA_END:
+                return
+            position += FRAME.size + length
+
+    def topics(self) -> tuple[dict[int, Channel], dict[int, Schema]]:
+        """Channels and schemas by id: from the summary, from the data where it tells of none.
+
+        Raises:
+            BagError: the file is damaged.
+        """
+        if self.summary and self.summary.channels:
+            return self.summary.channels, self.summary.schemas
+        found = Summary(None, {}, {})
+        for record in self.records(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK):
+            try:
+                if record.opcode == Opcode.CHUNK:
+                    gather(found, frames(self.chunk_data(record), (Opcode.SCHEMA, Opcode.CHANNEL)))
+                else:
+                    gather(found, [(record.opcode, record.content)])
+            except BagError:
+                raise
+            except UNREADABLE as error:
+                raise self.damaged(record.offset, f"a topic cannot be read ({error})") from error
+        return found.channels, found.schemas
+
+    def chunk_data(self, record: Record) -> bytes:
+        """The decompressed records of a chunk.
+
+        Raises:
+            BagError: the checksum differs, the data do not decompress, or the compression is unknown.
+        """
+        try:
+            chunk = Chunk.read(stream := ReadDataStream(BytesIO(record.content)))
+            if stream.count != len(record.content):
+                raise ValueError("its length is wrong")
+            data = _decompressed(chunk)
+        except (*UNREADABLE, RuntimeError, MemoryError, zstandard.ZstdError) as error:
+            raise self.damaged(record.offset, f"a chunk cannot be unpacked ({error})") from error
+        if len(data) != chunk.uncompressed_size:
+            raise self.damaged(record.offset, f"a chunk has {len(data)} bytes, not {chunk.uncompressed_size}")
+        # rosbag2 writes 0 for «not computed».
+        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+            raise self.damaged(record.offset, "the checksum of a chunk is wrong")
+        return data
+
+    def check_data_section(self) -> None:
+        """Check the checksum over the whole data section, where the file has one.
+
+        Raises:
+            BagError: it is wrong.
+        """
+        for end in self.records(Opcode.DATA_END):
+            position = crc = 0
+            while position < end.offset:
+                block = self._read(position, min(1 << 20, end.offset - position))
+                position, crc = position + len(block), zlib.crc32(block, crc)
+            if any(end.content) and crc.to_bytes(4, "little") != end.content[:4]:
+                raise self.damaged(0, "the checksum of the whole file is wrong")
+
+    def _is_whole(self, chunk: Record) -> bool:
+        try:
+            self.chunk_data(chunk)
+        except BagError:
+            return False
+        return True
+
+    def _summary(self) -> Summary | None:
+        end = self._read(max(self._size - len(MAGIC) - _FOOTER_SIZE, 0), _FOOTER_SIZE + len(MAGIC))
+        if not end.endswith(MAGIC) or end[: FRAME.size] != FRAME.pack(Opcode.FOOTER, 20):
+            return None
+        footer = Footer.read(ReadDataStream(BytesIO(end[FRAME.size :])))
+        length = self._size - len(MAGIC) - _FOOTER_SIZE - footer.summary_start
+        if not footer.summary_start:
+            return Summary(None, {}, {})
+        if length < 0:
+            return None
+        data = self._read(footer.summary_start, length)
+        crc = zlib.crc32(end[: _FOOTER_SIZE - 4], zlib.crc32(data))
+        if footer.summary_crc and crc != footer.summary_crc:
+            return None
+        try:
+            return parsed_summary(data)
+        except UNREADABLE:
+            return None
+
+    def _read(self, position: int, length: int) -> bytes:
+        try:
+            self._file.seek(position)
+            return self._file.read(length)
+        except OSError as error:
+            raise BagError(
+                f"bag {self.path} cannot be read at byte {position}: {error.strerror}; {_RECOVER}"
+            ) from error
+
+    def __enter__(self) -> McapInput:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    if chunk.compression == "zstd":
+        return zstandard.decompress(chunk.data, chunk.uncompressed_size)
+    if chunk.compression == "lz4":
+        return bytes(lz4.frame.decompress(chunk.data))
+    if chunk.compression == "":
+        return chunk.data
+    raise ValueError(f"compression is '{chunk.compression}': allowed are zstd, lz4 and none")

@@ -1,0 +1,132 @@
+"""Reads a bag: streams as columns, attachments, metadata."""
+
+from __future__ import annotations
+
+import warnings
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.blocks import blocks
+from straightcomp_ros.bags.columns import StreamColumns, StreamDecoder
+from straightcomp_ros.bags.folder import mcap_files
+from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.summary import UNREADABLE
+from straightcomp_ros.bags.topics import resolved
+from straightcomp_ros.cdr import Layout
+
+__all__ = ["StreamColumns", "read_attachments", "read_metadata", "read_streams"]
+
+
+def read_streams(bag: Path, layouts: Mapping[str, Layout]) -> dict[str, StreamColumns]:
+    """Read streams as columns, fast where the messages have the layout, otherwise by the names in them.
+
+    Args:
+        bag: rosbag2 folder, or one MCAP file.
+        layouts: by topic, relative (``encoder``: ``/encoder``, or else the only ``/…/encoder``) or full.
+
+    Returns:
+        By the same topic names; a topic that the bag lacks, or that has no messages, is left out.
+
+    Raises:
+        BagError: the bag is absent, empty, damaged, without any message, or its messages are of another kind; a
+            relative name fits several topics.
+
+    Warns:
+        UserWarning: the bag was not finished; what is whole is read.
+    """
+    with _opened(bag) as files:
+        topics = [file.topics() for file in files]
+        names = {channel.topic for channels, _ in topics for channel in channels.values()}
+        wanted = {full: key for key in layouts if (full := resolved(key, names, str(bag)))}
+        decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
+        count = 0
+        for file, (channels, schemas) in zip(files, topics, strict=True):
+            for channel in channels.values():
+                if channel.topic in wanted:
+                    schema = schemas.get(channel.schema_id)
+                    kind = (schema.name if schema else "", channel.message_encoding)
+                    _check_kind(f"bag {file.path}: topic '{channel.topic}'", kind, layouts[wanted[channel.topic]])
+            for block in blocks(file):
+                for channel_id, places in block.places.items():
+                    count += len(places)
+                    if channel_id not in channels:
+                        raise file.damaged(0, f"it has messages of a channel {channel_id} that it does not describe")
+                    decoder = decoders.get(channels[channel_id].topic)
+                    if decoder:
+                        decoder.add(block.data, places)
+        if not count:
+            raise BagError(f"bag {bag} has no messages; record again, and check that the topics are published")
+    finished = ((key, decoders[full].finished()) for full, key in wanted.items())
+    return {key: columns for key, columns in finished if columns is not None}
+
+
+def read_attachments(bag: Path) -> dict[str, bytes]:
+    """The files attached to a bag, by name; of two with one name the later.
+
+    Raises:
+        BagError: the bag is absent or damaged.
+    """
+    found = {}
+    with _opened(bag) as files:
+        for file in files:
+            for record in file.records(Opcode.ATTACHMENT):
+                crc = int.from_bytes(record.content[-4:], "little")
+                if crc and zlib.crc32(record.content[:-4]) != crc:
+                    raise file.damaged(record.offset, "the checksum of an attachment is wrong")
+                try:
+                    attachment = Attachment.read(ReadDataStream(BytesIO(record.content)))
+                except UNREADABLE as error:
+                    raise file.damaged(record.offset, f"an attachment cannot be read ({error})") from error
+                found[attachment.name] = attachment.data
+    return found
+
+
+def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
+    """The texts of a bag's metadata records, by name of the record and key.
+
+    Raises:
+        BagError: the bag is absent or damaged.
+    """
+    found: dict[str, dict[str, str]] = {}
+    with _opened(bag) as files:
+        for file in files:
+            # Metadata records have no checksum of their own.
+            file.check_data_section()
+            for record in file.records(Opcode.METADATA):
+                try:
+                    metadata = Metadata.read(ReadDataStream(BytesIO(record.content)))
+                except UNREADABLE as error:
+                    raise file.damaged(record.offset, f"metadata cannot be read ({error})") from error
+                found.setdefault(metadata.name, {}).update(metadata.metadata)
+    return found
+
+
+def _check_kind(topic: str, kind: tuple[str, str], layout: Layout) -> None:
+    type_name, encoding = kind
+    # Some tools write the type without its namespace: sensor_msgs/JointState.
+    if layout.type_name not in (type_name, type_name.replace("/", "/msg/", 1)) or encoding != "cdr":
+        raise BagError(
+            f"{topic} has messages of type '{type_name}' in encoding '{encoding}'; "
+            f"allowed is {layout.type_name} in encoding 'cdr'"
+        )
+
+
+@contextmanager
+def _opened(bag: Path) -> Iterator[list[McapInput]]:
+    with ExitStack() as stack:
+        files = [stack.enter_context(McapInput(path)) for path in mcap_files(bag)]
+        for file in files:
+            if file.summary is None:
+                warnings.warn(
+                    f"bag {file.path} was not finished, or its end is damaged: what comes before is read",
+                    stacklevel=4,
+                )
+        yield files

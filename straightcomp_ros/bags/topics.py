@@ -1,0 +1,32 @@
+"""Which topic of a bag is meant by a relative name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from straightcomp_ros.bags import BagError
+
+
+def resolved(name: str, topics: Iterable[str], bag: str) -> str | None:
+    """The bag's topic for a name: itself below the root, otherwise the only one of that name in a namespace.
+
+    Args:
+        name: relative (``encoder``) or full (``/encoder``, then only exactly that).
+        topics: full names of the topics in the bag.
+        bag: named in the error.
+
+    Returns:
+        The full name, or None when the bag has none.
+
+    Raises:
+        BagError: several namespaces have the topic.
+    """
+    topics = set(topics)
+    if name.startswith("/"):
+        return name if name in topics else None
+    if f"/{name}" in topics:
+        return f"/{name}"
+    found = sorted(topic for topic in topics if topic.endswith(f"/{name}"))
+    if len(found) > 1:
+        raise BagError(f"bag {bag}: topic '{name}' is {' and '.join(found)}; ask for one by its full name")
+    return found[0] if found else None

@@ -1,0 +1,174 @@
+"""Writes a bag: a folder with one MCAP file and metadata.yaml, as `ros2 bag`, Foxglove and PlotJuggler open it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.chunk import COMPRESSORS
+from straightcomp_ros.bags.definitions import definition
+from straightcomp_ros.bags.information import Topic, as_yaml, bag_information
+from straightcomp_ros.bags.mcap_output import McapOutput
+from straightcomp_ros.bags.qos import TopicQos
+
+CHUNK_SIZE = 512 * 1024
+"""Bytes of messages in a chunk: about a quarter of a second of all streams at 2 kHz, what a SIGKILL may take."""
+
+
+class BagWriter:
+    """A new bag. Not for several threads at once.
+
+    As a context manager it finishes the bag whatever ends the block, Ctrl-C too. Without the finish (SIGKILL,
+    power loss) all chunks but the open one stay readable.
+
+    Args:
+        directory: the bag's folder; made if absent, must be empty.
+        compression: ``zstd``, ``lz4`` or ``none``.
+        chunk_size: bytes of messages that are compressed and written together.
+
+    Raises:
+        BagError: the folder holds files or cannot be made, or an option is not allowed; from the methods, that
+            the bag is closed, the topic is unknown or the disk refuses.
+    """
+
+    def __init__(self, directory: Path, *, compression: str = "zstd", chunk_size: int = CHUNK_SIZE) -> None:
+        if compression not in COMPRESSORS:
+            raise BagError(f"bag {directory}: compression is '{compression}': allowed are {', '.join(COMPRESSORS)}")
+        if chunk_size < 1:
+            raise BagError(f"bag {directory}: chunk_size is {chunk_size} bytes: allowed is 1 or more")
+        self.directory = Path(directory)
+        self.path = self.directory / f"{self.directory.absolute().name}_0.mcap"
+        self._topics: dict[str, Topic] = {}
+        self._channel_ids: dict[str, int] = {}
+        self._custom_data: dict[str, str] = {}
+        self._closed = False
+        with self._disk(f"bag {directory} cannot be made"):
+            self.directory.mkdir(parents=True, exist_ok=True)
+            if any(self.directory.iterdir()):
+                raise BagError(f"bag {directory}: the folder is not empty; name a new one, bags are never overwritten")
+            self._output = McapOutput(self.path, compression, chunk_size)
+
+    def add_topic(self, name: str, type_name: str, qos: TopicQos | None = None) -> None:
+        """Announce a topic; without messages it is listed with a count of 0.
+
+        Args:
+            name: full name, such as ``/encoder``.
+            type_name: such as ``sensor_msgs/msg/JointState``.
+            qos: what the publishers offer.
+        """
+        self._check_open()
+        if not name.startswith("/"):
+            raise BagError(f"bag {self.directory}: topic '{name}' is not a full name; it starts with '/'")
+        if name in self._topics:
+            raise BagError(f"bag {self.directory}: topic '{name}' is already in the bag; add it once")
+        described = definition(type_name)
+        topic = Topic(name, type_name, qos or TopicQos(), described.type_hash)
+        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": described.type_hash}
+        self._channel_ids[name] = self._output.add_channel(name, type_name, described.text, metadata)
+        self._topics[name] = topic
+
+    def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        """Add a message to the open chunk.
+
+        Args:
+            topic: name as given to :meth:`add_topic`.
+            data: serialised message (CDR).
+            log_time_ns: when it was received, ns since the epoch.
+            publish_time_ns: when its source made it, ns since the epoch. A stamp before the epoch is stored as 0,
+                since MCAP has no negative times; the message itself is not touched.
+        """
+        self._check_open()
+        channel_id = self._channel_ids.get(topic)
+        if channel_id is None:
+            raise BagError(f"bag {self.directory}: topic '{topic}' was not added; known are {', '.join(self._topics)}")
+        if log_time_ns < 0:
+            raise BagError(f"bag {self.directory}: topic '{topic}': log time is {log_time_ns} ns; allowed is 0 or more")
+        try:
+            self._output.add_message(channel_id, log_time_ns, max(publish_time_ns, 0), data)
+        except OSError as error:
+            raise BagError(f"bag {self.path} cannot be written: {error.strerror}; free space on the disk") from error
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Store a file in the bag, e.g. the parameters as ``application/yaml``."""
+        self._check_open()
+        with self._disk(f"bag {self.path}: '{name}' cannot be attached"):
+            self._output.add_attachment(name, media_type, data)
+
+    def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
+        """Store texts by name: as a record of the MCAP file, and as ``name.key`` in the bag's custom data."""
+        self._check_open()
+        with self._disk(f"bag {self.path}: metadata '{name}' cannot be written"):
+            self._output.add_metadata(name, metadata)
+        self._custom_data.update({f"{name}.{key}": value for key, value in metadata.items()})
+
+    def flush(self) -> None:
+        """Write the open chunk: the end of this process cannot take it any more. Small chunks compress badly."""
+        self._check_open()
+        with self._disk(f"bag {self.path} cannot be written"):
+            self._output.flush()
+
+    def close(self) -> None:
+        """Finish the bag; a second call does nothing.
+
+        When the disk takes no more, the last chunk is given up, the bag is finished without it if that can be
+        done, and the error says so.
+        """
+        if self._closed:
+            return
+        lost = 0
+        try:
+            with self._disk(f"bag {self.path} cannot be finished"):
+                try:
+                    self._output.flush()
+                except OSError:
+                    lost = self._output.discard_open_chunk()
+                self._finish()
+        finally:
+            self._output.close()
+            self._closed = True
+        if lost:
+            raise BagError(f"bag {self.path}: the disk took no more, the last {lost} messages are lost; free space")
+
+    def _finish(self) -> None:
+        counts = self._output.message_counts
+        information = bag_information(
+            self.path.name,
+            [(topic, counts[self._channel_ids[name]]) for name, topic in self._topics.items()],
+            self._output.time_range,
+            self._custom_data,
+        )
+        # Where rosbag2 looks when it is given the file alone.
+        self._output.add_metadata("rosbag2", {"serialized_metadata": as_yaml(information)})
+        text = as_yaml({"rosbag2_bagfile_information": information})
+        if not self._output.attachment_count:
+            # Every bag has a metadata record and an attachment, so that its summary has all the groups a reader may
+            # expect; and a file that lost its folder carries what makes it a bag again.
+            self._output.add_attachment("metadata.yaml", "application/yaml", text.encode())
+        self._output.finish()
+        # Renamed when it is whole: a folder with metadata.yaml is a finished bag.
+        unfinished = self.directory / "metadata.yaml.part"
+        unfinished.write_text(text, encoding="utf-8")
+        os.replace(unfinished, self.directory / "metadata.yaml")
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise BagError(f"bag {self.directory} is closed; write before close()")
+
+    @contextmanager
+    def _disk(self, failure: str) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise BagError(f"{failure}: {error.strerror}; check path, permissions and free space") from error
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

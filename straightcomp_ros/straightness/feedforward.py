@@ -1,0 +1,78 @@
+"""Reference and its time derivatives for each encoder sample: what the control law is fed forward.
+
+    r = r(x),   ṙ = r'(x) ẋ,   r̈ = r''(x) ẋ² + r'(x) ẍ
+
+r is taken at the measured x, without lag: a quantum of 0.1 µm in x is 0.01 nm in r. ẋ and ẍ come from a
+tracking filter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from straightcomp_ros.parameters import parameter
+from straightcomp_ros.straightness.map import StraightnessMap
+from straightcomp_ros.straightness.tracking import TrackingFilter
+
+_NEVER = -(2**63)  # longer ago than any restart_gap
+
+
+@dataclass(frozen=True)
+class FeedforwardParameters:
+    """Tracking of the stage."""
+
+    bandwidth: float = parameter(30.0, "Bandwidth of the estimate of ẋ and ẍ", unit="Hz", minimum=0.1, maximum=500.0)
+    restart_gap: float = parameter(
+        0.05, "Time without a sample after which the estimate starts anew", unit="s", above=0.0, maximum=10.0
+    )
+    max_speed: float = parameter(
+        1.0,
+        "Speed that the stage cannot reach; a jump of x beyond it starts the estimate anew",
+        unit="m/s",
+        above=0.0,
+        maximum=100.0,
+    )
+
+
+class Feedforward:
+    """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers."""
+
+    def __init__(
+        self, straightness: StraightnessMap, parameters: FeedforwardParameters = FeedforwardParameters()
+    ) -> None:
+        self._reference = straightness.reference
+        self._filter = TrackingFilter(parameters.bandwidth)
+        self._restart_gap_ns = round(parameters.restart_gap * 1e9)
+        self._max_speed = parameters.max_speed
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self._stamp_ns = _NEVER
+        self._x = 0.0
+        self._last = (0.0, 0.0, 0.0)
+
+    def step(self, stamp_ns: int, x: float) -> tuple[float, float, float]:
+        """r in m, ṙ in m/s, r̈ in m/s² for the sample of ``stamp_ns`` at ``x`` in m.
+
+        Lost samples do no harm: times are taken from the stamps. A repeated stamp gives the last answer
+        again and changes nothing. The estimate starts anew (ṙ = r̈ = 0 once) on the first sample, a stamp
+        that goes back, a gap longer than ``restart_gap``, an x that moved faster than ``max_speed``, and an
+        x that is not finite, for which the answer is NaN.
+        """
+        elapsed_ns = stamp_ns - self._stamp_ns
+        if elapsed_ns == 0:
+            return self._last
+        tracked = self._filter
+        dt = elapsed_ns * 1e-9
+        # A NaN compares false, so it restarts the estimate, and so does the sample after it.
+        if 0 < elapsed_ns <= self._restart_gap_ns and abs(x - self._x) <= self._max_speed * dt:
+            tracked.update(dt, x)
+        else:
+            tracked.restart(x)
+        self._stamp_ns = stamp_ns
+        self._x = x
+        v = tracked.v
+        r, slope, curvature = self._reference(x)
+        self._last = (r, slope * v, curvature * v * v + slope * tracked.a)
+        return self._last

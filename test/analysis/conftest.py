@@ -1,0 +1,70 @@
+"""A made-up machine for the tests of the analysis: guide, map and records whose figures are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.straightness.map import StraightnessMap
+from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.straightness.survey import Survey
+
+STROKE, PERIOD, QUANTUM = 1.76, 5e-4, 0.1e-6
+REST = 0.25  # s before, between and after the strokes
+
+
+def _half_stroke(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """x for 0.2 m/s², 0.3 m/s, from 0 to STROKE, standing outside."""
+    ramp, speed, rate = 1.5, 0.3, 0.2
+    total = STROKE / speed + ramp
+    t = np.clip(t, 0.0, total)
+    rising, falling = np.minimum(t, ramp), np.maximum(t - (total - ramp), 0.0)
+    cruise = np.clip(t - ramp, 0.0, total - 2.0 * ramp)
+    return np.asarray(0.5 * rate * rising**2 + speed * cruise + speed * falling - 0.5 * rate * falling**2)
+
+
+@pytest.fixture(scope="session")
+def motion_profile() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """time (n,) in s and true x (n,) in m: rest, forward, pause, backward, rest."""
+    leg = STROKE / 0.3 + 1.5
+    time = np.asarray(np.arange(round((2.0 * leg + 3.0 * REST) / PERIOD)) * PERIOD, dtype=np.float64)
+    return time, _half_stroke(time - REST) - _half_stroke(time - 2.0 * REST - leg)
+
+
+@pytest.fixture(scope="session")
+def cosine_map() -> StraightnessMap:
+    """A guide of 20 µm peak to peak: two and a half waves of a cosine."""
+    x = np.linspace(0.0, STROKE, 353)
+    return StraightnessMap(Survey((Run("1", "forward", x, 10e-6 * np.cos(2.0 * np.pi * 2.5 * x / STROKE)),)))
+
+
+RecordMaker = Callable[..., StrokeRecord]
+
+
+@pytest.fixture(scope="session")
+def make_record(
+    motion_profile: tuple[NDArray[np.float64], NDArray[np.float64]], cosine_map: StraightnessMap
+) -> RecordMaker:
+    """A function of the true error (n,) in m that makes the record of such a servo, encoders quantised."""
+
+    def make(error: NDArray[np.float64] | float = 0.0, truth: bool = True, quantum: float = QUANTUM) -> StrokeRecord:
+        time, true_x = motion_profile
+        true_y = cosine_map.evaluate(true_x)[0] - error
+        x = np.round(true_x / QUANTUM) * QUANTUM
+        return StrokeRecord(
+            time=time,
+            x=x,
+            y=np.round(true_y / quantum) * quantum,
+            r=cosine_map.evaluate(x)[0],
+            current=np.where(np.arange(time.size) % 2 == 0, 1e-3, -1e-3),
+            law="made up",
+            true_x=true_x if truth else None,
+            true_y=true_y if truth else None,
+            guide=cosine_map.deviations(true_x) if truth else None,
+        )
+
+    return make

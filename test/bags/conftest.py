@@ -1,0 +1,28 @@
+"""A small bag of all streams."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from recording import Recording, add_streams, messages
+
+from straightcomp_ros.bags.writer import BagWriter
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Callable[..., Recording]:
+    """Records ``count`` cycles of all streams into a new bag."""
+
+    def recorded(count: int = 50, name: str = "run", **options: object) -> Recording:
+        written = messages(count)
+        with BagWriter(tmp_path / name, **options) as bag:  # type: ignore[arg-type]
+            add_streams(bag)
+            bag.attach("parameters.yaml", "application/yaml", b"rate: 2000\n")
+            bag.add_metadata("survey", {"guide": "synthetic", "points": "177"})
+            for message in written:
+                bag.write(message.topic, message.data, message.log_time, message.publish_time)
+        return Recording(tmp_path / name, written)
+
+    return recorded

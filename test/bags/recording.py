@@ -1,0 +1,58 @@
+"""Messages of all streams with numbers of any bit pattern, and a bag that has them."""
+
+from __future__ import annotations
+
+import random
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.contract import STREAMS
+
+START_NS = 1_700_000_000_123_456_789
+
+
+@dataclass(frozen=True)
+class Written:
+    """One message as it was handed to the writer."""
+
+    topic: str
+    data: bytes
+    log_time: int
+    publish_time: int
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A finished bag and its messages."""
+
+    directory: Path
+    messages: list[Written]
+
+    @property
+    def file(self) -> Path:
+        return self.directory / f"{self.directory.name}_0.mcap"
+
+
+def any_float64(source: random.Random) -> float:
+    """A number of any bit pattern: also NaN with payload, infinities, denormal numbers, −0."""
+    return struct.unpack("<d", source.randbytes(8))[0]
+
+
+def messages(count: int, seed: int = 0) -> list[Written]:
+    source = random.Random(seed)
+    written = []
+    for cycle in range(count):
+        stamp = START_NS + 500_000 * cycle
+        for stream in STREAMS:
+            numbers = [any_float64(source) for _ in stream.layout.columns]
+            log_time = stamp + source.randrange(100_000)
+            written.append(Written(f"/{stream.topic}", stream.layout.pack(stamp, *numbers), log_time, stamp))
+    return written
+
+
+def add_streams(bag: BagWriter, namespace: str = "") -> None:
+    for stream in STREAMS:
+        bag.add_topic(f"{namespace}/{stream.topic}", stream.layout.type_name, TopicQos(reliability="best_effort"))

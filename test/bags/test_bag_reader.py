@@ -1,0 +1,356 @@
+"""Reading streams: to the last bit what rosbags decodes, whoever wrote the bag."""
+
+from __future__ import annotations
+
+import random
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
+from recording import START_NS, any_float64
+from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_typestore
+
+from straightcomp_ros.bags import BagError, columns
+from straightcomp_ros.bags.definitions import definition
+from straightcomp_ros.bags.padding import meaningful
+from straightcomp_ros.bags.places import message_places
+from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cdr import joint_state, read_by_names
+from straightcomp_ros.contract import COMMAND, ENCODER, REFERENCE, STREAMS
+
+LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
+STORE = get_typestore(Stores.ROS2_JAZZY)
+JOINT_STATE = "sensor_msgs/msg/JointState"
+ENCODER_ONLY = {"encoder": ENCODER.layout}
+
+
+def bits(values) -> list[int]:
+    """NaN is not equal to itself; its bits are."""
+    return np.ascontiguousarray(values, np.float64).view(np.uint64).tolist()
+
+
+def joint_state_bytes(names, position=(), effort=(), frame_id="", stamp_ns=START_NS) -> bytes:
+    """A JointState as rosbags serialises it."""
+    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+    header = STORE.types["std_msgs/msg/Header"](time, frame_id)
+    arrays = (np.array(values, np.float64) for values in (position, (), effort))
+    return bytes(STORE.serialize_cdr(STORE.types[JOINT_STATE](header, list(names), *arrays), JOINT_STATE))
+
+
+def encoder_bag(directory: Path, *contents: bytes, topic: str = "/encoder") -> Path:
+    with BagWriter(directory) as bag:
+        bag.add_topic(topic, JOINT_STATE)
+        for number, content in enumerate(contents):
+            bag.write(topic, content, START_NS + number, START_NS)
+    return directory
+
+
+@pytest.fixture
+def without_layouts(monkeypatch):
+    """Counts the messages that are decoded one by one."""
+    decoded = []
+
+    def counting(layout, message):
+        decoded.append(layout)
+        return read_by_names(layout, message)
+
+    monkeypatch.setattr(columns, "read_by_names", counting)
+    return decoded
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(record, compression, without_layouts):
+    bag = record(count=300, compression=compression, chunk_size=9000)
+    streams = read_streams(bag.directory, LAYOUTS)
+    assert list(streams) == list(LAYOUTS)
+    assert not without_layouts
+    with Reader(bag.directory) as reader:
+        for stream in STREAMS:
+            own = [message for message in bag.messages if message.topic == f"/{stream.topic}"]
+            expected = [
+                read_by_names(stream.layout, STORE.deserialize_cdr(message.data, stream.layout.type_name))
+                for message in own
+            ]
+            found = streams[stream.topic]
+            assert len(found) == 300
+            assert found.log_time.tolist() == [message.log_time for message in own]
+            assert found.publish_time.tolist() == [message.publish_time for message in own]
+            assert found.stamp.tolist() == [stamp for stamp, _ in expected]
+            assert tuple(found.columns) == stream.layout.columns
+            for index, name in enumerate(stream.layout.columns):
+                assert bits(found.columns[name]) == bits([numbers[index] for _, numbers in expected])
+        assert reader.message_count == len(bag.messages)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1),
+            *[st.floats(width=64, allow_nan=True, allow_infinity=True)] * 4,
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_any_stamp_and_any_numbers_come_back(tmp_path_factory, samples):
+    directory = tmp_path_factory.mktemp("any")
+    encoder_bag(directory, *(ENCODER.layout.pack(*sample) for sample in samples))
+    encoder = read_streams(directory, ENCODER_ONLY)["encoder"]
+    assert encoder.stamp.tolist() == [sample[0] for sample in samples]
+    for index, name in enumerate(ENCODER.layout.columns):
+        assert bits(encoder.columns[name]) == bits([sample[1 + index] for sample in samples])
+
+
+def test_columns_have_their_types_and_own_their_memory(record):
+    encoder = read_streams(record().directory, ENCODER_ONLY)["encoder"]
+    for array in (encoder.log_time, encoder.publish_time, encoder.stamp):
+        assert array.dtype == np.int64
+    for array in encoder.columns.values():
+        assert array.dtype == np.float64
+        assert array.flags.writeable and array.flags.c_contiguous
+
+
+def test_the_order_is_that_of_recording_not_of_stamps(tmp_path):
+    stamps = [7, 3, 9, 1]
+    encoder_bag(tmp_path / "bag", *(ENCODER.layout.pack(stamp, 0, 0, 0, 0) for stamp in stamps))
+    assert read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"].stamp.tolist() == stamps
+
+
+def test_messages_of_another_layout_are_read_by_their_names(tmp_path, without_layouts):
+    contents = [
+        ENCODER.layout.pack(START_NS, 1, 2, 3, 4),
+        joint_state_bytes(["platform_y", "stage_x"], [2, 1], [4, 3]),
+        joint_state_bytes(["stage_x", "platform_y"], [1, 2], [3, 4], frame_id="table"),
+        joint_state_bytes(["other", "stage_x", "platform_y"], [0, 1, 2], [0, 3, 4]),
+        ENCODER.layout.pack(START_NS, 1, 2, 3, 4),
+    ]
+    encoder_bag(tmp_path / "bag", *contents)
+    encoder = read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"]
+    assert {name: set(values) for name, values in encoder.columns.items()} == {
+        "x": {1.0},
+        "y": {2.0},
+        "stage_effort": {3.0},
+        "coil_current": {4.0},
+    }
+    assert encoder.stamp.tolist() == [START_NS] * 5
+    assert len(without_layouts) == 3
+
+
+def test_bytes_after_a_message_are_allowed(tmp_path, without_layouts):
+    encoder_bag(tmp_path / "bag", ENCODER.layout.pack(1, 1, 2, 3, 4) + bytes(3))
+    assert read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"].columns["y"].tolist() == [2.0]
+    assert not without_layouts
+
+
+def test_a_message_in_big_endian_is_read(tmp_path, without_layouts):
+    little = ENCODER.layout.pack(START_NS, 1, 2, 3, 4)
+    message = STORE.deserialize_cdr(little, JOINT_STATE)
+    big = bytes(STORE.serialize_cdr(message, JOINT_STATE, little_endian=False))
+    encoder_bag(tmp_path / "bag", little, big)
+    encoder = read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"]
+    assert encoder.columns["x"].tolist() == [1.0, 1.0]
+    assert encoder.stamp.tolist() == [START_NS, START_NS]
+    assert len(without_layouts) == 1
+
+
+@pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: stream.topic)
+def test_garbage_in_alignment_gaps_changes_nothing(tmp_path, stream, without_layouts):
+    clean = stream.layout.pack(START_NS, *range(len(stream.layout.columns)))
+    ignored = np.ones(stream.layout.size, bool)
+    ignored[4:12] = False
+    first = 12
+    for constant, run in zip(stream.layout.constants, stream.layout.runs, strict=True):
+        ignored[first + len(constant) : first + len(constant) + 8 * run] = False
+        first += len(constant) + 8 * run
+    gaps = np.flatnonzero(ignored & ~meaningful(stream.layout))
+    assert len(gaps) > 0
+    dirty = np.frombuffer(clean, np.uint8).copy()
+    dirty[gaps] = np.random.default_rng(1).integers(1, 255, len(gaps))
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+        for content in (clean, dirty.tobytes()):
+            bag.write(f"/{stream.topic}", content, START_NS, START_NS)
+    found = read_streams(tmp_path / "bag", LAYOUTS)[stream.topic]
+    assert [values.tolist() for values in found.columns.values()] == [
+        [float(index)] * 2 for index in range(len(stream.layout.columns))
+    ]
+    assert not without_layouts
+
+
+def test_lengths_letters_and_the_encapsulation_are_never_taken_for_gaps():
+    layout = joint_state(["ab"], position=["x"])
+    # Encapsulation, (stamp), frame_id: length 1 and NUL, gap of 3, 1 name: length 3, "ab" and NUL, gap of 1,
+    # 1 position, (the number), no velocity, no effort.
+    expected = "1111 00000000 1111 1 000 1111 1111 111 0 1111 00000000 1111 1111".replace(" ", "")
+    assert "".join(str(int(bit)) for bit in meaningful(layout)) == expected
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (joint_state_bytes(["stage_x"], [1], [2]), "lacks position of 'platform_y'"),
+        (joint_state_bytes(["stage_x", "platform_y"], [1, 2]), "lacks effort of 'stage_x'"),
+        (ENCODER.layout.pack(1, 1, 2, 3, 4)[:-5], "does not decode"),
+        (b"", "does not decode"),
+        (b"\x00\x07\x00\x00" + bytes(200), "does not decode"),
+    ],
+)
+def test_a_message_that_lacks_what_the_stream_promises_is_refused(tmp_path, content, reason):
+    encoder_bag(tmp_path / "bag", content)
+    with pytest.raises(BagError, match=f"topic '/encoder': .*{reason}.*allowed is a sensor_msgs/msg/JointState"):
+        read_streams(tmp_path / "bag", ENCODER_ONLY)
+
+
+def test_a_topic_of_another_type_is_refused(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/encoder", "std_msgs/msg/String")
+        bag.write("/encoder", b"\0\1\0\0", 1, 1)
+    with pytest.raises(BagError, match=r"'std_msgs/msg/String' .*allowed is sensor_msgs/msg/JointState"):
+        read_streams(tmp_path / "bag", ENCODER_ONLY)
+
+
+def test_topics_that_the_bag_lacks_are_left_out(tmp_path):
+    encoder_bag(tmp_path / "bag", ENCODER.layout.pack(1, 1, 2, 3, 4))
+    assert list(read_streams(tmp_path / "bag", LAYOUTS)) == ["encoder"]
+
+
+def test_a_topic_without_messages_is_left_out(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/command", JOINT_STATE)
+        bag.add_topic("/encoder", JOINT_STATE)
+        bag.write("/encoder", ENCODER.layout.pack(1, 1, 2, 3, 4), 1, 1)
+    assert list(read_streams(tmp_path / "bag", LAYOUTS)) == ["encoder"]
+
+
+def test_a_relative_name_finds_the_only_namespace(tmp_path):
+    encoder_bag(tmp_path / "bag", ENCODER.layout.pack(1, 1, 2, 3, 4), topic="/line_2/cell/encoder")
+    assert list(read_streams(tmp_path / "bag", ENCODER_ONLY)) == ["encoder"]
+
+
+def test_a_relative_name_prefers_the_topic_below_the_root(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        for number, topic in enumerate(("/left/encoder", "/encoder", "/right/encoder")):
+            bag.add_topic(topic, JOINT_STATE)
+            bag.write(topic, ENCODER.layout.pack(number, 1, 2, 3, 4), 1, 1)
+    assert read_streams(tmp_path / "bag", ENCODER_ONLY)["encoder"].stamp.tolist() == [1]
+    assert read_streams(tmp_path / "bag", {"/right/encoder": ENCODER.layout})["/right/encoder"].stamp.tolist() == [2]
+
+
+def test_a_relative_name_in_several_namespaces_is_refused_by_naming_them(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        for topic in ("/left/encoder", "/right/encoder"):
+            bag.add_topic(topic, JOINT_STATE)
+            bag.write(topic, ENCODER.layout.pack(1, 1, 2, 3, 4), 1, 1)
+    with pytest.raises(BagError, match="'encoder' is /left/encoder and /right/encoder"):
+        read_streams(tmp_path / "bag", ENCODER_ONLY)
+
+
+def test_a_topic_name_that_only_ends_alike_is_another_topic(tmp_path):
+    encoder_bag(tmp_path / "bag", ENCODER.layout.pack(1, 1, 2, 3, 4), topic="/stage_encoder")
+    assert read_streams(tmp_path / "bag", ENCODER_ONLY) == {}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"use_chunking": False},
+        {"index_types": IndexType.NONE},
+        {"index_types": IndexType.ALL ^ IndexType.MESSAGE},
+        {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False},
+        {"compression": CompressionType.LZ4, "enable_crcs": False},
+        {"enable_data_crcs": True},
+    ],
+    ids=str,
+)
+def test_bags_of_the_mcap_package_are_read_with_and_without_chunks_and_indexes(tmp_path, options):
+    source = random.Random(3)
+    samples = [[any_float64(source) for _ in ENCODER.layout.columns] for _ in range(500)]
+    with open(tmp_path / "run.mcap", "wb") as file:
+        writer = Writer(file, chunk_size=5000, **options)
+        writer.start("ros2")
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", definition(JOINT_STATE).text.encode())
+        other = writer.register_channel("/other", "cdr", schema)
+        encoder = writer.register_channel("/encoder", "cdr", schema)
+        for number, sample in enumerate(samples):
+            writer.add_message(encoder, number, ENCODER.layout.pack(number, *sample), number)
+            writer.add_message(other, number, source.randbytes(source.randrange(40)), number)
+        writer.add_attachment(0, 0, "map.csv", "text/csv", b"x,r\n")
+        writer.add_metadata("cell", {"stroke": "7"})
+        writer.finish()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        encoder = read_streams(tmp_path / "run.mcap", ENCODER_ONLY)["encoder"]
+        assert read_attachments(tmp_path / "run.mcap") == {"map.csv": b"x,r\n"}
+        assert read_metadata(tmp_path / "run.mcap") == {"cell": {"stroke": "7"}}
+    assert encoder.stamp.tolist() == list(range(500))
+    assert bits(np.transpose(list(encoder.columns.values()))) == bits(samples)
+
+
+def test_bags_of_rosbags_are_read(tmp_path, without_layouts):
+    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/reference", REFERENCE.layout.type_name, typestore=STORE)
+        for number in range(10):
+            message = STORE.deserialize_cdr(REFERENCE.layout.pack(number, 1, 2, 3), REFERENCE.layout.type_name)
+            writer.write(connection, number, STORE.serialize_cdr(message, REFERENCE.layout.type_name))
+    reference = read_streams(tmp_path / "bag", LAYOUTS)["reference"]
+    assert reference.stamp.tolist() == list(range(10))
+    assert reference.columns["r_ddot"].tolist() == [3.0] * 10
+    assert not without_layouts
+
+
+def test_the_files_of_a_split_bag_are_read_in_the_order_of_their_numbers(tmp_path):
+    (tmp_path / "run").mkdir()
+    for number in (0, 1, 2, 10):
+        encoder_bag(tmp_path / f"part{number}", ENCODER.layout.pack(number, 1, 2, 3, 4))
+        (tmp_path / f"part{number}" / f"part{number}_0.mcap").rename(tmp_path / "run" / f"run_{number}.mcap")
+    assert read_streams(tmp_path / "run", ENCODER_ONLY)["encoder"].stamp.tolist() == [0, 1, 2, 10]
+
+
+def test_a_message_index_that_is_wrong_is_not_believed():
+    records = b"".join(
+        struct.pack("<BQHIQQ", 5, 22 + size, channel, 0, 0, 0) + bytes(size)
+        for channel, size in ((1, 10), (2, 0), (1, 30), (2, 7))
+    )
+    truth = {1: [0, 72], 2: [41, 133]}
+
+    def index(channel, *offsets):
+        flat = [value for offset in offsets for value in (0, offset)]
+        return struct.pack(f"<HI{len(flat)}Q", channel, 8 * len(flat), *flat)
+
+    right = [index(1, 0, 72), index(2, 41, 133)]
+    wrong = [
+        [],
+        right[:1],
+        [index(1, 0, 72), index(2, 41)],
+        [index(1, 0, 73), index(2, 41, 133)],
+        [index(2, 0, 72), index(1, 41, 133)],
+        [index(1, 0, 72, 72), index(2, 41, 133)],
+        [index(1, 0, 2**63), index(2, 41, 133)],
+        [right[0], right[0]],
+        [right[0][:-3], right[1]],
+        [b""],
+    ]
+    for indexes in (right, *wrong):
+        found = {channel: places.tolist() for channel, places in message_places(records, indexes).items()}
+        assert found == truth
+
+
+def test_a_message_that_rclpy_serialises_is_read(tmp_path):
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    serialization = pytest.importorskip("rclpy.serialization")
+    sensor_msgs = pytest.importorskip("sensor_msgs.msg")
+    message = sensor_msgs.JointState(name=["platform_y"], effort=[0.25])
+    message.header.stamp.sec, message.header.stamp.nanosec = 12, 34
+    encoder_bag(tmp_path / "bag", serialization.serialize_message(message), topic="/command")
+    command = read_streams(tmp_path / "bag", {"command": COMMAND.layout})["command"]
+    assert command.stamp.tolist() == [12_000_000_034]
+    assert command.columns["control_current"].tolist() == [0.25]

@@ -1,0 +1,355 @@
+"""A written bag, as other software finds it."""
+
+from __future__ import annotations
+
+import errno
+import sys
+import warnings
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from recording import START_NS, add_streams, messages
+from rosbags.interfaces import QosReliability
+from rosbags.rosbag2 import Reader
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.definitions import definition
+from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
+
+LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
+COMPRESSIONS = ("zstd", "lz4", "none")
+
+
+def information(directory):
+    return yaml.safe_load((directory / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_rosbags_opens_the_folder_and_finds_every_message(record, compression):
+    bag = record(compression=compression, chunk_size=4096)
+    with Reader(bag.directory) as reader:
+        found = [(connection.topic, time, data) for connection, time, data in reader.messages()]
+        assert reader.message_count == len(bag.messages)
+        assert {connection.digest for connection in reader.connections} == {
+            definition(stream.layout.type_name).type_hash for stream in STREAMS
+        }
+        for connection in reader.connections:
+            assert connection.ext.offered_qos_profiles[0].reliability == QosReliability.BEST_EFFORT
+            assert connection.msgdef.data == definition(connection.msgtype).text
+    assert sorted(found, key=lambda entry: entry[1:]) == sorted(
+        ((message.topic, message.log_time, message.data) for message in bag.messages), key=lambda entry: entry[1:]
+    )
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_mcap_reads_every_message_with_both_times(record, compression):
+    bag = record(compression=compression, chunk_size=4096)
+    with open(bag.file, "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = [
+            (channel.topic, message.data, message.log_time, message.publish_time)
+            for _, channel, message in reader.iter_messages(log_time_order=False)
+        ]
+        statistics = reader.get_summary().statistics
+        profile = reader.get_header().profile
+    assert found == [(m.topic, m.data, m.log_time, m.publish_time) for m in bag.messages]
+    assert profile == "ros2"
+    assert statistics.message_count == len(bag.messages)
+    assert statistics.message_start_time == min(message.log_time for message in bag.messages)
+    assert statistics.message_end_time == max(message.log_time for message in bag.messages)
+    assert statistics.chunk_count > 1
+
+
+def test_every_checksum_of_the_file_holds(record):
+    with open(record(chunk_size=4096).file, "rb") as file:
+        assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > 300
+
+
+def test_channels_carry_what_ros2_bag_needs(record):
+    with open(record().file, "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert {channel.topic for channel in summary.channels.values()} == {f"/{stream.topic}" for stream in STREAMS}
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        assert (channel.message_encoding, schema.encoding) == ("cdr", "ros2msg")
+        assert channel.metadata["topic_type_hash"] == definition(schema.name).type_hash
+        assert yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]["reliability"] == "best_effort"
+
+
+def test_metadata_yaml_has_the_fields_of_version_9(record):
+    bag = record()
+    found = information(bag.directory)
+    first = min(message.log_time for message in bag.messages)
+    duration = {"nanoseconds": max(message.log_time for message in bag.messages) - first}
+    assert list(found) == [
+        "version",
+        "storage_identifier",
+        "duration",
+        "starting_time",
+        "message_count",
+        "topics_with_message_count",
+        "compression_format",
+        "compression_mode",
+        "relative_file_paths",
+        "files",
+        "custom_data",
+        "ros_distro",
+    ]
+    assert found["version"] == 9
+    assert found["storage_identifier"] == "mcap"
+    assert found["duration"] == duration
+    assert found["starting_time"] == {"nanoseconds_since_epoch": first}
+    assert found["message_count"] == len(bag.messages)
+    assert found["relative_file_paths"] == ["run_0.mcap"]
+    assert found["files"] == [
+        {
+            "path": "run_0.mcap",
+            "starting_time": {"nanoseconds_since_epoch": first},
+            "duration": duration,
+            "message_count": len(bag.messages),
+        }
+    ]
+    assert found["custom_data"] == {"survey.guide": "synthetic", "survey.points": "177"}
+    assert found["ros_distro"] == "jazzy"
+    topic = found["topics_with_message_count"][0]
+    assert topic["message_count"] == 50
+    assert topic["topic_metadata"]["name"] == "/encoder"
+    assert topic["topic_metadata"]["type"] == "sensor_msgs/msg/JointState"
+    assert topic["topic_metadata"]["serialization_format"] == "cdr"
+    assert topic["topic_metadata"]["offered_qos_profiles"] == [
+        {
+            "history": "keep_last",
+            "depth": 10,
+            "reliability": "best_effort",
+            "durability": "volatile",
+            "deadline": {"sec": 9223372036, "nsec": 854775807},
+            "lifespan": {"sec": 9223372036, "nsec": 854775807},
+            "liveliness": "automatic",
+            "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
+
+
+def test_metadata_yaml_has_no_yaml_anchors_and_no_leftovers_lie_beside_it(record):
+    bag = record()
+    assert "&id" not in (bag.directory / "metadata.yaml").read_text()
+    assert sorted(path.name for path in bag.directory.iterdir()) == ["metadata.yaml", "run_0.mcap"]
+
+
+def test_the_file_alone_carries_its_metadata_for_ros2_bag_info(record):
+    bag = record()
+    serialized = read_metadata(bag.file)["rosbag2"]["serialized_metadata"]
+    assert yaml.safe_load(serialized) == information(bag.directory)
+
+
+def test_a_topic_without_messages_is_listed_with_count_0(record, tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        add_streams(bag)
+        bag.write("/encoder", ENCODER.layout.pack(5, 1, 2, 3, 4), 10, 5)
+    counts = {
+        topic["topic_metadata"]["name"]: topic["message_count"]
+        for topic in information(tmp_path / "bag")["topics_with_message_count"]
+    }
+    assert counts == {f"/{stream.topic}": int(stream is ENCODER) for stream in STREAMS}
+
+
+def test_a_bag_without_messages_opens_and_has_none(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        add_streams(bag)
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == 0
+        assert len(reader.connections) == len(STREAMS)
+
+
+def test_a_bag_that_was_given_nothing_still_has_an_attachment_and_a_metadata_record(tmp_path):
+    BagWriter(tmp_path / "bag").close()
+    assert list(read_attachments(tmp_path / "bag")) == ["metadata.yaml"]
+    assert list(read_metadata(tmp_path / "bag")) == ["rosbag2"]
+
+
+def test_attachments_and_metadata_come_back(record):
+    bag = record()
+    assert read_attachments(bag.directory) == {"parameters.yaml": b"rate: 2000\n"}
+    assert read_metadata(bag.directory)["survey"] == {"guide": "synthetic", "points": "177"}
+
+
+def test_an_empty_attachment_comes_back_empty(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.attach("map.csv", "text/csv", b"")
+    assert read_attachments(tmp_path / "bag") == {"map.csv": b""}
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, RuntimeError])
+def test_the_bag_is_finished_when_an_exception_ends_the_block(tmp_path, error):
+    written = messages(20)
+    with pytest.raises(error), BagWriter(tmp_path / "bag") as bag:
+        add_streams(bag)
+        for message in written:
+            bag.write(message.topic, message.data, message.log_time, message.publish_time)
+        raise error
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == len(written)
+
+
+def test_an_interrupt_at_any_call_while_writing_leaves_a_whole_bag(tmp_path):
+    written = [message for message in messages(1) if message.topic in ("/encoder", "/command")]
+
+    class Interrupted(KeyboardInterrupt):
+        pass
+
+    def written_until(call: int) -> int:
+        """Messages that ``write`` took before the interrupt at the call of that number; -1 when there was none."""
+        calls = taken = 0
+
+        def interrupt(frame: object, event: str, argument: object) -> None:
+            # Python serves signals before and after calls, so these are the places where Ctrl-C can strike.
+            nonlocal calls
+            calls += event in ("call", "c_call", "c_return")
+            if calls == call:
+                sys.setprofile(None)
+                raise Interrupted
+
+        try:
+            with BagWriter(tmp_path / f"bag{call}", chunk_size=1) as bag:
+                bag.add_topic("/encoder", ENCODER.layout.type_name)
+                bag.add_topic("/command", COMMAND.layout.type_name)
+                try:
+                    sys.setprofile(interrupt)
+                    for message in written:
+                        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+                        taken += 1
+                finally:
+                    sys.setprofile(None)
+        except Interrupted:
+            return taken
+        return -1
+
+    call = 1
+    while (taken := written_until(call)) >= 0:
+        with Reader(tmp_path / f"bag{call}") as reader:
+            kept = [data for _, _, data in sorted(reader.messages(), key=lambda entry: entry[1])]
+            assert reader.message_count in (taken, taken + 1)
+        assert sorted(kept) == sorted(message.data for message in written[: len(kept)])
+        if kept:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                read_streams(tmp_path / f"bag{call}", LAYOUTS)
+        call += 1
+    assert call > 100
+
+
+def test_after_a_flush_the_messages_are_in_the_file(tmp_path):
+    bag = BagWriter(tmp_path / "bag")
+    add_streams(bag)
+    for message in messages(3):
+        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+    bag.flush()
+    with pytest.warns(UserWarning, match="was not finished"):
+        streams = read_streams(tmp_path / "bag", LAYOUTS)
+    assert {len(stream) for stream in streams.values()} == {3}
+    bag.close()
+
+
+def test_closing_twice_is_closing_once(tmp_path):
+    bag = BagWriter(tmp_path / "bag")
+    bag.close()
+    before = bag.path.read_bytes()
+    bag.close()
+    assert bag.path.read_bytes() == before
+
+
+def test_a_closed_bag_refuses_messages(tmp_path):
+    bag = BagWriter(tmp_path / "bag")
+    add_streams(bag)
+    bag.close()
+    with pytest.raises(BagError, match="is closed"):
+        bag.write("/encoder", b"", 0, 0)
+
+
+def test_a_folder_that_holds_files_is_never_overwritten(record):
+    bag = record()
+    before = bag.file.read_bytes()
+    with pytest.raises(BagError, match="not empty"):
+        BagWriter(bag.directory)
+    assert bag.file.read_bytes() == before
+
+
+def test_an_empty_folder_may_become_a_bag(tmp_path):
+    (tmp_path / "bag").mkdir()
+    BagWriter(tmp_path / "bag").close()
+    assert (tmp_path / "bag" / "metadata.yaml").exists()
+
+
+def test_a_folder_below_a_file_cannot_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(BagError, match="cannot be made"):
+        BagWriter(tmp_path / "file" / "bag")
+
+
+def test_what_is_not_allowed_is_named_with_what_is(tmp_path):
+    with pytest.raises(BagError, match=r"compression is 'gzip': allowed are zstd, lz4, none"):
+        BagWriter(tmp_path / "bag", compression="gzip")
+    with pytest.raises(BagError, match="chunk_size is 0 bytes"):
+        BagWriter(tmp_path / "bag", chunk_size=0)
+    with pytest.raises(BagError, match=r"reliability is 'sometimes': allowed are reliable, best_effort"):
+        TopicQos(reliability="sometimes")
+    with BagWriter(tmp_path / "bag") as bag:
+        with pytest.raises(BagError, match="starts with '/'"):
+            bag.add_topic("encoder", "sensor_msgs/msg/JointState")
+        bag.add_topic("/encoder", "sensor_msgs/msg/JointState")
+        with pytest.raises(BagError, match="already in the bag"):
+            bag.add_topic("/encoder", "sensor_msgs/msg/JointState")
+        with pytest.raises(BagError, match=r"'/command' was not added; known are /encoder"):
+            bag.write("/command", b"", 0, 0)
+        with pytest.raises(BagError, match="log time is -1 ns"):
+            bag.write("/encoder", b"", -1, 0)
+
+
+def test_a_stamp_before_the_epoch_is_recorded_with_publish_time_0(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        add_streams(bag)
+        bag.write("/encoder", ENCODER.layout.pack(-5, 1, 2, 3, 4), START_NS, -5)
+    encoder = read_streams(tmp_path / "bag", LAYOUTS)["encoder"]
+    assert (encoder.publish_time.tolist(), encoder.stamp.tolist()) == ([0], [-5])
+
+
+class SmallDisk:
+    """A file on a disk that is full from a size of ``limit`` bytes on."""
+
+    def __init__(self, file, limit):
+        self._file, self._limit = file, limit
+
+    def write(self, data):
+        room = self._limit - self._file.tell()
+        if room <= 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return self._file.write(data[:room])
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
+    written = messages(100)
+    kept, rest = written[:100], written[100:]
+    bag = BagWriter(tmp_path / "bag", compression="none", chunk_size=50_000)
+    add_streams(bag)
+    for message in kept:
+        bag.write(message.topic, message.data, message.log_time, message.publish_time)
+    bag.flush()
+    bag._output._file = SmallDisk(bag._output._file, bag.path.stat().st_size + 40_000)
+    with pytest.raises(BagError, match="cannot be written: No space left on device; free space"):
+        for message in rest:
+            bag.write(message.topic, message.data, message.log_time, message.publish_time)
+    with pytest.raises(BagError, match=r"the disk took no more, the last \d+ messages are lost"):
+        bag.close()
+    with Reader(tmp_path / "bag") as reader:
+        found = [data for _, _, data in reader.messages()]
+    assert sorted(found) == sorted(message.data for message in kept)
+    assert read_streams(tmp_path / "bag", LAYOUTS)

@@ -1,0 +1,34 @@
+import os
+import random
+
+import pytest
+
+from straightcomp_ros.configuration import read_parameter_file
+from straightcomp_ros.launcher import Graph, ros_available
+from straightcomp_ros.share import share_path
+
+if not ros_available():
+    pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)
+
+
+@pytest.fixture(autouse=True)
+def own_domain(monkeypatch):
+    """Each test talks on a domain of its own, on this machine only."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    monkeypatch.setenv("RCUTILS_LOGGING_BUFFERED_STREAM", "0")
+
+
+@pytest.fixture
+def graph(tmp_path):
+    with Graph(tmp_path / "logs", dict(os.environ)) as graph:
+        yield graph
+
+
+@pytest.fixture
+def short_cycle():
+    """The shipped parameters with a cycle of some 3.6 s over 100 mm, on a machine that forgives a stall."""
+    values = read_parameter_file(share_path("config/straightcomp.yaml"))
+    values["cell"].update({"motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1, "motion.start": 0.0})
+    values["driver"].update({"simulated.command_timeout": 1.0, "simulated.sample_memory": 2000})
+    return values

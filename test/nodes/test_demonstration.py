@@ -1,0 +1,103 @@
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from straightcomp_ros import demonstration
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate
+from straightcomp_ros.launcher import Graph
+
+
+def test_a_live_stroke_is_recorded_completely_and_compensated(tmp_path, short_cycle):
+    seen = []
+    result = demonstrate(short_cycle, tmp_path, seen.append)
+    figures = result.figures()
+    assert figures["lost_samples"] == 0
+    assert figures["expected_samples"] >= 2000 * 3
+    assert figures["residual_pp_um"] < figures["uncompensated_pp_um"]
+    assert figures["law"] == "smc"
+    assert 0 < figures["latency_p50_us"] <= figures["latency_p99_us"]
+    assert seen == sorted(seen) and seen[-1] > 0.99
+
+
+@pytest.mark.parametrize("victim", ["driver", "controller", "logger"])
+def test_a_node_that_dies_in_mid_stroke_ends_the_demonstration_with_its_name(
+    tmp_path, short_cycle, victim, monkeypatch
+):
+    graphs = []
+    start = Graph.start
+
+    def remember(self, name, *arguments, **options):
+        process = start(self, name, *arguments, **options)
+        graphs.append((name, process))
+        return process
+
+    monkeypatch.setattr(Graph, "start", remember)
+
+    def kill_when_moving(fraction):
+        if fraction > 0.3:
+            for name, process in graphs:
+                if name == victim and process.poll() is None:
+                    process.send_signal(signal.SIGKILL)
+
+    with pytest.raises(DemonstrationFailed, match=rf"'{victim}'.*SIGKILL"):
+        demonstrate(short_cycle, tmp_path, kill_when_moving)
+    assert all(process.poll() is not None for _, process in graphs)
+
+
+def test_a_bag_that_is_short_fails_the_demonstration(tmp_path, short_cycle, monkeypatch):
+    run = demonstration._run_graph
+
+    def shortened(bag, parameter_file, logs, duration, progress):
+        run(bag, parameter_file, logs, duration, progress)
+
+    monkeypatch.setattr(demonstration, "_run_graph", shortened)
+    evaluate = demonstration.evaluate_bag
+
+    def half(bag):
+        evaluation = evaluate(bag)
+        evaluation.record.time[:] *= 0.5
+        return evaluation
+
+    monkeypatch.setattr(demonstration, "evaluate_bag", half)
+    with pytest.raises(DemonstrationFailed, match="is short"):
+        demonstrate(short_cycle, tmp_path)
+
+
+def test_a_demonstration_without_a_bag_fails_with_the_reason(tmp_path, short_cycle, monkeypatch):
+    monkeypatch.setattr(demonstration, "_run_graph", lambda *arguments: None)
+    with pytest.raises(DemonstrationFailed) as failure:
+        demonstrate(short_cycle, tmp_path)
+    assert isinstance(failure.value.__cause__, BagError)
+    assert str(tmp_path) in str(failure.value)
+
+
+def test_children_of_a_killed_launcher_do_not_run_on(tmp_path):
+    """The launcher is a process of its own here, and is killed."""
+    import subprocess
+    import sys
+
+    code = (
+        "import pathlib, time\n"
+        "from straightcomp_ros.launcher import Graph\n"
+        f"graph = Graph(pathlib.Path({str(tmp_path)!r}))\n"
+        "print(graph.start('feedforward', {}).pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    launcher = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    child = int(launcher.stdout.readline())
+    timer = threading.Timer(1.0, launcher.kill)
+    timer.start()
+    launcher.wait()
+    launcher.stdout.close()
+    for _ in range(100):
+        try:
+            os.kill(child, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    os.kill(child, signal.SIGKILL)
+    pytest.fail("the node outlived its launcher")

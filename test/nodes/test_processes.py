@@ -1,0 +1,85 @@
+"""Each node as a process: parameters, signals, exit codes."""
+
+import signal
+import time
+
+import pytest
+
+from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.launcher import Graph
+
+NODES = ("driver", "feedforward", "controller", "logger", "cell")
+
+
+def extra(node, tmp_path):
+    return {"output": str(tmp_path / "bag")} if node == "logger" else {}
+
+
+def wait_for_line(graph: Graph, node: str, text: str, seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if text in graph.log(node).read_text():
+            return
+        time.sleep(0.05)
+    pytest.fail(f"{node} never printed {text!r}; it printed: {graph.log(node).read_text()}")
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_stops_on_a_signal_within_two_seconds_and_without_a_traceback(graph, tmp_path, node, number):
+    process = graph.start(node, extra(node, tmp_path))
+    wait_for_line(graph, node, "ready")
+    process.send_signal(number)
+    assert process.wait(timeout=30) == 0
+    assert "Traceback" not in graph.log(node).read_text()
+    if node == "logger":
+        assert "parameters.yaml" in read_attachments(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(graph, tmp_path, node):
+    process = graph.start(node, {**extra(node, tmp_path), "realtime.priorty": 1})
+    assert process.wait(timeout=30) == 2
+    assert "'realtime.priorty' is unknown; did you mean 'realtime.priority'" in graph.last_words(node)
+
+
+@pytest.mark.parametrize(
+    ("node", "name", "value", "words"),
+    [
+        ("driver", "simulated.plant.mass", -1.0, "-1.0 kg is too small; allowed: > 0"),
+        ("driver", "simulated.rate", "fast", "'fast' Hz is not an integer"),
+        ("driver", "hardware", "none", "'none' is not known; allowed: one of simulated"),
+        ("feedforward", "map.file", "nowhere.csv", "nowhere.csv"),
+        ("controller", "control.design.rho", 0.1, "reaching condition (11)"),
+        ("controller", "control.law", "pid", "allowed: one of linear, smc"),
+        ("cell", "motion.speed", 0, "0.0 m/s is too small"),
+    ],
+)
+def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(graph, tmp_path, node, name, value, words):
+    process = graph.start(node, {name: value})
+    assert process.wait(timeout=30) == 2
+    assert words in graph.last_words(node)
+
+
+def test_the_logger_refuses_a_folder_that_holds_something(graph, tmp_path):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "precious").write_text("data")
+    process = graph.start("logger", extra("logger", tmp_path))
+    assert process.wait(timeout=30) == 2
+    assert str(tmp_path / "bag") in graph.last_words("logger")
+    assert (tmp_path / "bag" / "precious").read_text() == "data"
+
+
+def test_a_cell_without_a_driver_fails_and_names_what_is_missing(graph):
+    process = graph.start("cell", {"start_timeout": 1.0})
+    assert process.wait(timeout=30) == 1
+    assert "missing: driver, feedforward, controller, logger" in graph.last_words("cell")
+
+
+def test_a_cell_whose_samples_cease_fails_with_the_silence(graph, short_cycle):
+    # A feedforward that is stopped: no reference, no command, so the driver refuses to enable.
+    for node in ("driver", "controller"):
+        graph.start(node, short_cycle[node])
+    cell = graph.start("cell", {"nodes": "driver controller", "start_timeout": 3.0})
+    assert cell.wait(timeout=60) == 1
+    assert "no fresh command" in graph.last_words("cell")

@@ -1,0 +1,168 @@
+"""Executes the launch files with a stand-in for `launch` and `launch_ros`, which PyPI has not.
+
+The stand-in knows exactly the names that the launch files may use, as they are in Jazzy: a misspelt import
+fails here. What launch does with the actions is not tested.
+"""
+
+from __future__ import annotations
+
+import re
+import runpy
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
+NODES = ("driver", "feedforward", "controller", "logger", "cell")
+KNOWN = {
+    "launch": ("LaunchContext", "LaunchDescription"),
+    "launch.actions": (
+        "DeclareLaunchArgument",
+        "EmitEvent",
+        "IncludeLaunchDescription",
+        "OpaqueFunction",
+        "RegisterEventHandler",
+        "SetEnvironmentVariable",
+    ),
+    "launch.event_handlers": ("OnProcessExit",),
+    "launch.events": ("Shutdown",),
+    "launch.launch_description_sources": ("PythonLaunchDescriptionSource",),
+    "launch.substitutions": ("EnvironmentVariable", "LaunchConfiguration", "PathJoinSubstitution"),
+    "launch_ros": (),
+    "launch_ros.actions": ("Node",),
+    "launch_ros.parameter_descriptions": ("ParameterValue",),
+    "launch_ros.substitutions": ("FindPackageShare",),
+}
+NODE_KEYWORDS = {"package", "executable", "name", "namespace", "parameters", "output"}
+
+
+class Recorded:
+    """Remembers what it was made of; stands for every class of launch."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self.args, self.kwargs = args, kwargs
+
+    def perform(self, context: dict[str, str]) -> str:
+        """What LaunchConfiguration does: the value of the launch argument that it names."""
+        return context[self.args[0]]
+
+
+@pytest.fixture(autouse=True)
+def launch(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, attributes in KNOWN.items():
+        module = types.ModuleType(name)
+        for attribute in attributes:
+            setattr(module, attribute, type(attribute, (Recorded,), {}))
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+def kind(entity: Any) -> str:
+    return type(entity).__name__
+
+
+def entities(path: Path, arguments: dict[str, str] | None = None) -> list[Any]:
+    """All that a launch file starts, with what it includes and what its functions return."""
+    [described] = runpy.run_path(str(path))["generate_launch_description"]().args
+    context = {entity.args[0]: "" for entity in described if kind(entity) == "DeclareLaunchArgument"}
+    context.update(arguments or {})
+    found: list[Any] = []
+    for entity in described:
+        found.append(entity)
+        if kind(entity) == "OpaqueFunction":
+            found += entity.kwargs["function"](context)
+        elif kind(entity) == "IncludeLaunchDescription":
+            [source] = entity.args
+            assert set(dict(entity.kwargs["launch_arguments"])) == set(context)
+            found += entities(REPOSITORY.joinpath(*source.args[0].args[0][1:]), context)
+    return found
+
+
+def of_kind(wanted: str, path: Path, **arguments: str) -> list[Any]:
+    return [entity for entity in entities(path, arguments) if kind(entity) == wanted]
+
+
+def declared(path: Path) -> set[str]:
+    return {argument.args[0] for argument in of_kind("DeclareLaunchArgument", path)}
+
+
+def configurations(value: Any) -> set[str]:
+    """Names of the launch arguments that something made for launch refers to."""
+    if isinstance(value, Recorded):
+        return {value.args[0]} if kind(value) == "LaunchConfiguration" else configurations([value.args, value.kwargs])
+    if isinstance(value, dict):
+        value = list(value.values())
+    return set().union(*map(configurations, value)) if isinstance(value, list | tuple) else set()
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_every_launch_argument_that_is_used_is_declared(path: Path) -> None:
+    assert configurations(entities(path)) <= declared(path)
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_every_launch_file_starts_nodes_that_setup_py_installs(path: Path) -> None:
+    scripts = set(re.findall(r"\w+", re.search(r"for node in \((.*?)\)", (REPOSITORY / "setup.py").read_text())[1]))
+    nodes = of_kind("Node", path)
+    assert nodes
+    for node in nodes:
+        assert set(node.kwargs) <= NODE_KEYWORDS
+        assert node.kwargs["package"] == "straightcomp_ros"
+        assert node.kwargs["executable"] == f"{node.kwargs['name']}_node"
+        assert node.kwargs["name"] in scripts
+
+
+def test_the_cell_starts_each_node_once_in_the_same_namespace() -> None:
+    nodes = of_kind("Node", REPOSITORY / "launch" / "cell.launch.py")
+    assert tuple(node.kwargs["name"] for node in nodes) == NODES
+    assert [configurations(node.kwargs["namespace"]) for node in nodes] == [{"namespace"}] * len(NODES)
+
+
+def test_the_cell_takes_namespace_law_parameters_and_output() -> None:
+    assert declared(REPOSITORY / "launch" / "cell.launch.py") == {"namespace", "law", "params_file", "output"}
+
+
+def test_the_whole_launch_ends_when_the_cell_has_ended() -> None:
+    found = entities(REPOSITORY / "launch" / "cell.launch.py")
+    [handler] = [entity for entity in found if kind(entity) == "RegisterEventHandler"]
+    [cell] = [entity for entity in found if kind(entity) == "Node" and entity.kwargs["name"] == "cell"]
+    [on_exit] = handler.args
+    assert kind(on_exit) == "OnProcessExit"
+    assert on_exit.kwargs["target_action"] is cell
+    assert [kind(action.kwargs["event"]) for action in on_exit.kwargs["on_exit"]] == ["Shutdown"]
+    assert found.index(handler) < found.index(cell)
+
+
+def test_the_cell_stays_on_this_computer_unless_the_environment_says_otherwise() -> None:
+    [setting] = of_kind("SetEnvironmentVariable", REPOSITORY / "launch" / "cell.launch.py")
+    name, value = setting.args
+    assert name == "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    assert (kind(value), value.args, value.kwargs) == ("EnvironmentVariable", (name,), {"default_value": "LOCALHOST"})
+
+
+@pytest.mark.parametrize(
+    "node, argument, parameter", [("controller", "law", "control.law"), ("logger", "output", "output")]
+)
+def test_an_argument_overrides_its_parameter_only_when_it_is_given(node: str, argument: str, parameter: str) -> None:
+    path = REPOSITORY / "launch" / "cell.launch.py"
+
+    def overrides(**arguments: str) -> list[Any]:
+        [found] = [entity for entity in of_kind("Node", path, **arguments) if entity.kwargs["name"] == node]
+        return found.kwargs["parameters"][1:]
+
+    assert overrides() == []
+    [given] = overrides(**{argument: "2024"})
+    assert list(given) == [parameter]
+    assert (given[parameter].args, given[parameter].kwargs) == (("2024",), {"value_type": str})
+    known = yaml.safe_load((REPOSITORY / "config" / "straightcomp.yaml").read_text(encoding="utf-8"))
+    assert parameter in known[f"/**/{node}"]["ros__parameters"]
+
+
+def test_every_launch_file_may_be_given_other_parameters() -> None:
+    assert {path.name: declared(path) >= {"namespace", "params_file"} for path in LAUNCH_FILES} == {
+        path.name: True for path in LAUNCH_FILES
+    }

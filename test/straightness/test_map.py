@@ -1,0 +1,160 @@
+"""The map: an exact cubic where the guide is one, smooth everywhere, within the platform's travel."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from straightcomp_ros.parameters import declarations
+from straightcomp_ros.straightness.map import MapParameters, StraightnessMap, find_survey, load_map
+from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.straightness.survey import Survey, SurveyError, write_survey
+
+X = np.linspace(0.0, 1.76, 177)
+
+
+def _map(deviation: NDArray[np.float64], x: NDArray[np.float64] = X, **parameters: float) -> StraightnessMap:
+    return StraightnessMap(Survey((Run("1", "forward", x, deviation),)), MapParameters(**parameters))  # type: ignore[arg-type]
+
+
+def _wavy() -> StraightnessMap:
+    return _map(1e-5 * np.sin(4.0 * X + 0.3) + 1e-6 * np.cos(25.0 * X))
+
+
+maps = st.lists(st.floats(-1e-5, 1e-5), min_size=20, max_size=40).map(
+    lambda values: _map(np.array(values), np.linspace(0.0, 0.5, len(values)), travel=1e-2)
+)
+
+
+def test_a_cubic_guide_is_reproduced_exactly() -> None:
+    def cubic(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 1e-5 * (x**3 - 2.0 * x**2 + 0.5 * x)
+
+    straightness = _map(cubic(X))
+    between = np.linspace(0.0, 1.76, 1234)
+    r, slope, curvature = straightness.evaluate(between)
+    np.testing.assert_allclose(straightness.deviations(between), cubic(between), atol=1e-18)
+    np.testing.assert_allclose(r, straightness.offset - cubic(between), atol=1e-18)
+    np.testing.assert_allclose(slope, -1e-5 * (3.0 * between**2 - 4.0 * between + 0.5), atol=1e-16)
+    np.testing.assert_allclose(curvature, -1e-5 * (6.0 * between - 4.0), atol=1e-13)
+
+
+def test_the_map_goes_through_the_points_of_the_survey() -> None:
+    deviation = 1e-6 * np.random.default_rng(1).standard_normal(X.size)
+    np.testing.assert_allclose(_map(deviation).deviations(X), deviation, atol=1e-19)
+
+
+def test_the_reference_is_centred() -> None:
+    r = _wavy().evaluate(np.linspace(0.0, 1.76, 100_001))[0]
+    assert r.max() == pytest.approx(-r.min(), abs=1e-13)
+
+
+@settings(max_examples=200)
+@given(x=st.floats(-0.5, 2.5))
+def test_scalar_and_array_evaluation_agree_to_the_last_bit(x: float) -> None:
+    straightness = _wavy()
+    assert straightness.reference(x) == tuple(float(value) for value in straightness.evaluate(x))
+    assert straightness.deviation(x) == float(straightness.deviations(x))
+
+
+def test_scalar_and_array_evaluation_agree_at_the_joints_too() -> None:
+    straightness = _wavy()
+    joints = np.concatenate([X, np.nextafter(X, -9.0), np.nextafter(X, 9.0), [-0.02, 1.78, -9.0, 9.0]])
+    np.testing.assert_array_equal(
+        np.array(straightness.evaluate(joints)).T, [straightness.reference(float(x)) for x in joints]
+    )
+
+
+@settings(max_examples=50, deadline=None)
+@given(straightness=maps, x=st.floats(-0.1, 0.6))
+def test_the_derivatives_are_those_of_the_reference(straightness: StraightnessMap, x: float) -> None:
+    h = 1e-6
+    (before, slope_before, _), (_, slope, curvature), (after, slope_after, _) = (
+        straightness.reference(x + step) for step in (-h, 0.0, h)
+    )
+    # Curvature is continuous, its slope bounded: within 2h it changes by what two samples of it differ.
+    change = max(abs(straightness.reference(x + step)[2] - curvature) for step in (-h, h))
+    assert (after - before) / (2.0 * h) == pytest.approx(slope, abs=h * change + 1e-14)
+    assert (slope_after - slope_before) / (2.0 * h) == pytest.approx(curvature, abs=2.0 * change + 1e-9)
+
+
+@settings(max_examples=50, deadline=None)
+@given(straightness=maps)
+def test_value_slope_and_curvature_are_continuous_at_every_joint(straightness: StraightnessMap) -> None:
+    low, high = straightness.span
+    for joint in (low - 0.02, low, 0.25, high, high + 0.02):
+        left = straightness.reference(math.nextafter(joint, -9.0))
+        right = straightness.reference(joint)
+        # Rounding of the polynomials at the far end of a piece, slope and curvature up to 1e-1 and 1e2 here.
+        for a, b, grain in zip(left, right, (1e-17, 1e-14, 1e-11), strict=True):
+            assert a == pytest.approx(b, abs=grain, rel=1e-9)
+
+
+def test_beyond_the_run_out_the_reference_is_held() -> None:
+    straightness = _wavy()
+    for far, near in ((-5.0, -0.02), (7.0, 1.78)):
+        assert straightness.reference(far) == (straightness.reference(near)[0], 0.0, 0.0)
+
+
+def test_not_a_number_gives_not_a_number() -> None:
+    assert all(math.isnan(value) for value in _wavy().reference(math.nan))
+
+
+@settings(max_examples=100, deadline=None)
+@given(values=st.lists(st.floats(-1e-4, 1e-4), min_size=20, max_size=40), travel=st.floats(1e-6, 2e-4))
+def test_the_reference_never_exceeds_the_travel(values: list[float], travel: float) -> None:
+    x = np.linspace(0.0, 0.5, len(values))
+    try:
+        straightness = _map(np.array(values), x, travel=travel)
+    except SurveyError as error:
+        assert "allowed: <=" in str(error)
+    else:
+        assert np.abs(straightness.evaluate(np.linspace(-0.05, 0.55, 6001))[0]).max() <= travel * (1.0 + 1e-12)
+
+
+def test_a_correction_beyond_the_travel_is_refused_in_micrometres() -> None:
+    with pytest.raises(SurveyError, match=r"reaches 150(\.\d)? µm to each side; allowed: <= 100 µm \(travel\)"):
+        _map(np.linspace(-1.5e-4, 1.5e-4, X.size) * np.cos(X * 0.0), runout=1e-6)
+
+
+def test_a_steep_end_that_runs_out_beyond_the_travel_is_refused() -> None:
+    # ±99 µm inside; the slope of 112 µm/m adds half of it times 0.5 m beyond.
+    with pytest.raises(SurveyError, match="reaches 127"):
+        _map(np.linspace(-9.9e-5, 9.9e-5, X.size), runout=0.5)
+
+
+def test_the_installed_survey_and_guide_make_maps_that_agree() -> None:
+    survey, guide = load_map(), load_map(MapParameters(file="config/guide_synthetic.csv"))
+    between = np.linspace(0.0, 1.76, 20_001)
+    assert survey.report.points == 177
+    assert np.ptp(survey.deviations(between) - guide.deviations(between)) < 0.08e-6
+
+
+def test_a_relative_name_is_looked_up_in_the_working_directory_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "config").mkdir()
+    write_survey(tmp_path / "config/survey_synthetic.csv", Survey((Run("1", "forward", X, 1e-5 * np.sin(X)),)))
+    monkeypatch.chdir(tmp_path)
+    assert load_map().report.forward_runs == 1
+    (tmp_path / "config/survey_synthetic.csv").unlink()
+    assert load_map().report.forward_runs == 3
+
+
+def test_a_survey_that_is_nowhere_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SurveyError, match="working directory"):
+        find_survey("config/no_such_survey.csv")
+    with pytest.raises(SurveyError, match="is no file"):
+        find_survey(str(tmp_path / "none.csv"))
+
+
+def test_every_parameter_is_declared_with_description_and_range() -> None:
+    for declaration in declarations(MapParameters):
+        assert declaration.description
+        assert declaration.kind is str or declaration.minimum is not None

@@ -1,0 +1,82 @@
+"""Reference lines of ISO 230-1 on shapes whose straightness is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
+
+X = np.linspace(-1.0, 1.0, 2001)
+residuals = pytest.mark.parametrize("residual", [least_squares_residual, end_point_residual])
+
+
+@residuals
+def test_a_line_is_straight(residual) -> None:  # type: ignore[no-untyped-def]
+    np.testing.assert_allclose(residual(X, 3e-6 - 2e-6 * X), 0.0, atol=1e-20)
+
+
+def test_a_cubic_leaves_its_legendre_part_beside_the_least_squares_line() -> None:
+    # ∫ x·x³ / ∫ x² = 3/5: the residual is x³ − 3x/5.
+    np.testing.assert_allclose(least_squares_residual(X, X**3), X**3 - 0.6 * X, atol=2e-3)
+    weights = np.ones_like(X)
+    weights[[0, -1]] = 0.5
+    np.testing.assert_allclose(least_squares_residual(X, X**3, weights), X**3 - 0.6 * X, atol=1e-6)
+
+
+def test_a_bow_is_as_high_beside_either_line() -> None:
+    assert peak_to_peak(least_squares_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
+    assert peak_to_peak(end_point_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
+
+
+def test_the_end_point_line_goes_through_the_ends() -> None:
+    residual = end_point_residual(X, np.exp(X))
+    assert residual[0] == residual[-1] == 0.0
+
+
+def test_weights_count_the_length_and_not_the_time() -> None:
+    # The same bow sampled evenly, and by a stage that lingers at one end; weighed by its speed.
+    t = np.linspace(0.0, 1.0, 4001)
+    lingering, speed = 2.0 * t**2 - 1.0, 4.0 * t
+    even = peak_to_peak(least_squares_residual(X, np.sin(3.0 * X)))
+    weighed = peak_to_peak(least_squares_residual(lingering, np.sin(3.0 * lingering), speed))
+    assert weighed == pytest.approx(even, rel=2e-3)
+    assert peak_to_peak(least_squares_residual(lingering, np.sin(3.0 * lingering))) != pytest.approx(even, rel=2e-2)
+
+
+@given(
+    st.lists(st.floats(-1e-4, 1e-4), min_size=3, max_size=50),
+    st.floats(-1e-4, 1e-4),
+    st.floats(-1e-4, 1e-4),
+)
+def test_adding_a_line_changes_no_residual(values: list[float], level: float, slope: float) -> None:
+    x = np.linspace(0.0, 1.76, len(values))
+    for residual in (least_squares_residual, end_point_residual):
+        np.testing.assert_allclose(residual(x, np.array(values) + level + slope * x), residual(x, values), atol=1e-18)
+
+
+@given(st.lists(st.floats(-1e-4, 1e-4), min_size=3, max_size=50))
+def test_the_least_squares_residual_has_neither_mean_nor_trend(values: list[float]) -> None:
+    x = np.linspace(0.0, 1.76, len(values))
+    residual = least_squares_residual(x, values)
+    assert abs(residual.sum()) < 1e-17
+    assert abs(residual @ x) < 1e-17
+
+
+@residuals
+def test_points_that_make_no_line_are_refused(residual) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ValueError, match="1 points"):
+        residual([0.0], [0.0])
+    with pytest.raises(ValueError, match="two different positions"):
+        residual([1.0, 1.0], [0.0, 1.0])
+    with pytest.raises(ValueError, match=r"shape \(3,\), deviation \(2,\)"):
+        residual([0.0, 1.0, 2.0], [0.0, 1.0])
+
+
+def test_weights_that_weigh_nothing_are_refused() -> None:
+    with pytest.raises(ValueError, match="add up to"):
+        least_squares_residual([0.0, 1.0], [0.0, 1.0], [0.0, 0.0])
+    with pytest.raises(ValueError, match="weights have shape"):
+        least_squares_residual([0.0, 1.0], [0.0, 1.0], [1.0])

@@ -1,0 +1,209 @@
+"""Reading a survey: what is accepted, and how each fault is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey, write_survey
+
+POSITIONS_MM = [10 * k for k in range(30)]
+
+
+def _rows(positions: list[int] | None = None, prefix: str = "1,forward,") -> list[str]:
+    return [f"{prefix}{x},{(x // 10) % 7}" for x in (POSITIONS_MM if positions is None else positions)]
+
+
+def _write(tmp_path: Path, rows: list[str], header: str = "run,direction,x_mm,deviation_um") -> Path:
+    path = tmp_path / "survey.csv"
+    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+def _refusal(path: Path) -> str:
+    with pytest.raises(SurveyError) as caught:
+        read_survey(path)
+    assert path.name in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_survey_is_read_in_metres(tmp_path: Path) -> None:
+    run = read_survey(_write(tmp_path, _rows())).runs[0]
+    assert run.direction == "forward"
+    assert run.x.tolist() == [x / 1000 for x in POSITIONS_MM]
+    assert run.deviation[1] == 1e-6
+
+
+@pytest.mark.parametrize(
+    ("header", "x", "deviation"),
+    [
+        ("x_m,deviation_m", 1.0, 1.0),
+        ("x_mm,deviation_mm", 1e3, 1e3),
+        ("x_um,deviation_um", 1e6, 1e6),
+        ("X_MM, Deviation_µm", 1e3, 1e6),
+        ("x_mm,deviation_nm", 1e3, 1e9),
+    ],
+)
+def test_the_unit_in_the_column_name_counts(tmp_path: Path, header: str, x: float, deviation: float) -> None:
+    rows = [f"{0.01 * k * x!r},{1e-6 * (k % 7) * deviation!r}" for k in range(30)]
+    run = read_survey(_write(tmp_path, rows, header)).runs[0]
+    np.testing.assert_allclose(run.x, 0.01 * np.arange(30), rtol=1e-15)
+    np.testing.assert_allclose(run.deviation, 1e-6 * (np.arange(30) % 7), rtol=1e-15)
+
+
+def test_without_run_and_direction_the_trend_of_x_tells_the_direction(tmp_path: Path) -> None:
+    survey = read_survey(_write(tmp_path, _rows(POSITIONS_MM[::-1], ""), "x_mm,deviation_um"))
+    assert [run.direction for run in survey.runs] == ["backward"]
+    assert (np.diff(survey.runs[0].x) > 0).all()
+
+
+def test_a_backward_run_may_be_listed_as_driven_or_sorted(tmp_path: Path) -> None:
+    driven = read_survey(_write(tmp_path, _rows(POSITIONS_MM[::-1], "1,backward,"))).runs[0]
+    in_order = read_survey(_write(tmp_path, _rows(POSITIONS_MM, "1,backward,"))).runs[0]
+    np.testing.assert_array_equal(driven.x, in_order.x)
+    np.testing.assert_array_equal(driven.deviation, in_order.deviation)
+
+
+def test_a_cycle_may_count_forward_and_backward_as_one_run(tmp_path: Path) -> None:
+    survey = read_survey(_write(tmp_path, _rows() + _rows(POSITIONS_MM[::-1], "1,backward,")))
+    assert [(run.name, run.direction) for run in survey.runs] == [("1", "forward"), ("1", "backward")]
+    assert len(survey.in_direction("backward")) == 1
+
+
+def test_comments_blank_lines_byte_order_mark_and_other_columns_do_no_harm(tmp_path: Path) -> None:
+    path = tmp_path / "survey.csv"
+    rows = [f"{x},{x % 70},21.5" for x in POSITIONS_MM]
+    path.write_text("\ufeff# laser\n\nx_mm,deviation_um,temperature\n" + "\n".join(rows) + "\n# end\n", "utf-8")
+    assert len(read_survey(path).runs[0].x) == len(POSITIONS_MM)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    assert "No such file" in _refusal(tmp_path / "nothing.csv")
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "# only a comment\n"])
+def test_an_empty_file_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "survey.csv"
+    path.write_text(text)
+    assert "is empty" in _refusal(path)
+
+
+def test_a_header_without_rows_is_refused(tmp_path: Path) -> None:
+    assert "no rows" in _refusal(_write(tmp_path, []))
+
+
+def test_a_file_that_is_not_utf8_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "survey.csv"
+    path.write_bytes("x_mm,deviation_µm\n".encode("latin-1"))
+    assert "not UTF-8" in _refusal(path)
+
+
+def test_a_missing_column_is_refused_with_the_accepted_names(tmp_path: Path) -> None:
+    message = _refusal(_write(tmp_path, ["0,1"], "position,deviation_um"))
+    assert "line 1" in message and "position" in message and "x_m, x_mm, x_um" in message
+
+
+def test_a_column_without_unit_is_named(tmp_path: Path) -> None:
+    assert "column 'deviation' carries no unit" in _refusal(_write(tmp_path, ["0,1"], "x_mm,deviation"))
+
+
+def test_a_quantity_given_twice_is_refused(tmp_path: Path) -> None:
+    assert "given twice, as x_m and x_mm" in _refusal(_write(tmp_path, ["0,0,1"], "x_m,x_mm,deviation_um"))
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("1,forward,ten,1", ["x_mm 'ten'", "a number"]),
+        ("1,forward,10,", ["deviation_um ''", "a number"]),
+        ("1,forward,10,nan", ["deviation_um 'nan'", "finite"]),
+        ("1,forward,inf,1", ["x_mm 'inf'", "finite"]),
+        ("1,up,10,1", ["'up'", "forward or backward"]),
+        ("1,forward,10,1,5", ["5 cells", "decimal comma"]),
+        ("1,forward,10", ["3 cells"]),
+    ],
+)
+def test_a_bad_cell_is_refused_with_its_line(tmp_path: Path, row: str, words: list[str]) -> None:
+    message = _refusal(_write(tmp_path, [_rows()[0], row, *_rows()[2:]]))
+    assert "line 3" in message
+    for word in words:
+        assert word in message
+
+
+def test_too_few_points_are_refused_with_their_number(tmp_path: Path) -> None:
+    message = _refusal(_write(tmp_path, _rows()[:5]))
+    assert "5 points" in message and ">= 20" in message
+
+
+def test_one_point_is_refused_even_if_one_is_allowed(tmp_path: Path) -> None:
+    with pytest.raises(SurveyError, match="1 points"):
+        read_survey(_write(tmp_path, _rows()[:1]), min_points=1)
+
+
+def test_an_x_that_turns_back_is_refused_with_its_line(tmp_path: Path) -> None:
+    message = _refusal(_write(tmp_path, _rows([*POSITIONS_MM[:12], 95, *POSITIONS_MM[12:]])))
+    assert "line 14" in message and "turns back: 95 mm after 110 mm (line 13)" in message
+
+
+def test_an_x_that_repeats_is_refused_with_its_line(tmp_path: Path) -> None:
+    message = _refusal(_write(tmp_path, _rows([*POSITIONS_MM[:12], 110, *POSITIONS_MM[12:]])))
+    assert "line 14" in message and "repeats: 110 mm" in message
+
+
+def test_a_run_whose_x_never_changes_is_refused(tmp_path: Path) -> None:
+    assert "repeats" in _refusal(_write(tmp_path, _rows([50] * 30)))
+
+
+def test_a_forward_run_with_falling_x_contradicts_itself(tmp_path: Path) -> None:
+    assert "direction is 'forward' but x falls" in _refusal(_write(tmp_path, _rows(POSITIONS_MM[::-1])))
+
+
+def test_a_gap_in_the_survey_is_refused_with_its_place(tmp_path: Path) -> None:
+    message = _refusal(_write(tmp_path, _rows([x for x in POSITIONS_MM if not 100 < x < 200])))
+    assert "between x = 100 mm and 200 mm" in message and "100 mm" in message and "<= 50 mm" in message
+
+
+@pytest.mark.parametrize(
+    ("header", "right"),
+    [
+        ("run,direction,x_m,deviation_um", "x_mm"),
+        ("run,direction,x_mm,deviation_mm", "deviation_um"),
+        ("run,direction,x_um,deviation_um", "x_mm"),
+    ],
+)
+def test_a_wrong_unit_is_refused_with_the_one_that_fits(tmp_path: Path, header: str, right: str) -> None:
+    message = _refusal(_write(tmp_path, [f"1,forward,{x},{6 + 5 * (x % 20)}" for x in POSITIONS_MM], header))
+    assert "is the unit wrong?" in message and right in message.split("fit as")[1]
+
+
+def test_a_column_that_is_all_zero_is_refused(tmp_path: Path) -> None:
+    message = _refusal(_write(tmp_path, [f"1,forward,{x},0" for x in POSITIONS_MM]))
+    assert "extends over 0 m" in message and "unit" not in message
+
+
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    deviations=st.lists(st.integers(-10_000, 10_000), min_size=20, max_size=40, unique=True),
+    direction=st.sampled_from(["forward", "backward"]),
+    start=st.integers(-1_000_000, 1_000_000),
+)
+def test_what_is_written_is_read_back(tmp_path: Path, deviations: list[int], direction: str, start: int) -> None:
+    x = (start + 12_345.0 * np.arange(len(deviations))) * 1e-7 * 10
+    values = (np.array(deviations) * 10.0 + np.arange(len(deviations))) * 1e-9
+    run = Run("a", direction, x, values)  # type: ignore[arg-type]
+    write_survey(tmp_path / "s.csv", Survey((run,)), ["comment"])
+    again = read_survey(tmp_path / "s.csv").runs[0]
+    assert (again.name, again.direction) == (run.name, run.direction)
+    np.testing.assert_allclose(again.x, run.x, atol=0.51e-7)
+    np.testing.assert_allclose(again.deviation, run.deviation, atol=0.51e-9)
+
+
+def test_what_was_read_cannot_be_changed(tmp_path: Path) -> None:
+    run = read_survey(_write(tmp_path, _rows())).runs[0]
+    with pytest.raises(ValueError, match="read-only"):
+        run.deviation[0] = 1.0
