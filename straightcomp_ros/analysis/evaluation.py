@@ -22,11 +22,13 @@ class BagEvaluation:
     """A recorded run.
 
     Attributes:
-        record: the samples that have sample, reference and command.
-        expected_samples: samples that the sampling clock took between the first and the last in the bag.
-        received_samples: different samples in the bag.
-        lost_references: samples without a reference in the bag, between the first and last that have one.
-        lost_commands: samples without a command in the bag, likewise.
+        record: the samples of the run that have sample, reference and command. The run begins when the
+            amplifier is switched on: before that the nodes are still finding each other. A bag in which it is
+            never on is a run as a whole.
+        expected_samples: samples that the sampling clock took from the run's first to its last in the bag.
+        received_samples: different samples of the run in the bag.
+        lost_references: samples of the run without a reference, up to the last that has one.
+        lost_commands: samples of the run without a command, likewise.
         latency: time in s from each sample to the arrival of its command at the driver, as far as recorded.
     """
 
@@ -58,6 +60,10 @@ def evaluate_bag(bag: Path) -> BagEvaluation:
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
     encoder, encoder_rows = _unique(streams[ENCODER.topic])
+    on = encoder[np.isfinite(streams[ENCODER.topic].columns["coil_current"][encoder_rows])]
+    if len(on):
+        first = np.searchsorted(encoder, on[0])
+        encoder, encoder_rows = encoder[first:], encoder_rows[first:]
     reference, reference_rows = _unique(streams[REFERENCE.topic])
     command, command_rows = _unique(streams[COMMAND.topic])
     common = np.intersect1d(np.intersect1d(encoder, reference, True), command, True)
@@ -110,6 +116,6 @@ def _unique(stream: StreamColumns) -> tuple[NDArray[np.int64], NDArray[np.int64]
 
 
 def _missing(samples: NDArray[np.int64], answers: NDArray[np.int64]) -> int:
-    """Samples between the first and the last answered one that have no answer."""
-    inside = samples[(samples >= answers[0]) & (samples <= answers[-1])]
+    """Samples up to the last answered one that have no answer."""
+    inside = samples[samples <= answers[-1]]
     return int(np.count_nonzero(~np.isin(inside, answers)))

@@ -105,8 +105,9 @@ def _error(axes: Axes, record: StrokeRecord, straightness: StraightnessMap, metr
     time = record.time[window]
     _shade(axes, record, motion)
     label = f"encoder: {metrics.encoder_pp * 1e6:.2f} µm p-p, {metrics.encoder_rms * 1e6:.3f} µm RMS"
-    axes.plot(time, (record.r - record.y)[window] * 1e6, color=GREY, linewidth=0.6, label=label)
     truth = true_error(record, straightness)
+    colour = BLUE if truth is None else GREY
+    axes.plot(time, (record.r - record.y)[window] * 1e6, color=colour, linewidth=0.6, label=label)
     if truth is not None and metrics.true_pp is not None and metrics.true_rms is not None:
         label = f"true: {metrics.true_pp * 1e6:.2f} µm p-p, {metrics.true_rms * 1e6:.3f} µm RMS"
         axes.plot(time, truth[window] * 1e6, color=BLUE, linewidth=0.8, label=label)

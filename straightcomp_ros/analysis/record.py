@@ -110,7 +110,7 @@ def find_motion(record: StrokeRecord) -> Motion:
     if not (steps > 0.0).all():
         at = int(np.flatnonzero(steps <= 0.0)[0]) + 1
         raise MetricsError(
-            f"record: time does not rise at sample {at}: {record.time[at]!r} s; allowed: > the one before"
+            f"record: time does not rise at sample {at}: {record.time[at]:.9g} s; allowed: > the one before"
         )
     # Half of the span to each side, cut off at the ends of the record.
     half = max(1, round(0.5 * SPEED_SPAN / float(np.median(steps))))

@@ -22,7 +22,7 @@ from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 from straightcomp_ros.nodes.streams import subscribe
 
 _TICK_S = 0.05
-_DISCOVERY_S = 0.5
+_DISCOVERY_S = 1.0
 """Time that the middleware gets to connect everybody, after all nodes have appeared."""
 _REASON_S = 1.5
 """Time that the driver's diagnostics get to tell why the amplifier is off."""

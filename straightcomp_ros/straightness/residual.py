@@ -34,7 +34,7 @@ def least_squares_residual(x: ArrayLike, deviation: ArrayLike, weights: ArrayLik
         raise ValueError(f"weights have shape {weight.shape}, x has {x_values.shape}; allowed: the same")
     total = weight.sum()
     if not total > 0.0:
-        raise ValueError(f"weights add up to {total!r}; allowed: > 0")
+        raise ValueError(f"weights add up to {total:g}; allowed: > 0")
     arm = x_values - (weight @ x_values) / total
     moment = weight @ (arm * arm)
     if not moment > 0.0:
@@ -57,7 +57,7 @@ def end_point_residual(x: ArrayLike, deviation: ArrayLike) -> NDArray[np.float64
     x_values, values = _points(x, deviation)
     length = x_values[-1] - x_values[0]
     if length == 0.0:
-        raise ValueError(f"both end points are at x = {x_values[0]!r} m; a line needs two different positions")
+        raise ValueError(f"both end points are at x = {x_values[0]:g} m; a line needs two different positions")
     along = (x_values - x_values[0]) / length
     return np.asarray(values - ((1.0 - along) * values[0] + along * values[-1]))
 
