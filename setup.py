@@ -43,7 +43,7 @@ setup(
         "numpy",
         "pyyaml",
         "rich",
-        "rosbags>=0.10",
+        "rosbags>=0.11",
         "scipy",
         "zstandard",
     ],

@@ -72,9 +72,13 @@ TRUTH = Stream(
     joint_state(_TRUTH_VARIABLES, position=_TRUTH_VARIABLES),
     "Simulation only: the plant's true state at the sample: m, m/s, N, and the guide's deviation δ(x) in m.",
 )
-STREAMS = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE, TRUTH)
+ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)
+"""Streams of every graph."""
+STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
 
 STAGE_TRAJECTORY = "stage_trajectory"
 """trajectory_msgs/JointTrajectory: motion asked of the stage (joint `stage_x`)."""
 DIAGNOSTICS = "diagnostics"
 """diagnostic_msgs/DiagnosticArray, 1 Hz, from each node."""
+UNCONNECTED = "unconnected"
+"""Value in the logger's diagnostics: full names of the topics that nobody publishes yet, separated by blanks."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.metrics import MetricsError, evaluate
 from straightcomp_ros.analysis.plot import plot_run
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
@@ -39,7 +39,10 @@ def run(options: argparse.Namespace) -> int:
     with progress_bar() as bar:
         task = bar.add_task("simulating", total=1.0)
         record = simulation.run(lambda fraction: bar.update(task, completed=fraction))
-    metrics = evaluate(record, simulation.map)
+    try:
+        metrics = evaluate(record, simulation.map)
+    except MetricsError as error:
+        raise CommandFailed(str(error)) from error
     if options.plot:
         plot_run(record, simulation.map, metrics, Path(options.plot), title=f"Simulated stroke, law '{record.law}'")
     figures = {"law": record.law, "delay_samples": simulation.delay, **metrics.to_display()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.configuration import CellNodeParameters
-from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY
+from straightcomp_ros.contract import ALWAYS_PUBLISHED, DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, UNCONNECTED
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
@@ -22,8 +22,6 @@ from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 from straightcomp_ros.nodes.streams import subscribe
 
 _TICK_S = 0.05
-_DISCOVERY_S = 1.0
-"""Time that the middleware gets to connect everybody, after all nodes have appeared."""
 _REASON_S = 1.5
 """Time that the driver's diagnostics get to tell why the amplifier is off."""
 
@@ -42,6 +40,7 @@ class CellNode:
         self._first_stamp_ns = self._stamp_ns = 0
         self._amplifier_on = False
         self._last_sample = 0.0
+        self._reports: dict[str, dict[str, str]] = {}
         self._errors: dict[str, str] = {}
         self._enable = node.create_client(SetBool, "driver/enable")
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
@@ -55,8 +54,13 @@ class CellNode:
         yield from self._until(
             lambda: not self._missing_nodes(), lambda: f"missing: {', '.join(self._missing_nodes())}"
         )
+        yield from self._until(
+            lambda: self._trajectory.get_subscription_count() > 0, lambda: "nobody takes the stage's trajectory"
+        )
         yield from self._until(self._enable.service_is_ready, lambda: "the driver's service 'enable' is not there")
-        yield from self._for(_DISCOVERY_S)
+        yield from self._until(
+            lambda: not self._unrecorded_topics(), lambda: f"not recorded: {', '.join(self._unrecorded_topics())}"
+        )
         yield from self._switch_on()
         first_ns = self._stamp_ns
         self._trajectory.publish(message_from_waypoints(self._waypoints))
@@ -75,7 +79,7 @@ class CellNode:
                 raise CycleFailed(f"the driver refuses to enable: {answer.message}")
             yield
 
-    def _switch(self, on: bool) -> Iterator[None]:
+    def _switch(self, on: bool) -> Generator[None, None, SetBool.Response]:
         future = self._enable.call_async(SetBool.Request(data=on))
         yield from self._until(future.done, lambda: "the driver does not answer 'enable'")
         return future.result()
@@ -106,16 +110,19 @@ class CellNode:
         here = self.node.get_namespace()
         return [name for name in self._parameters.nodes.split() if (name, here) not in present]
 
+    def _unrecorded_topics(self) -> list[str]:
+        """Streams that the logger, if there is to be one, is not connected to: it would miss their beginning."""
+        if "logger" not in self._parameters.nodes.split():
+            return []
+        unconnected = self._reports.get("logger", {}).get(UNCONNECTED)
+        topics = [self.node.resolve_topic_name(stream.topic) for stream in ALWAYS_PUBLISHED]
+        return topics if unconnected is None else [topic for topic in topics if topic in unconnected.split()]
+
     def _until(self, condition: Callable[[], bool], otherwise: Callable[[], str]) -> Iterator[None]:
         deadline = time.monotonic() + self._parameters.start_timeout
         while not condition():
             if time.monotonic() > deadline:
                 raise CycleFailed(otherwise())
-            yield
-
-    def _for(self, seconds: float) -> Iterator[None]:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
             yield
 
     def _tick(self) -> None:
@@ -139,8 +146,10 @@ class CellNode:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
+            node = status.name.rsplit("/", 1)[-1]
+            self._reports[node] = {value.key: value.value for value in status.values}
             if status.level == DiagnosticStatus.ERROR:
-                self._errors[status.name] = status.message
+                self._errors[node] = status.message
 
     def close(self) -> None:
         """Nothing to make safe: the driver switches off when commands cease."""

@@ -19,7 +19,7 @@ from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.configuration import LoggerNodeParameters
-from straightcomp_ros.contract import DIAGNOSTICS, STAGE_TRAJECTORY, STREAMS
+from straightcomp_ros.contract import DIAGNOSTICS, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
@@ -101,6 +101,7 @@ class LoggerNode:
             "written": self._written,
             "dropped": self._dropped,
             "queued": len(self._queue),
+            UNCONNECTED: " ".join(topic for topic, queue in self._topics.items() if not queue.connected),
         }
         if self._failure:
             counters["error"] = f"recording stopped: {self._failure}"

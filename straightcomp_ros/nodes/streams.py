@@ -91,7 +91,13 @@ class RawQueue:
 
     def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile | None = None) -> None:
         self._kind = kind
-        self._handle = unspun.create_subscription(kind, topic, lambda _: None, qos or stream_qos(), raw=True).handle
+        self._subscription = unspun.create_subscription(kind, topic, lambda _: None, qos or stream_qos(), raw=True)
+        self._handle = self._subscription.handle
+
+    @property
+    def connected(self) -> bool:
+        """Whether a publisher is there, and the middleware has connected it."""
+        return bool(self._subscription.get_publisher_count())
 
     def fetch(self) -> Iterator[tuple[bytes, Mapping[str, int]]]:
         """Messages since the last call, with the middleware's times ``received_timestamp`` and ``source_timestamp``."""

@@ -42,7 +42,7 @@ def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
 
 
 def test_a_delay_beyond_one_period_is_refused():
-    with pytest.raises(ValueError, match="0.0006"):
+    with pytest.raises(ValueError, match=r"0\.0006"):
         sampled_poles(DESIGN, NOMINAL, **{**LOOP, "delay": 6e-4})
 
 

@@ -97,7 +97,7 @@ def test_a_current_that_is_not_finite_never_reaches_the_amplifier(current):
 
 
 def test_a_trajectory_that_starts_elsewhere_than_the_stage_stands_is_refused():
-    with pytest.raises(HardwareError, match="starts at 0.5 m, but the stage stands at 0.0 m"):
+    with pytest.raises(HardwareError, match=r"starts at 0\.5 m, but the stage stands at 0\.0 m"):
         machine().move(Trajectory([Waypoint(0, 0.5, 0.0)]), START)
 
 
