@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 
 class Command(NamedTuple):
@@ -27,16 +28,30 @@ class Command(NamedTuple):
     disturbance_estimate: float
 
 
-class Law(Protocol):
-    """A control law, called once for each sample, at a fixed period."""
+class Law:
+    """A control law, called once for each sample at a fixed period.
+
+    A law is two functions on tuples of numbers, without side effects: the running graph calls them as they
+    are, and a sweep over thousands of strokes compiles the very same functions.
+
+    Args:
+        gains: the law's constants, a NamedTuple of floats.
+        start: ``start(y)`` gives the law's state at rest at y (m), with nothing integrated; a NamedTuple of floats.
+        step: ``step(gains, state, y, r, r_dot, r_ddot)`` gives (next state, Command) for one sample: encoder
+            reading y in m, reference r in m with its rate in m/s and acceleration in m/s².
+    """
+
+    def __init__(self, gains: Any, start: Callable[[float], Any], step: Callable[..., tuple[Any, Command]]) -> None:
+        self.gains = gains
+        self.start = start
+        self.function = step
+        self.reset(0.0)
 
     def reset(self, y: float) -> None:
         """Start anew at rest at ``y`` (m), with nothing integrated."""
+        self._state = self.start(y)
 
     def step(self, y: float, r: float, r_dot: float, r_ddot: float) -> Command:
-        """Answer one sample.
-
-        Args:
-            y: encoder reading, m.
-            r: reference, m, with its rate in m/s and acceleration in m/s².
-        """
+        """Answer one sample; arguments as of the law's step function."""
+        self._state, command = self.function(self.gains, self._state, y, r, r_dot, r_ddot)
+        return command

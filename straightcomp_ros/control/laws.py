@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.sliding_mode import SlidingModeLaw, gains
 from straightcomp_ros.parameters import ParameterError, group, parameter
 
 LAWS = ("linear", "smc")
@@ -35,13 +35,12 @@ class ControlParameters:
 
 def make_law(parameters: ControlParameters, period: float) -> Law:
     """The law that the parameters name, for a sampling period in s."""
-    return SlidingModeLaw(
-        gains(
-            parameters.design,
-            parameters.nominal,
-            switching=parameters.law == "smc",
-            period=period,
-            velocity_bandwidth=parameters.velocity_bandwidth,
-            current_limit=parameters.current_limit,
-        )
+    gains = sliding_mode.gains(
+        parameters.design,
+        parameters.nominal,
+        switching=parameters.law == "smc",
+        period=period,
+        velocity_bandwidth=parameters.velocity_bandwidth,
+        current_limit=parameters.current_limit,
     )
+    return Law(gains, sliding_mode.start, sliding_mode.step)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, feedback_gains, state_matrices
 from straightcomp_ros.control.law import Command
+from straightcomp_ros.model.compiled import compilable
 
 
 class Gains(NamedTuple):
@@ -26,11 +26,12 @@ class Gains(NamedTuple):
     current_limit: float
 
 
-@dataclass
-class _Memory:
-    integral: float = 0.0
-    y: float = 0.0
-    velocity: float = 0.0
+class State(NamedTuple):
+    """∫(y − r) in m·s, last reading in m, velocity estimate in m/s."""
+
+    integral: float
+    y: float
+    velocity: float
 
 
 def gains(
@@ -63,6 +64,7 @@ def gains(
     )
 
 
+@compilable
 def switching_function(sigma: float, boundary_layer: float) -> float:
     """sgn σ, or inside a boundary layer of half width ε its continuous replacement σ/ε (Slotine and Sastry, 1983)."""
     if abs(sigma) < boundary_layer:
@@ -70,31 +72,27 @@ def switching_function(sigma: float, boundary_layer: float) -> float:
     return math.copysign(1.0, sigma) if sigma != 0.0 else 0.0
 
 
-class SlidingModeLaw:
-    """Law (9) on x = [−∫e, y, ẏ]: ``linear`` where the switching gain is zero, ``smc`` otherwise.
+def start(y: float) -> State:
+    """State at rest at ``y`` in m."""
+    return State(0.0, y, 0.0)
+
+
+@compilable
+def step(g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float) -> tuple[State, Command]:
+    """One sample of (9) on x = [−∫e, y, ẏ]: linear control where the switching gain is zero.
 
     ẏ is the difference of two readings over the period, smoothed by a first-order filter. While the
-    current is at its limit the integral is held whenever it would push further (anti-windup).
+    current is at its limit the integral is held whenever it would push further (anti-windup). The
+    paper's law takes no rates of the reference.
     """
-
-    def __init__(self, numbers: Gains) -> None:
-        self._gains = numbers
-        self._memory = _Memory()
-
-    def reset(self, y: float) -> None:
-        self._memory = _Memory(y=y)
-
-    def step(self, y: float, r: float, r_dot: float, r_ddot: float) -> Command:
-        g, memory = self._gains, self._memory
-        velocity = memory.velocity + g.smoothing * ((y - memory.y) / g.period - memory.velocity)
-        integral = memory.integral
-        sigma = g.surface_integral * integral + g.surface_position * y + velocity
-        equivalent = g.k_reference * r - (g.k_integral * integral + g.k_position * y + g.k_velocity * velocity)
-        switching = -g.k_switching * switching_function(sigma, g.boundary_layer)
-        asked = equivalent + switching
-        current = max(-g.current_limit, min(g.current_limit, asked))
-        # More ∫(y − r) means less current: hold it when that is where the limit already stands.
-        if current == asked or (y - r) * asked > 0.0:
-            memory.integral = integral + g.period * (y - r)
-        memory.y, memory.velocity = y, velocity
-        return Command(current, r - y, sigma, equivalent, switching, velocity, math.nan)
+    velocity = state.velocity + g.smoothing * ((y - state.y) / g.period - state.velocity)
+    integral = state.integral
+    sigma = g.surface_integral * integral + g.surface_position * y + velocity
+    equivalent = g.k_reference * r - (g.k_integral * integral + g.k_position * y + g.k_velocity * velocity)
+    switching = -g.k_switching * switching_function(sigma, g.boundary_layer)
+    asked = equivalent + switching
+    current = max(-g.current_limit, min(g.current_limit, asked))
+    # More ∫(y − r) means less current: hold it when that is where the limit already stands.
+    if current == asked or (y - r) * asked > 0.0:
+        integral += g.period * (y - r)
+    return State(integral, y, velocity), Command(current, r - y, sigma, equivalent, switching, velocity, math.nan)

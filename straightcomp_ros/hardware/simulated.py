@@ -53,7 +53,7 @@ class SimulatedHardware(Hardware):
         self._constants = as_array(parameters.plant.constants())
         self._plant_state = np.array(PlantState(y=parameters.initial_y))
         # The first call compiles; it must not happen inside the loop.
-        advance(self._constants, self._plant_state.copy(), 0.0, 0.0, 1)
+        advance(self._constants, self._plant_state.copy(), 0.0, 0.0, 1, 0.0, 0)
         self._timeout_ns = round(parameters.command_timeout * 1e9)
         self._reading = parameters.plant.encoder.reading
         self._converted = parameters.plant.drive.converted
@@ -151,15 +151,22 @@ class SimulatedHardware(Hardware):
         commands = self._commands
         while commands and commands[0][0] <= until_ns:
             at_ns, current = commands.popleft()
-            self._hold_currents(at_ns)
-            if self._state is State.ON:
-                self._command = current
-        self._hold_currents(until_ns)
-
-    def _hold_currents(self, until_ns: int) -> None:
-        duration_ns = until_ns - self._time_ns
-        if duration_ns > 0:
-            advance(self._constants, self._plant_state, self._command, self._bias, duration_ns)
+            if self._state is not State.ON:
+                current = self._command
+            # Up to the command after this one, if that comes before the sample.
+            end_ns = min(until_ns, commands[0][0]) if commands else until_ns
+            advance(
+                self._constants,
+                self._plant_state,
+                self._bias,
+                self._command,
+                at_ns - self._time_ns,
+                current,
+                end_ns - at_ns,
+            )
+            self._command, self._time_ns = current, end_ns
+        if self._time_ns < until_ns:
+            advance(self._constants, self._plant_state, self._bias, self._command, until_ns - self._time_ns, 0.0, 0)
             self._time_ns = until_ns
 
     def _miss_command(self) -> None:

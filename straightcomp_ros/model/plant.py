@@ -89,18 +89,9 @@ def _acceleration(plant: Plant, y: float, v: float, z: float, bias: float, contr
     return (magnetic_force(plant.actuator, y, bias, control) - friction_force(plant.lugre, z, v)) / plant.mass
 
 
-@compiled
-def advance(constants: np.ndarray, state: np.ndarray, command: float, bias_command: float, duration_ns: int) -> None:
-    """Move ``state`` on by ``duration_ns`` in equal substeps, with constant commanded currents.
-
-    Args:
-        constants: :func:`as_array` of the plant.
-        state: (7,) float64 in the order of :class:`PlantState`; changed in place.
-        command: control current asked of the amplifier, A.
-        bias_command: bias current asked of the amplifier, A.
-        duration_ns: ns, above zero; the substeps are at most SUBSTEP_NS long.
-    """
-    plant = _from_array(constants)
+@compilable
+def _hold(plant: Plant, state: np.ndarray, command: float, bias_command: float, duration_ns: int) -> None:
+    """Move ``state`` on by ``duration_ns`` > 0, in equal substeps, with constant commanded currents."""
     substeps = -(-duration_ns // SUBSTEP_NS)
     h = duration_ns * 1e-9 / substeps
     settle = 1.0 - math.exp(-h * plant.amplifier_rate)
@@ -117,8 +108,37 @@ def advance(constants: np.ndarray, state: np.ndarray, command: float, bias_comma
             v = 0.0
         v += 0.5 * h * _acceleration(plant, y, v, z, bias, control)
     state[0], state[1], state[2], state[3], state[4] = y, v, z, control, bias
-    state[5] = friction_force(plant.lugre, z, v)
-    state[6] = magnetic_force(plant.actuator, y, bias, control)
+
+
+@compiled
+def advance(
+    constants: np.ndarray,
+    state: np.ndarray,
+    bias_command: float,
+    command: float,
+    duration_ns: int,
+    next_command: float = 0.0,
+    next_duration_ns: int = 0,
+) -> None:
+    """Move ``state`` on by ``duration_ns`` with one commanded control current, then by ``next_duration_ns`` with
+    the next: a control cycle in which a command comes in is one call.
+
+    Args:
+        constants: :func:`as_array` of the plant.
+        state: (7,) float64 in the order of :class:`PlantState`; changed in place.
+        bias_command: bias current asked of the amplifier, A.
+        command: control current asked of the amplifier, A.
+        duration_ns: ns, zero or more.
+        next_command: control current asked of the amplifier afterwards, A.
+        next_duration_ns: ns, zero or more.
+    """
+    plant = _from_array(constants)
+    if duration_ns > 0:
+        _hold(plant, state, command, bias_command, duration_ns)
+    if next_duration_ns > 0:
+        _hold(plant, state, next_command, bias_command, next_duration_ns)
+    state[5] = friction_force(plant.lugre, state[2], state[1])
+    state[6] = magnetic_force(plant.actuator, state[0], state[4], state[3])
 
 
 def energy(plant: Plant, state: PlantState) -> float:

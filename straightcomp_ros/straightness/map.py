@@ -93,7 +93,9 @@ class StraightnessMap:
 
     def deviation(self, x: float) -> float:
         """δ in m at x in m: what the survey says of the guide."""
-        return self.offset - self.reference(x)[0]
+        origin, c0, c1, c2, c3, c4 = self._pieces[bisect_right(self._breaks, x)]
+        t = x - origin
+        return self.offset - (c0 + t * (c1 + t * (c2 + t * (c3 + t * c4))))
 
     def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """:meth:`reference` for an array: three arrays of the shape of ``x``, the same to the last bit."""

@@ -20,7 +20,7 @@ def run(
     parameters: PlantParameters, state: PlantState, command: float, seconds: float, bias: float = 1.0
 ) -> PlantState:
     array = np.array(state)
-    advance(as_array(parameters.constants()), array, command, bias, round(seconds * 1e9))
+    advance(as_array(parameters.constants()), array, bias, command, round(seconds * 1e9))
     return PlantState(*array)
 
 
@@ -51,7 +51,7 @@ def test_the_integration_is_of_second_order():
     def position(step_ns: int) -> float:
         state = np.array(start)
         for _ in range(20_000_000 // step_ns):
-            advance(constants, state, 0.05, 1.0, step_ns)
+            advance(constants, state, 1.0, 0.05, step_ns)
         return state[0]
 
     # One call of a duration below SUBSTEP_NS is one substep.
@@ -125,9 +125,9 @@ def test_the_reported_forces_are_those_of_the_state():
 def test_splitting_a_stretch_of_time_at_a_substep_changes_nothing():
     whole, parts = np.array(PlantState(bias=1.0)), np.array(PlantState(bias=1.0))
     constants = as_array(STICKY.constants())
-    advance(constants, whole, 0.03, 1.0, 20 * SUBSTEP_NS)
+    advance(constants, whole, 1.0, 0.03, 20 * SUBSTEP_NS)
     for _ in range(2):
-        advance(constants, parts, 0.03, 1.0, 10 * SUBSTEP_NS)
+        advance(constants, parts, 1.0, 0.03, 5 * SUBSTEP_NS, 0.03, 5 * SUBSTEP_NS)
     np.testing.assert_allclose(parts, whole, rtol=1e-12)
 
 
