@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
 from straightcomp_ros.model.actuator import ActuatorParameters, stiffness_errors
 from straightcomp_ros.parameters import group, parameter
@@ -22,7 +21,7 @@ class NominalPlant:
 
     mass: float = parameter(3.0, "Moving mass M", unit="kg", above=0.0, maximum=1e4)
     friction: float = parameter(
-        0.9, "Largest friction force expected, for the check of rho by (11)", unit="N", minimum=0.0
+        0.645, "Largest friction force expected, for the check of rho by (11)", unit="N", minimum=0.0
     )
     travel: float = parameter(25e-6, "Largest |y| in operation, for the check of rho by (11)", unit="m", above=0.0)
     actuator: ActuatorParameters = group(ActuatorParameters)
@@ -72,67 +71,6 @@ def closed_loop_poles(design: SlidingDesign, nominal: NominalPlant) -> np.ndarra
     """Poles (3,) in rad/s of the nominal plant under (9) without its switching term: the eigenvalues of A − B K."""
     a, b = state_matrices(nominal)
     return np.linalg.eigvals(a - np.outer(b, feedback_gains(design, nominal)))
-
-
-def sampled_poles(
-    design: SlidingDesign,
-    nominal: NominalPlant,
-    *,
-    period: float,
-    delay: float,
-    amplifier_bandwidth: float,
-    velocity_bandwidth: float,
-    boundary_gain: float = 0.0,
-) -> np.ndarray:
-    """Poles of the loop as it runs: sampled, with command delay, amplifier and velocity estimate.
-
-    Args:
-        period: sampling period in s.
-        delay: time from the sample to the effect of its command in s, at most one period.
-        amplifier_bandwidth: of the first-order current amplifier, Hz.
-        velocity_bandwidth: of the filtered difference that stands for ẏ, Hz.
-        boundary_gain: ρ/ε in 1/s, the slope of the switching term inside the boundary layer; it adds to φ.
-
-    Returns:
-        Eigenvalues (6,) in the z plane; the loop is stable when all lie inside the unit circle. State:
-        y, ẏ, i_c, previous command, previous reading, velocity estimate; the integral makes it 7.
-    """
-    if not 0.0 <= delay <= period:
-        raise ValueError(f"delay {delay} s is outside 0 to one period ({period} s)")
-    actuator = nominal.actuator
-    rate = 2.0 * math.pi * amplifier_bandwidth
-    continuous = np.array(
-        [
-            [0.0, 1.0, 0.0, 0.0],
-            [actuator.position_stiffness / nominal.mass, 0.0, actuator.current_stiffness / nominal.mass, 0.0],
-            [0.0, 0.0, -rate, rate],
-            [0.0, 0.0, 0.0, 0.0],
-        ]
-    )
-    with_old, with_new = expm(continuous * delay), expm(continuous * (period - delay))
-    plant = with_new[:3, :3] @ with_old[:3, :3]
-    old_command = with_new[:3, :3] @ with_old[:3, 3]
-    new_command = with_new[:3, 3]
-    smoothing = 1.0 - math.exp(-2.0 * math.pi * velocity_bandwidth * period)
-    k_integral, k_position, k_velocity = feedback_gains(
-        SlidingDesign(design.zeta, design.natural_frequency, design.phi + boundary_gain), nominal
-    )
-    # State at the sample: [y, ẏ, i, u_old, y_old, v_old, x1]; the law sees y and the estimate that y gives.
-    n = 7
-    estimate = np.zeros(n)
-    estimate[[0, 4, 5]] = smoothing / period, -smoothing / period, 1.0 - smoothing
-    command = -k_velocity * estimate
-    command[0] -= k_position
-    command[6] -= k_integral
-    step = np.zeros((n, n))
-    step[:3, :3] = plant
-    step[:3, 3] = old_command
-    step[:3] += np.outer(new_command, command)
-    step[3] = command
-    step[4, 0] = 1.0
-    step[5] = estimate
-    step[6, [6, 0]] = 1.0, period
-    return np.linalg.eigvals(step)
 
 
 def reaching_bound(design: SlidingDesign, nominal: NominalPlant) -> float:

@@ -4,24 +4,47 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from straightcomp_ros.control import sliding_mode
+from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting, tracking
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.parameters import ParameterError, group, parameter
 
-LAWS = ("linear", "smc")
+LAWS = ("linear", "smc", "super_twisting", "smc_observer")
+
+
+@dataclass(frozen=True)
+class ObserverDesign:
+    """Observer and reaching law of 'smc_observer' and 'super_twisting'."""
+
+    bandwidth: float = parameter(420.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
+    delay: float = parameter(
+        0.5, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
+    )
+    amplifier_bandwidth: float = parameter(500.0, "Bandwidth of the amplifier", unit="Hz", above=0.0, maximum=1e6)
+    surface: float = parameter(
+        420.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
+    )
+    reaching: float = parameter(340.0, "κ: rate at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
+    rho: float = parameter(2.0, "Largest reaching acceleration ρ", unit="m/s²", above=0.0, maximum=1e4)
+    disturbance_rate: float = parameter(
+        30.0, "L of 'super_twisting': bound of the disturbance's rate", unit="m/s³", above=0.0, maximum=1e6
+    )
 
 
 @dataclass(frozen=True)
 class ControlParameters:
     """Law, design, and what the law believes of the plant."""
 
-    law: str = parameter("smc", "Control law", choices=LAWS)
+    law: str = parameter("smc_observer", "Control law", choices=LAWS)
     current_limit: float = parameter(0.9, "Largest |i_c| that a law asks for", unit="A", above=0.0, maximum=100.0)
     velocity_bandwidth: float = parameter(
         1000.0, "Bandwidth of the velocity estimate of 'linear' and 'smc'", unit="Hz", above=0.0, maximum=1e5
     )
+    smc_feedforward: bool = parameter(
+        True, "Law 'smc' follows the map's rates; without it (9) as printed, with its lag of 2ζ/ωn"
+    )
     design: SlidingDesign = group(SlidingDesign)
+    observer: ObserverDesign = group(ObserverDesign)
     nominal: NominalPlant = group(NominalPlant)
 
     def __post_init__(self) -> None:
@@ -35,12 +58,29 @@ class ControlParameters:
 
 def make_law(parameters: ControlParameters, period: float) -> Law:
     """The law that the parameters name, for a sampling period in s."""
-    gains = sliding_mode.gains(
-        parameters.design,
-        parameters.nominal,
-        switching=parameters.law == "smc",
+    design, observer, nominal = parameters.design, parameters.observer, parameters.nominal
+    if parameters.law in ("linear", "smc"):
+        gains = sliding_mode.gains(
+            design,
+            nominal,
+            switching=parameters.law == "smc",
+            feedforward=parameters.law == "smc" and parameters.smc_feedforward,
+            period=period,
+            velocity_bandwidth=parameters.velocity_bandwidth,
+            current_limit=parameters.current_limit,
+        )
+        return Law(gains, sliding_mode.start, sliding_mode.step)
+    loop = tracking.loop(
         period=period,
-        velocity_bandwidth=parameters.velocity_bandwidth,
+        delay_samples=observer.delay,
+        amplifier_bandwidth=observer.amplifier_bandwidth,
+        observer_bandwidth=observer.bandwidth,
+        mass=nominal.mass,
         current_limit=parameters.current_limit,
+        actuator=nominal.actuator,
     )
-    return Law(gains, sliding_mode.start, sliding_mode.step)
+    if parameters.law == "super_twisting":
+        twisting = super_twisting.gains(observer.surface, observer.disturbance_rate, loop)
+        return Law(twisting, super_twisting.start, super_twisting.step)
+    reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, loop)
+    return Law(reaching, smc_observer.start, smc_observer.step)

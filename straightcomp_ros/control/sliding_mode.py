@@ -21,6 +21,9 @@ class Gains(NamedTuple):
     k_position: float
     k_velocity: float
     k_reference: float
+    k_reference_rate: float
+    k_reference_acceleration: float
+    feedforward: float
     k_switching: float
     boundary_layer: float
     current_limit: float
@@ -39,25 +42,37 @@ def gains(
     nominal: NominalPlant,
     *,
     switching: bool,
+    feedforward: bool,
     period: float,
     velocity_bandwidth: float,
     current_limit: float,
 ) -> Gains:
     """Numbers of (9) for a sampling period in s, a velocity estimate in Hz and a limit of i_c in A.
 
-    (SB)⁻¹ SB_r r = −ωn² r M / K̄_i is the reference's part.
+    As printed, (9) takes S x and the reference's part −(SB)⁻¹ SB_r r = ωn² r M / K̄_i, and follows a moving r with a lag
+    of 2ζ/ωn. With ``feedforward`` the surface is that of the error,
+
+        σ = ωn² ∫(y − r) + 2ζωn (y − r) + (ẏ − ṙ),
+
+    and σ̇ = −φσ − ρ sgn σ on the nominal plant asks for the reference's part
+    ωn² r + 2ζωn ṙ + r̈ + φ (2ζωn r + ṙ), times M / K̄_i: on σ = 0 the error itself decays with ζ and ωn, without lag.
     """
     k_integral, k_position, k_velocity = feedback_gains(design, nominal).tolist()
     input_gain = float(state_matrices(nominal)[1][2])
+    surface_position = 2.0 * design.zeta * design.omega_n
+    follow = 1.0 if feedforward else 0.0
     return Gains(
         period=period,
         smoothing=1.0 - math.exp(-2.0 * math.pi * velocity_bandwidth * period),
         surface_integral=design.omega_n**2,
-        surface_position=2.0 * design.zeta * design.omega_n,
+        surface_position=surface_position,
         k_integral=k_integral,
         k_position=k_position,
         k_velocity=k_velocity,
-        k_reference=design.omega_n**2 / input_gain,
+        k_reference=(design.omega_n**2 + follow * design.phi * surface_position) / input_gain,
+        k_reference_rate=follow * (surface_position + design.phi) / input_gain,
+        k_reference_acceleration=follow / input_gain,
+        feedforward=follow,
         k_switching=design.rho / input_gain if switching else 0.0,
         boundary_layer=design.boundary_layer,
         current_limit=current_limit,
@@ -82,13 +97,17 @@ def step(g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float
     """One sample of (9) on x = [−∫e, y, ẏ]: linear control where the switching gain is zero.
 
     ẏ is the difference of two readings over the period, smoothed by a first-order filter. While the
-    current is at its limit the integral is held whenever it would push further (anti-windup). The
-    paper's law takes no rates of the reference.
+    current is at its limit the integral is held whenever it would push further (anti-windup).
     """
     velocity = state.velocity + g.smoothing * ((y - state.y) / g.period - state.velocity)
     integral = state.integral
-    sigma = g.surface_integral * integral + g.surface_position * y + velocity
-    equivalent = g.k_reference * r - (g.k_integral * integral + g.k_position * y + g.k_velocity * velocity)
+    sigma = (
+        g.surface_integral * integral
+        + g.surface_position * (y - g.feedforward * r)
+        + (velocity - g.feedforward * r_dot)
+    )
+    following = g.k_reference * r + g.k_reference_rate * r_dot + g.k_reference_acceleration * r_ddot
+    equivalent = following - (g.k_integral * integral + g.k_position * y + g.k_velocity * velocity)
     switching = -g.k_switching * switching_function(sigma, g.boundary_layer)
     asked = equivalent + switching
     current = max(-g.current_limit, min(g.current_limit, asked))

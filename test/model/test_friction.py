@@ -50,4 +50,4 @@ def test_two_half_steps_of_the_bristle_are_one_whole_step(velocity, duration):
 
 def test_static_friction_below_coulomb_friction_is_refused():
     with pytest.raises(ParameterError, match=r"static.*0\.5.*>= 0\.6"):
-        FrictionParameters(static=0.5)
+        FrictionParameters(coulomb=0.6, static=0.5)

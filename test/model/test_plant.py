@@ -87,7 +87,7 @@ def test_friction_takes_energy_away():
     constants = STICKY.constants()
     state = PlantState(velocity=1e-2, bias=0.0)
     last = energy(constants, state)
-    for _ in range(50):
+    for _ in range(100):
         state = run(STICKY, state, 0.0, 1e-3, bias=0.0)
         now = energy(constants, state)
         assert now <= last * (1 + 1e-9)

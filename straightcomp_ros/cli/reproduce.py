@@ -1,0 +1,75 @@
+"""Compute every figure of the paper anew, write each as a PNG, and put the paper's numbers beside ours.
+
+A number that does not agree is no failure of the command: it is said so, and why, in the note."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.table import Table
+
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.parameters import DEFAULT_FILE
+from straightcomp_ros.configuration import read_parameter_file
+from straightcomp_ros.paper.claims import Claim
+from straightcomp_ros.paper.machine import machine_from
+from straightcomp_ros.paper.reproduce import Reproduction, reproduce
+from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.share import share_path
+from straightcomp_ros.straightness.survey import SurveyError
+
+SUMMARY = "compute the paper's figures, and its numbers beside ours"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--output", "-o", metavar="DIR", default="reproduce_output", help="folder for the PNGs (default: %(default)s)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Reproduce with the shipped parameters and print the claims."""
+    try:
+        machine = machine_from(read_parameter_file(share_path(DEFAULT_FILE)))
+        with progress_bar() as bar:
+            task = bar.add_task("computing the figures", total=1.0)
+            result = reproduce(machine, Path(options.output), lambda fraction: bar.update(task, completed=fraction))
+    except (ParameterError, SurveyError, FileNotFoundError) as error:
+        raise CommandFailed(str(error), exit_code=2) from error
+    except OSError as error:
+        raise CommandFailed(f"output folder {options.output}: {error.strerror}") from error
+    if options.json:
+        print_json(
+            {
+                "claims": [claim.to_display() for claim in result.claims],
+                "figures": [str(path) for path in result.figures],
+            }
+        )
+    else:
+        _print(result, Path(options.output))
+    return 0
+
+
+def _print(result: Reproduction, folder: Path) -> None:
+    console.print(_table(result.claims))
+    for claim in result.claims:
+        if claim.within is False:
+            console.print(f"not within tolerance: {claim.name}: {claim.note}", highlight=False)
+    notes.print(f"{len(result.figures)} figures in {folder}", highlight=False)
+
+
+def _table(claims: tuple[Claim, ...]) -> Table:
+    table = Table(title="The paper's numbers and ours", title_justify="left")
+    table.add_column("claim")
+    table.add_column("paper", justify="right")
+    table.add_column("ours", justify="right")
+    table.add_column("unit")
+    table.add_column("within")
+    for claim in claims:
+        paper = "" if claim.paper is None else f"{claim.paper:.4g}"
+        within = {True: "yes", False: "no", None: ""}[claim.within]
+        table.add_row(claim.name, paper, f"{claim.ours:.4g}", claim.unit, within)
+    return table

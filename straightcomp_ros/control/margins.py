@@ -1,0 +1,204 @@
+"""Stability of a law in the sampled loop: poles, gain range, phase margin, longest delay.
+
+The law's own step function is linearised about rest at the centre (by central differences), and closed over the nominal
+plant, sampled with its command delay and the amplifier's lag. Nothing is written down twice: what is judged here is
+what runs. A law whose slope at rest is infinite (sgn, super-twisting) has no linearisation and is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from straightcomp_ros.control.design import NominalPlant
+from straightcomp_ros.control.law import Law
+
+_STEP = 1e-9
+"""Perturbation for the differences, in the state's own SI units: far below a count, far above rounding."""
+_LINEAR_WITHIN = 1e-3
+
+Matrix = NDArray[np.float64]
+
+
+class StateSpace(NamedTuple):
+    """x⁺ = A x + B u, out = C x + D u, one input and one output."""
+
+    a: Matrix
+    b: Matrix
+    c: Matrix
+    d: float
+
+
+class Margins(NamedTuple):
+    """How far the loop is from instability.
+
+    Attributes:
+        poles: of the closed loop, in the z plane.
+        gain_low, gain_high: factors of the loop gain between which it is stable (the plant is unstable by itself, so
+            there is a lower bound too).
+        phase: smallest phase margin over all gain crossovers, degrees.
+        longest_delay: command delay in s up to which it is stable.
+    """
+
+    poles: NDArray[np.complex128]
+    gain_low: float
+    gain_high: float
+    phase: float
+    longest_delay: float
+
+
+def sampled_plant(nominal: NominalPlant, *, period: float, delay: float, amplifier_bandwidth: float) -> StateSpace:
+    """From commanded current (A) to position (m): the linear plant (3), sampled.
+
+    Args:
+        nominal: the plant.
+        period: s.
+        delay: from the sample to the effect of its command, s, zero or more.
+        amplifier_bandwidth: Hz.
+    """
+    actuator = nominal.actuator
+    rate = 2.0 * math.pi * amplifier_bandwidth
+    continuous = np.zeros((4, 4))
+    continuous[0, 1] = 1.0
+    continuous[1, 0] = actuator.position_stiffness / nominal.mass
+    continuous[1, 2] = actuator.current_stiffness / nominal.mass
+    continuous[2, 2], continuous[2, 3] = -rate, rate
+    whole = int(delay / period)
+    rest = delay - whole * period
+    with_old, with_new = expm(continuous * rest), expm(continuous * (period - rest))
+    # State: y, ẏ, i, then the commands that have not acted yet, the oldest first.
+    n = 4 + whole
+    a, b, c = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    a[:3, :3] = with_new[:3, :3] @ with_old[:3, :3]
+    a[:3, 3] = with_new[:3, :3] @ with_old[:3, 3]
+    if whole:
+        a[:3, 4] = with_new[:3, 3]
+    else:
+        b[:3] = with_new[:3, 3]
+    for place in range(3, n - 1):
+        a[place, place + 1] = 1.0
+    b[n - 1] = 1.0
+    c[0] = 1.0
+    return StateSpace(a, b, c, 0.0)
+
+
+def linearised(law: Law) -> StateSpace:
+    """From reading (m) to commanded current (A): the law about rest at the centre, with the reference at zero.
+
+    Raises:
+        ValueError: the law is not linear there.
+    """
+    rest = law.start(0.0)
+    size = len(list(_numbers(rest)))
+
+    def outputs(state: Any, y: float) -> Matrix:
+        after, command = law.function(law.gains, state, y, 0.0, 0.0, 0.0)
+        return np.array([*_numbers(after), command.current])
+
+    def slope(place: int, step: float) -> Matrix:
+        return (disturbed(place, step) - disturbed(place, -step)) / (2.0 * step)
+
+    def disturbed(place: int, step: float) -> Matrix:
+        numbers = [0.0] * size
+        if place < size:
+            numbers[place] = step
+            return outputs(_rebuilt(rest, iter(numbers)), 0.0)
+        return outputs(rest, step)
+
+    columns = np.array([slope(place, _STEP) for place in range(size + 1)]).T
+    coarser = np.array([slope(place, 2.0 * _STEP) for place in range(size + 1)]).T
+    if not np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
+        raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
+    return StateSpace(columns[:size, :size], columns[:size, size], columns[size, :size], float(columns[size, size]))
+
+
+def loop_margins(
+    law: Law, nominal: NominalPlant, *, period: float, delay: float, amplifier_bandwidth: float
+) -> Margins:
+    """Margins of ``law`` on the nominal plant; arguments as of :func:`sampled_plant`.
+
+    Raises:
+        ValueError: the law has no linearisation at rest.
+    """
+    controller = linearised(law)
+
+    def poles(gain: float = 1.0, at: float = delay) -> NDArray[np.complex128]:
+        plant = sampled_plant(nominal, period=period, delay=at, amplifier_bandwidth=amplifier_bandwidth)
+        return np.linalg.eigvals(_closed(plant, controller, gain))
+
+    def stable(gain: float = 1.0, at: float = delay) -> bool:
+        return bool(np.abs(poles(gain, at)).max() < 1.0)
+
+    plant = sampled_plant(nominal, period=period, delay=delay, amplifier_bandwidth=amplifier_bandwidth)
+    if not stable():
+        return Margins(poles(), 1.0, 1.0, 0.0, 0.0)
+    return Margins(
+        poles(),
+        _last_stable(lambda x: stable(gain=x), 1.0, 0.0),
+        _last_stable(lambda x: stable(gain=x), 1.0, 20.0),
+        _phase_margin(plant, controller, period),
+        _last_stable(lambda x: stable(at=x), delay, delay + 10.0 * period),
+    )
+
+
+def _numbers(nested: Any) -> Iterator[float]:
+    for value in nested:
+        if isinstance(value, tuple):
+            yield from _numbers(value)
+        else:
+            yield value
+
+
+def _rebuilt(like: Any, numbers: Iterator[float]) -> Any:
+    return type(like)(*(_rebuilt(value, numbers) if isinstance(value, tuple) else next(numbers) for value in like))
+
+
+def _closed(plant: StateSpace, controller: StateSpace, gain: float) -> Matrix:
+    b = gain * plant.b
+    return np.block(
+        [
+            [plant.a + controller.d * np.outer(b, plant.c), np.outer(b, controller.c)],
+            [np.outer(controller.b, plant.c), controller.a],
+        ]
+    )
+
+
+def _last_stable(stable: Any, inside: float, outside: float) -> float:
+    """The value next to the border between ``inside``, which is stable, and ``outside``."""
+    # In small steps first: beyond the border there may be another stable stretch.
+    grid = np.linspace(inside, outside, 100)
+    last = inside
+    for value in grid[1:]:
+        if not stable(value):
+            outside = float(value)
+            break
+        last = float(value)
+    else:
+        return outside
+    for _ in range(40):
+        middle = 0.5 * (last + outside)
+        last, outside = (middle, outside) if stable(middle) else (last, middle)
+    return last
+
+
+def _phase_margin(plant: StateSpace, controller: StateSpace, period: float) -> float:
+    frequencies = np.geomspace(0.1, 0.4999 / period, 5_000)
+    z = np.exp(2j * math.pi * frequencies * period)
+    loop = -_response(plant, z) * _response(controller, z)
+    magnitude = np.abs(loop)
+    crossing = np.flatnonzero((magnitude[:-1] - 1.0) * (magnitude[1:] - 1.0) <= 0.0)
+    margins = np.abs(np.degrees(np.angle(-loop[crossing])))
+    return float(margins.min()) if len(margins) else 180.0
+
+
+def _response(system: StateSpace, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    identity = np.eye(len(system.b))
+    solved = np.linalg.solve(
+        z[:, None, None] * identity - system.a, np.broadcast_to(system.b[:, None], (len(z), len(system.b), 1))
+    )
+    return np.asarray((system.c @ solved)[:, 0] + system.d)

@@ -1,0 +1,1 @@
+"""The paper's figures, computed anew and put beside the numbers it prints."""

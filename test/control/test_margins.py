@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from straightcomp_ros.control.design import NominalPlant, SlidingDesign, closed_loop_poles
+from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
+from straightcomp_ros.control.margins import linearised, loop_margins, sampled_plant
+
+NOMINAL = NominalPlant()
+PERIOD = 5e-4
+LOOP = {"period": PERIOD, "delay": 2.5e-4, "amplifier_bandwidth": 500.0}
+
+
+def law(name: str, **parameters):
+    return make_law(ControlParameters(law=name, **parameters), PERIOD)
+
+
+def test_fast_sampling_without_lag_gives_the_continuous_poles_of_the_design():
+    fast = make_law(ControlParameters(law="linear", velocity_bandwidth=1e5), 1e-6)
+    poles = loop_margins(fast, NOMINAL, period=1e-6, delay=0.0, amplifier_bandwidth=1e6).poles
+    continuous = np.log(poles[np.abs(poles) > 0.99]) / 1e-6
+    for pole in closed_loop_poles(SlidingDesign(), NOMINAL):
+        assert min(abs(continuous - pole)) < 0.01 * abs(pole)
+
+
+@pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
+def test_every_default_law_is_stable_with_margins_to_each_side(name):
+    margins = loop_margins(law(name), NOMINAL, **LOOP)
+    assert max(abs(margins.poles)) < 0.95
+    assert margins.gain_low < 0.5 and margins.gain_high > 1.5
+    assert margins.phase > 20.0
+    assert margins.longest_delay > PERIOD
+
+
+@pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
+def test_beyond_its_margins_the_loop_is_unstable(name):
+    margins = loop_margins(law(name), NOMINAL, **LOOP)
+    late = {**LOOP, "delay": margins.longest_delay * 1.01}
+    assert max(abs(loop_margins(law(name), NOMINAL, **late).poles)) > 1.0
+    in_time = {**LOOP, "delay": margins.longest_delay * 0.99}
+    assert max(abs(loop_margins(law(name), NOMINAL, **in_time).poles)) < 1.0
+
+
+def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
+    thin = law("smc", design=SlidingDesign(boundary_layer=5e-4))
+    margins = loop_margins(thin, NOMINAL, **LOOP)
+    assert max(abs(margins.poles)) > 1.0 and margins.longest_delay == 0.0
+
+
+def test_a_law_that_switches_has_no_linearisation():
+    for switching in (law("smc", design=SlidingDesign(boundary_layer=0.0)), law("super_twisting")):
+        with pytest.raises(ValueError, match="no linearisation"):
+            linearised(switching)
+
+
+def test_knowing_the_delay_makes_the_observer_tolerate_it():
+    late = {**LOOP, "delay": PERIOD}
+    ignorant = loop_margins(law("smc_observer", observer=ObserverDesign(delay=0.0)), NOMINAL, **late)
+    knowing = loop_margins(law("smc_observer", observer=ObserverDesign(delay=1.0)), NOMINAL, **late)
+    assert knowing.phase > ignorant.phase + 5.0
+
+
+@pytest.mark.parametrize("delay", [0.0, 2.5e-4, 5e-4, 7.5e-4, 1e-3])
+def test_the_sampled_plant_answers_a_constant_current_after_its_delay_as_the_continuous_one(delay):
+    plant = sampled_plant(NOMINAL, period=PERIOD, delay=delay, amplifier_bandwidth=1e5)
+    x = np.zeros(len(plant.b))
+    cycles = 40
+    for _ in range(cycles):
+        x = plant.a @ x + plant.b
+    pole = np.sqrt(NOMINAL.actuator.position_stiffness / NOMINAL.mass)
+    static = NOMINAL.actuator.current_stiffness / NOMINAL.actuator.position_stiffness
+    acting = cycles * PERIOD - delay - 1.0 / (2 * np.pi * 1e5)
+    assert plant.c @ x == pytest.approx(static * (np.cosh(pole * acting) - 1.0), rel=1e-3)

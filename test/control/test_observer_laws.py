@@ -1,0 +1,106 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.configuration import read_parameter_file
+from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
+from straightcomp_ros.share import share_path
+from straightcomp_ros.simulation import Simulation
+
+T = 5e-4
+OBSERVER_LAWS = ("smc_observer", "super_twisting")
+
+
+def run(**controller):
+    values = read_parameter_file(share_path("config/straightcomp.yaml"))
+    values["controller"].update({key.replace("__", "."): value for key, value in controller.items()})
+    delay = controller.get("control__observer__delay")
+    if delay is not None:
+        values["driver"]["lockstep_delay"] = delay
+    values["cell"].update({"motion.stroke": 0.6, "motion.settle": 0.3, "motion.pause": 0.1})
+    simulation = Simulation(values)
+    record = simulation.run()
+    return record, evaluate(record, simulation.map)
+
+
+@pytest.mark.parametrize("law", OBSERVER_LAWS)
+@given(y=st.floats(-2e-3, 2e-3), r=st.floats(-1e-4, 1e-4), rate=st.floats(-1e-3, 1e-3))
+def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(law, y, r, rate):
+    servo = make_law(ControlParameters(law=law, current_limit=0.4), T)
+    servo.reset(y)
+    for reading in (y, -y, 0.0, y):
+        command = servo.step(reading, r, rate, 0.0)
+        assert math.isfinite(command.current) and abs(command.current) <= 0.4
+        assert command.error == r - reading
+
+
+@pytest.mark.parametrize("law", OBSERVER_LAWS)
+def test_at_rest_on_the_reference_nothing_is_asked_for(law):
+    servo = make_law(ControlParameters(law=law), T)
+    servo.reset(0.0)
+    assert servo.step(0.0, 0.0, 0.0, 0.0).current == 0.0
+
+
+@pytest.mark.parametrize("law", OBSERVER_LAWS)
+def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
+    for r in (1e-6, -1e-6):
+        servo = make_law(ControlParameters(law=law), T)
+        servo.reset(0.0)
+        assert math.copysign(1.0, servo.step(0.0, r, 0.0, 0.0).current) == math.copysign(1.0, r)
+
+
+def test_far_from_the_surface_the_reaching_acceleration_is_rho_and_near_it_never_overshoots():
+    parameters = ControlParameters(law="smc_observer", observer=ObserverDesign(rho=1.5))
+    servo = make_law(parameters, T)
+    gain = parameters.nominal.actuator.current_stiffness / parameters.nominal.mass
+    for r, expected in ((-1e-4, -1.5), (1e-4, 1.5)):
+        servo.reset(0.0)
+        command = servo.step(0.0, r, 0.0, 0.0)
+        assert command.switching_current * gain == pytest.approx(expected, rel=0.01)
+    servo.reset(0.0)
+    near = servo.step(0.0, 1e-9, 0.0, 0.0)
+    assert near.switching_current * gain == pytest.approx(
+        -parameters.observer.reaching * near.sliding_variable, rel=1e-3
+    )
+
+
+def test_the_laws_rank_as_their_designs_promise():
+    errors = {law: run(control__law=law)[1].true_pp for law in LAWS}
+    assert errors["smc_observer"] < errors["smc"] < errors["linear"]
+    assert errors["super_twisting"] < errors["linear"]
+    assert errors["smc_observer"] < 0.30e-6
+
+
+def test_the_observer_law_works_with_a_sample_of_delay_that_it_knows():
+    assert run(control__law="smc_observer", control__observer__delay=1.0)[1].true_pp < 0.35e-6
+
+
+def test_the_printed_law_lags_and_its_feedforward_removes_the_lag():
+    lagging, following = (run(control__law="smc", control__smc_feedforward=on)[1] for on in (False, True))
+    assert following.true_pp < 0.8 * lagging.true_pp
+
+
+def test_the_observer_law_switches_less_than_a_quarter_of_literal_sgn():
+    sgn = run(control__law="smc", control__design__boundary_layer=0.0, control__smc_feedforward=False)[1]
+    assert run(control__law="smc_observer")[1].control_activity < 0.3 * sgn.control_activity
+
+
+def test_the_disturbance_estimate_is_friction_over_mass():
+    record, _ = run(control__law="smc_observer")
+    servo = make_law(ControlParameters(law="smc_observer"), T)
+    servo.reset(record.y[0])
+    estimates = [servo.step(y, r, 0.0, 0.0).disturbance_estimate for y, r in zip(record.y, record.r, strict=True)]
+    assert np.percentile(np.abs(estimates[2000:]), 50) < 1.0
+
+
+def test_a_law_is_a_function_without_memory_of_its_own():
+    law = make_law(ControlParameters(law="smc_observer"), T)
+    state = law.start(1e-6)
+    first = law.function(law.gains, state, 1.1e-6, 0.0, 0.0, 0.0)
+    assert law.function(law.gains, state, 1.1e-6, 0.0, 0.0, 0.0) == first
+    assert replace(ControlParameters(), law="linear").law == "linear"

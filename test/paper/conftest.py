@@ -1,0 +1,40 @@
+"""The shipped machine, and what is computed with it once for all tests."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration import read_parameter_file
+from straightcomp_ros.paper.machine import Machine, machine_from
+from straightcomp_ros.share import share_path
+
+
+@dataclass(frozen=True)
+class Output:
+    """What `straightcomp reproduce --json` left behind."""
+
+    exit_code: int
+    printed: dict[str, Any]
+    folder: Path
+
+
+@pytest.fixture(scope="session")
+def machine() -> Machine:
+    return machine_from(read_parameter_file(share_path("config/straightcomp.yaml")))
+
+
+@pytest.fixture(scope="session")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Output:
+    folder = tmp_path_factory.mktemp("reproduce") / "new"
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exit_code = main(["reproduce", "--json", "-o", str(folder)])
+    return Output(exit_code, json.loads(printed.getvalue()), folder)
