@@ -36,6 +36,7 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=[
+        "joblib>=1.4",
         "lz4",
         "matplotlib",
         "mcap>=1.2",
@@ -57,9 +58,12 @@ setup(
             "ros-jazzy-std-srvs",
             "ros-jazzy-trajectory-msgs",
         ],
+        # Sweeps on other machines' cores.
+        "dask": ["dask[distributed]"],
         "test": [
             "pytest",
             "hypothesis",
+            "dask[distributed]",
             "colcon-common-extensions",
             "colcon-ros",
             # colcon runs setup.py with the environment's own setuptools; virtual environments of Python 3.12

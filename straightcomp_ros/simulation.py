@@ -7,7 +7,7 @@ numbers to the last bit.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,10 @@ from straightcomp_ros.configuration import (
     FeedforwardNodeParameters,
     node_parameters,
 )
+from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.stage import Trajectory, forward_and_back
 from straightcomp_ros.parameters import ParameterError
@@ -66,11 +68,16 @@ class Simulation:
         self._servo = Servo(make_law(self._controller.control, 1.0 / rate))
         self._trajectory = Trajectory(forward_and_back(cell.motion))
 
-    def run(self, progress: Callable[[float], None] = lambda fraction: None) -> StrokeRecord:
+    def run(
+        self,
+        progress: Callable[[float], None] = lambda fraction: None,
+        observe: Callable[[Sample, Truth, Sequence[float], Command], None] | None = None,
+    ) -> StrokeRecord:
         """Run the cycle once.
 
         Args:
             progress: called now and then with the fraction that is done.
+            observe: called with each sample, its truth, its reference and the answer.
         """
         hardware, step, reference_at = self._hardware, self._servo.step, self._feedforward.step
         period_ns = hardware.period_ns
@@ -88,6 +95,8 @@ class Simulation:
             assert command is not None
             hardware.write(command.current, sample.stamp_ns + delay_ns)
             rows.extend((sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation))
+            if observe is not None:
+                observe(sample, truth, reference, command)
             if index % _PROGRESS_EVERY == 0:
                 progress(index / count)
         progress(1.0)

@@ -22,9 +22,9 @@ class BagEvaluation:
     """A recorded run.
 
     Attributes:
-        record: the samples of the run that have sample, reference and command. The run begins when the
-            amplifier is switched on: before that the nodes are still finding each other. A bag in which it is
-            never on is a run as a whole.
+        record: the samples of the run that have sample, reference and command (and truth, in a simulation). The
+            run begins when the amplifier is switched on: before that the nodes are still finding each other. A bag
+            in which it is never on is a run as a whole.
         expected_samples: samples that the sampling clock took from the run's first to its last in the bag.
         received_samples: different samples of the run in the bag.
         lost_references: samples of the run without a reference, up to the last that has one.
@@ -67,19 +67,20 @@ def evaluate_bag(bag: Path) -> BagEvaluation:
     reference, reference_rows = _unique(streams[REFERENCE.topic])
     command, command_rows = _unique(streams[COMMAND.topic])
     common = np.intersect1d(np.intersect1d(encoder, reference, True), command, True)
+    if TRUTH.topic in streams:
+        truth, truth_rows = _unique(streams[TRUTH.topic])
+        common = np.intersect1d(common, truth, True)
     if len(common) < 2:
-        raise BagError(f"bag {bag}: samples, references and commands do not belong together (no common stamps)")
+        raise BagError(f"bag {bag}: its streams do not belong together: they have no common stamps")
 
     def column(name: str, topic: str, stamps: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
         return streams[topic].columns[name][rows[np.searchsorted(stamps, common)]]
 
     true_x = true_y = guide = None
     if TRUTH.topic in streams:
-        truth, truth_rows = _unique(streams[TRUTH.topic])
-        if np.isin(common, truth).all():
-            true_x, true_y, guide = (
-                column(name, TRUTH.topic, truth, truth_rows) for name in ("true_x", "true_y", "guide_deviation")
-            )
+        true_x, true_y, guide = (
+            column(name, TRUTH.topic, truth, truth_rows) for name in ("true_x", "true_y", "guide_deviation")
+        )
     record = StrokeRecord(
         time=(common - common[0]) * 1e-9,
         x=column("x", ENCODER.topic, encoder, encoder_rows),

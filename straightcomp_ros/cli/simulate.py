@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from pathlib import Path
 
 from straightcomp_ros.analysis.metrics import MetricsError, evaluate
 from straightcomp_ros.analysis.plot import plot_run
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import results_table
@@ -23,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)"
     )
+    parser.add_argument("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
     parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -36,9 +40,16 @@ def run(options: argparse.Namespace) -> int:
         simulation = Simulation(values)
     except (ParameterError, SurveyError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
-    with progress_bar() as bar:
-        task = bar.add_task("simulating", total=1.0)
-        record = simulation.run(lambda fraction: bar.update(task, completed=fraction))
+    try:
+        with ExitStack() as stack:
+            bar = stack.enter_context(progress_bar())
+            task = bar.add_task("simulating", total=1.0)
+            bag = (
+                stack.enter_context(SimulatedRun(Path(options.bag), values, simulation.delay)) if options.bag else None
+            )
+            record = simulation.run(lambda fraction: bar.update(task, completed=fraction), bag and bag.add)
+    except BagError as error:
+        raise CommandFailed(str(error)) from error
     try:
         metrics = evaluate(record, simulation.map)
     except MetricsError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -37,8 +38,9 @@ class Law:
     Args:
         gains: the law's constants, a NamedTuple of floats.
         start: ``start(y)`` gives the law's state at rest at y (m), with nothing integrated; a NamedTuple of floats.
-        step: ``step(gains, state, y, r, r_dot, r_ddot)`` gives (next state, Command) for one sample: encoder
-            reading y in m, reference r in m with its rate in m/s and acceleration in m/s².
+        step: ``step(gains, state, y, r, r_dot, r_ddot, current)`` gives (next state, Command) for one sample: encoder
+            reading y in m, reference r in m with its rate in m/s and acceleration in m/s², measured control
+            current of the coils in A (NaN where none is measured).
     """
 
     def __init__(self, gains: Any, start: Callable[[float], Any], step: Callable[..., tuple[Any, Command]]) -> None:
@@ -51,7 +53,7 @@ class Law:
         """Start anew at rest at ``y`` (m), with nothing integrated."""
         self._state = self.start(y)
 
-    def step(self, y: float, r: float, r_dot: float, r_ddot: float) -> Command:
+    def step(self, y: float, r: float, r_dot: float, r_ddot: float, current: float = math.nan) -> Command:
         """Answer one sample; arguments as of the law's step function."""
-        self._state, command = self.function(self.gains, self._state, y, r, r_dot, r_ddot)
+        self._state, command = self.function(self.gains, self._state, y, r, r_dot, r_ddot, current)
         return command

@@ -16,16 +16,16 @@ LAWS = ("linear", "smc", "super_twisting", "smc_observer")
 class ObserverDesign:
     """Observer and reaching law of 'smc_observer' and 'super_twisting'."""
 
-    bandwidth: float = parameter(420.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
+    bandwidth: float = parameter(450.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
     delay: float = parameter(
         0.5, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
     )
     amplifier_bandwidth: float = parameter(500.0, "Bandwidth of the amplifier", unit="Hz", above=0.0, maximum=1e6)
     surface: float = parameter(
-        420.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
+        350.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
     )
-    reaching: float = parameter(340.0, "κ: rate at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
-    rho: float = parameter(2.0, "Largest reaching acceleration ρ", unit="m/s²", above=0.0, maximum=1e4)
+    reaching: float = parameter(350.0, "κ: rate at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
+    rho: float = parameter(5.0, "Largest reaching acceleration ρ", unit="m/s²", above=0.0, maximum=1e4)
     disturbance_rate: float = parameter(
         30.0, "L of 'super_twisting': bound of the disturbance's rate", unit="m/s³", above=0.0, maximum=1e6
     )

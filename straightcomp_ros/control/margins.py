@@ -97,7 +97,7 @@ def linearised(law: Law) -> StateSpace:
     size = len(list(_numbers(rest)))
 
     def outputs(state: Any, y: float) -> Matrix:
-        after, command = law.function(law.gains, state, y, 0.0, 0.0, 0.0)
+        after, command = law.function(law.gains, state, y, 0.0, 0.0, 0.0, math.nan)
         return np.array([*_numbers(after), command.current])
 
     def slope(place: int, step: float) -> Matrix:

@@ -53,5 +53,5 @@ class Servo:
         if not self._running or gap:
             self._law.reset(y)
             self._running = True
-        self._answer = self._law.step(y, r, r_dot, r_ddot)
+        self._answer = self._law.step(y, r, r_dot, r_ddot, coil_current)
         return self._answer

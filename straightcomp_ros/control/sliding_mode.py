@@ -93,11 +93,14 @@ def start(y: float) -> State:
 
 
 @compilable
-def step(g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float) -> tuple[State, Command]:
+def step(
+    g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
+) -> tuple[State, Command]:
     """One sample of (9) on x = [−∫e, y, ẏ]: linear control where the switching gain is zero.
 
     ẏ is the difference of two readings over the period, smoothed by a first-order filter. While the
-    current is at its limit the integral is held whenever it would push further (anti-windup).
+    current is at its limit the integral is held whenever it would push further (anti-windup). The measured
+    current is not used.
     """
     velocity = state.velocity + g.smoothing * ((y - state.y) / g.period - state.velocity)
     integral = state.integral
@@ -110,8 +113,8 @@ def step(g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float
     equivalent = following - (g.k_integral * integral + g.k_position * y + g.k_velocity * velocity)
     switching = -g.k_switching * switching_function(sigma, g.boundary_layer)
     asked = equivalent + switching
-    current = max(-g.current_limit, min(g.current_limit, asked))
+    command = max(-g.current_limit, min(g.current_limit, asked))
     # More ∫(y − r) means less current: hold it when that is where the limit already stands.
-    if current == asked or (y - r) * asked > 0.0:
+    if command == asked or (y - r) * asked > 0.0:
         integral += g.period * (y - r)
-    return State(integral, y, velocity), Command(current, r - y, sigma, equivalent, switching, velocity, math.nan)
+    return State(integral, y, velocity), Command(command, r - y, sigma, equivalent, switching, velocity, math.nan)

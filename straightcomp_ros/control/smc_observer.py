@@ -46,14 +46,16 @@ def start(y: float) -> State:
 
 
 @compilable
-def step(g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float) -> tuple[State, Command]:
+def step(
+    g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
+) -> tuple[State, Command]:
     """One sample; see the module."""
-    at = moment_of_action(g.loop, state.prior, state.command, y, r, r_dot, r_ddot)
+    at = moment_of_action(g.loop, state.prior, state.command, y, r, r_dot, r_ddot, current)
     sigma = at.rate_error + g.surface * at.position_error
     reaching = -max(-g.rho, min(g.rho, g.reaching * sigma))
     holding = r_ddot - g.surface * at.rate_error - at.action.disturbance
     equivalent = current_for(g.loop, at.action.y, holding)
     asked = current_for(g.loop, at.action.y, holding + reaching)
-    current = limited(g.loop, asked)
-    command = Command(current, r - y, sigma, equivalent, asked - equivalent, at.now.velocity, at.now.disturbance)
-    return State(next_prior(g.loop, at.action, current), current), command
+    answer = limited(g.loop, asked)
+    command = Command(answer, r - y, sigma, equivalent, asked - equivalent, at.now.velocity, at.now.disturbance)
+    return State(next_prior(g.loop, at.action, answer), answer), command

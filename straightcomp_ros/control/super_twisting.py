@@ -48,18 +48,20 @@ def start(y: float) -> State:
 
 
 @compilable
-def step(g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float) -> tuple[State, Command]:
+def step(
+    g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
+) -> tuple[State, Command]:
     """One sample; see the module. The integral is held while the current is at its limit."""
-    at = moment_of_action(g.loop, state.prior, state.command, y, r, r_dot, r_ddot)
+    at = moment_of_action(g.loop, state.prior, state.command, y, r, r_dot, r_ddot, current)
     sigma = at.rate_error + g.surface * at.position_error
     sign = math.copysign(1.0, sigma) if sigma != 0.0 else 0.0
     twisting = -g.k1 * math.sqrt(abs(sigma)) * sign + state.integral
     holding = r_ddot - g.surface * at.rate_error
     equivalent = current_for(g.loop, at.action.y, holding)
     asked = current_for(g.loop, at.action.y, holding + twisting)
-    current = limited(g.loop, asked)
+    answer = limited(g.loop, asked)
     integral = state.integral
-    if current == asked:
+    if answer == asked:
         integral -= g.loop.period * g.k2 * sign
-    command = Command(current, r - y, sigma, equivalent, asked - equivalent, at.now.velocity, at.now.disturbance)
-    return State(next_prior(g.loop, at.action, current), current, integral), command
+    command = Command(answer, r - y, sigma, equivalent, asked - equivalent, at.now.velocity, at.now.disturbance)
+    return State(next_prior(g.loop, at.action, answer), answer, integral), command

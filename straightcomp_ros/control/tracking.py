@@ -19,13 +19,24 @@ _USABLE_GAP = 0.95
 
 
 class Loop(NamedTuple):
-    """The loop as a law believes it: s, s, rad/s, kg, A, then observer and magnets."""
+    """The loop as a law believes it.
+
+    Attributes:
+        period, delay: s.
+        amplifier_rate: rad/s.
+        mass: kg.
+        current_limit: A.
+        current_gain: acceleration per current at the centre, m/s²/A.
+        current_share: mean over a period of a current step's effect, relative to its effect at the period's end.
+    """
 
     period: float
     delay: float
     amplifier_rate: float
     mass: float
     current_limit: float
+    current_gain: float
+    current_share: float
     observer: ObserverGains
     actuator: Actuator
 
@@ -50,20 +61,38 @@ def loop(
     actuator: ActuatorParameters,
 ) -> Loop:
     """The loop of a sampling period in s, a delay in periods (at most 1), and bandwidths in Hz."""
+    rate = 2.0 * math.pi * amplifier_bandwidth
+    acting = (1.0 - delay_samples) * period
+    risen = 1.0 - math.exp(-rate * acting)
     return Loop(
         period,
         delay_samples * period,
-        2.0 * math.pi * amplifier_bandwidth,
+        rate,
         mass,
         current_limit,
+        actuator.current_stiffness / mass,
+        (acting - risen / rate) / (period * risen) if risen > 0.0 else 0.0,
         observer_gains(observer_bandwidth, period),
         actuator.constants(),
     )
 
 
 @compilable
+def with_measured_current(g: Loop, prior: Estimate, current: float) -> Estimate:
+    """The prediction, put right by the current that was really in the coils.
+
+    A command that came late, or not at all, shows there long before it shows in the position. The difference is taken
+    to have come in with the command, so that its mean over the period is ``current_share`` of what it is at its end.
+    """
+    if math.isnan(current):
+        return prior
+    gained = (current - prior.current) * g.current_share * g.period * g.current_gain
+    return Estimate(prior.y + 0.5 * g.period * gained, prior.velocity + gained, prior.disturbance, current)
+
+
+@compilable
 def moment_of_action(
-    g: Loop, prior: Estimate, command: float, y: float, r: float, r_dot: float, r_ddot: float
+    g: Loop, prior: Estimate, command: float, y: float, r: float, r_dot: float, r_ddot: float, current: float
 ) -> Moment:
     """Estimates and errors for a sample: reading y in m, reference r in m with its rates.
 
@@ -71,8 +100,9 @@ def moment_of_action(
         g: the loop.
         prior: the sample as it was predicted.
         command: current in A that is asked of the amplifier until the answer to this sample acts.
+        current: measured in the coils at the sample, A; NaN where it is not measured.
     """
-    now = corrected(g.observer, prior, y)
+    now = corrected(g.observer, with_measured_current(g, prior, current), y)
     action = predicted(g.actuator, g.mass, g.amplifier_rate, now, command, g.delay)
     target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
     return Moment(now, action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))

@@ -18,7 +18,7 @@ from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.phase_lock import PhaseLock
 from straightcomp_ros.nodes.runner import run
-from straightcomp_ros.nodes.streams import Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
 
 _REFERENCE_WAIT_NS = 50_000
 """How long a reference is to wait for the cycle that uses it: the usual jitter of its arrival."""
@@ -37,7 +37,7 @@ class ControllerNode:
         self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate))
         self._pairing = Pairing()
         self._publish_command = publisher(node, COMMAND)
-        self._publish_state = publisher(node, CONTROLLER_STATE)
+        self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
         self._commands = self._refused = self._idle_cycles = 0
         self.loop: PeriodicLoop | None = None
         if parameters.trigger == "sample":
@@ -95,6 +95,7 @@ class ControllerNode:
 
     def close(self) -> None:
         """Nothing to make safe: the driver switches off when no command comes."""
+        self._publish_state.flush()
 
 
 def main() -> int:

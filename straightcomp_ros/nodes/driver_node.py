@@ -22,7 +22,7 @@ from straightcomp_ros.nodes.lockstep import Lockstep
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.runner import run
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
-from straightcomp_ros.nodes.streams import Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.straightness.map import load_map
 
 
@@ -36,8 +36,8 @@ class DriverNode:
         self._command_timeout_ns = round(parameters.simulated.command_timeout * 1e9)
         self._hardware: Hardware = SimulatedHardware(parameters.simulated, load_map(parameters.guide))
         self._publish_sample = publisher(node, ENCODER)
-        self._publish_truth = publisher(node, TRUTH)
-        self._publish_state = publisher(node, DRIVER_STATE)
+        self._publish_truth = BurstPublisher(node, TRUTH)
+        self._publish_state = BurstPublisher(node, DRIVER_STATE)
         self._samples = self._commands = self._stale_commands = 0
         self._command_stamp_ns = 0
         self._command = 0.0
@@ -178,6 +178,8 @@ class DriverNode:
     def close(self) -> None:
         """Amplifier off."""
         self._hardware.close()
+        self._publish_truth.flush()
+        self._publish_state.flush()
 
 
 def main() -> int:

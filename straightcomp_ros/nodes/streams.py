@@ -17,6 +17,11 @@ from straightcomp_ros.contract import Stream
 _MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
 
 
+_BURST = 8
+"""Messages of a burst: 4 ms at 2 kHz, and not so many that publishing them takes a control cycle."""
+_LONGEST_BURST_S = 0.05
+
+
 def message_type(type_name: str) -> Any:
     """The message class of a stream's type."""
     return _MESSAGE_TYPES[type_name]
@@ -36,6 +41,32 @@ def publisher(node: Node, stream: Stream) -> Callable[..., None]:
         publish(layout.pack(stamp_ns, *numbers))
 
     return send
+
+
+class BurstPublisher:
+    """A stream that nobody acts on, published some samples at a time: each message is as it was, only later.
+
+    Waking a sleeping reader costs the writer some 20 µs, more than all else about a message. In a burst only the
+    first message finds the reader asleep.
+    """
+
+    def __init__(self, node: Node, stream: Stream) -> None:
+        self._layout = stream.layout
+        self._publish = node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos()).publish
+        self._waiting: list[bytes] = []
+        node.create_timer(_LONGEST_BURST_S, self.flush)
+
+    def __call__(self, stamp_ns: int, *numbers: float) -> None:
+        """Publish one message, now or with those that follow it."""
+        self._waiting.append(self._layout.pack(stamp_ns, *numbers))
+        if len(self._waiting) >= _BURST:
+            self.flush()
+
+    def flush(self) -> None:
+        """Publish what waits."""
+        for data in self._waiting:
+            self._publish(data)
+        self._waiting.clear()
 
 
 def subscribe(node: Node, stream: Stream, callback: Callable[[int, list[float]], None]) -> None:

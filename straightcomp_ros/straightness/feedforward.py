@@ -9,10 +9,17 @@ tracking filter.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.parameters import parameter
 from straightcomp_ros.straightness.map import StraightnessMap
 from straightcomp_ros.straightness.tracking import TrackingFilter
+
+T = TypeVar("T", float, NDArray[np.float64])
 
 _NEVER = -(2**63)  # longer ago than any restart_gap
 
@@ -33,6 +40,23 @@ class FeedforwardParameters:
         maximum=100.0,
     )
 
+    @property
+    def restart_gap_ns(self) -> int:
+        """``restart_gap`` in ns."""
+        return round(self.restart_gap * 1e9)
+
+
+@compilable
+def continues(gap_ns: int, max_speed: float, elapsed_ns: int, distance: float) -> bool:
+    """Whether the estimate goes on from the last sample to one ``elapsed_ns`` and ``distance`` (m) away, or starts
+    anew. A NaN compares false, so it restarts the estimate, and so does the sample after it."""
+    return 0 < elapsed_ns <= gap_ns and abs(distance) <= max_speed * (elapsed_ns * 1e-9)
+
+
+def rates(slope: T, curvature: T, v: T, a: T) -> tuple[T, T]:
+    """ṙ in m/s and r̈ in m/s² from r', r'', ẋ and ẍ; for numbers, or arrays of one shape."""
+    return slope * v, curvature * v * v + slope * a
+
 
 class Feedforward:
     """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers."""
@@ -42,7 +66,7 @@ class Feedforward:
     ) -> None:
         self._reference = straightness.reference
         self._filter = TrackingFilter(parameters.bandwidth)
-        self._restart_gap_ns = round(parameters.restart_gap * 1e9)
+        self._restart_gap_ns = parameters.restart_gap_ns
         self._max_speed = parameters.max_speed
         self.reset()
 
@@ -64,15 +88,12 @@ class Feedforward:
         if elapsed_ns == 0:
             return self._last
         tracked = self._filter
-        dt = elapsed_ns * 1e-9
-        # A NaN compares false, so it restarts the estimate, and so does the sample after it.
-        if 0 < elapsed_ns <= self._restart_gap_ns and abs(x - self._x) <= self._max_speed * dt:
-            tracked.update(dt, x)
+        if continues(self._restart_gap_ns, self._max_speed, elapsed_ns, x - self._x):
+            tracked.update(elapsed_ns * 1e-9, x)
         else:
             tracked.restart(x)
         self._stamp_ns = stamp_ns
         self._x = x
-        v = tracked.v
         r, slope, curvature = self._reference(x)
-        self._last = (r, slope * v, curvature * v * v + slope * tracked.a)
+        self._last = (r, *rates(slope, curvature, tracked.v, tracked.a))
         return self._last

@@ -101,6 +101,6 @@ def test_the_disturbance_estimate_is_friction_over_mass():
 def test_a_law_is_a_function_without_memory_of_its_own():
     law = make_law(ControlParameters(law="smc_observer"), T)
     state = law.start(1e-6)
-    first = law.function(law.gains, state, 1.1e-6, 0.0, 0.0, 0.0)
-    assert law.function(law.gains, state, 1.1e-6, 0.0, 0.0, 0.0) == first
+    first = law.function(law.gains, state, 1.1e-6, 0.0, 0.0, 0.0, 0.0)
+    assert law.function(law.gains, state, 1.1e-6, 0.0, 0.0, 0.0, 0.0) == first
     assert replace(ControlParameters(), law="linear").law == "linear"

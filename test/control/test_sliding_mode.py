@@ -28,7 +28,9 @@ def by_equation_9(x: np.ndarray, r: float, rho: float, boundary_layer: float) ->
 @given(st.floats(-2e-5, 2e-5), st.floats(-2e-5, 2e-5), st.floats(-2e-5, 2e-5))
 def test_a_step_is_equation_9(y0, y1, r):
     for law, rho in (("linear", 0.0), ("smc", DESIGN.rho)):
-        servo = make_law(ControlParameters(law=law, current_limit=100.0, velocity_bandwidth=1e5, smc_feedforward=False), T)
+        servo = make_law(
+            ControlParameters(law=law, current_limit=100.0, velocity_bandwidth=1e5, smc_feedforward=False), T
+        )
         servo.reset(y0)
         servo.step(y0, r, 0.0, 0.0)
         answer = servo.step(y1, r, 0.0, 0.0)

@@ -14,8 +14,9 @@ INNER = ("model", "control", "straightness")
 MIDDLE = ("hardware", "bags", "analysis")
 OUTER = ("nodes", "cli")
 FORBIDDEN = {
-    **dict.fromkeys(INNER, (*MIDDLE, *OUTER)),
-    **dict.fromkeys(MIDDLE, OUTER),
+    **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),
+    **dict.fromkeys(MIDDLE, ("sweep", *OUTER)),
+    **dict.fromkeys(("sweep", "paper", "identification"), OUTER),
     "nodes": ("cli",),
     "cli": (),
 }

@@ -1,0 +1,198 @@
+"""Fits the simulated plant's friction to the paper's figure for linear control, and shows what smc needs for its own.
+
+Run `python scripts/fit_paper_plant.py`: a few minutes, the same numbers each time; docs/plant.md explains them.
+Figures are true peak-to-peak errors in µm over the whole cycle, as median (smallest–largest) of several starts:
+a platform that starts 0.1 µm off moves the figure of one run by some hundredths of a µm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from paper_stroke import PERIOD, STARTS, Stroke
+from scipy.stats import qmc
+
+from straightcomp_ros.control import sliding_mode
+from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
+from straightcomp_ros.control.law import Law
+from straightcomp_ros.control.margins import loop_margins
+from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.parameters import from_mapping
+
+LINEAR, SMC = 1.77, 0.40
+"""The paper's figures in µm peak to peak."""
+TOLERANCE = 0.15
+STATIC_RATIO = 1.5
+"""F_S/F_C of the fit, as in Canudas de Wit et al. (1995): one figure cannot tell it."""
+BOX = {
+    "coulomb": (0.1, 3.0),  # N: 0.3 to 10 % of the platform's weight
+    "static_ratio": (1.0, 2.0),  # F_S/F_C
+    "stribeck_velocity": (10e-6, 0.1),  # m/s
+    "break_away": (1e-6, 20e-6),  # m: (F_S + F_C)/σ0; beyond 20 µm it would not hold against the magnets
+    "damping_ratio": (0.05, 1.0),  # σ1 / (2 √(σ0 M))
+    "viscous": (0.1, 100.0),  # N·s/m
+}
+"""Usual ranges. v_s, break-away distance: Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994."""
+
+
+def law(slope: float = 0.0, *, feedforward: bool = False, rho: float = 1.0, velocity_bandwidth: float = 1000.0) -> Law:
+    """The paper's design; ``slope`` ρ/ε in 1/s of the boundary layer: 0 is linear control, inf is sgn σ."""
+    gains = sliding_mode.gains(
+        SlidingDesign(rho=rho, boundary_layer=rho / slope if slope else 1.0),
+        NominalPlant(),
+        switching=slope > 0.0,
+        feedforward=feedforward,
+        period=PERIOD,
+        velocity_bandwidth=velocity_bandwidth,
+        current_limit=0.9,
+    )
+    return Law(gains, sliding_mode.start, sliding_mode.step)
+
+
+def plant_with(coulomb: float, **others: Any) -> PlantParameters:
+    """The shipped plant with this Coulomb friction in N, F_S in proportion, and ``others`` by dotted name."""
+    friction = {"friction.coulomb": coulomb, "friction.static": round(STATIC_RATIO * coulomb, 7)}
+    return from_mapping(PlantParameters, {**friction, **others})
+
+
+def plant_in_box(point: Iterable[float]) -> PlantParameters:
+    """The plant at a point of the unit cube, each axis logarithmic over its range in BOX."""
+    value = {name: low * (high / low) ** p for (name, (low, high)), p in zip(BOX.items(), point, strict=True)}
+    static = value["coulomb"] * value["static_ratio"]
+    stiffness = (static + value["coulomb"]) / value["break_away"]
+    friction = {
+        "coulomb": value["coulomb"],
+        "static": static,
+        "stribeck_velocity": value["stribeck_velocity"],
+        "bristle_stiffness": stiffness,
+        "bristle_damping": 2.0 * value["damping_ratio"] * math.sqrt(stiffness * PlantParameters().mass),
+        "viscous": value["viscous"],
+    }
+    return from_mapping(PlantParameters, {f"friction.{name}": number for name, number in friction.items()})
+
+
+def survey_the_box(stroke: Stroke, count: int = 512) -> None:
+    """Which plants of the box give the paper's figure for linear control: what one figure says, and what not."""
+    points = qmc.Sobol(len(BOX), seed=1).random(count).tolist()
+    found = np.array([stroke.error(plant_in_box(point), law()) for point in points])
+    fits = np.abs(found - LINEAR) <= TOLERANCE * LINEAR
+    print(f"\n## The box: {fits.sum()} of {count} plants give {LINEAR} µm within {TOLERANCE:.0%}\n")
+    print("| parameter | range of the box | 5 to 95 % of those that fit | rank correlation with the figure |")
+    print("|---|---|---|---|")
+    ranks = np.argsort(np.argsort(found))
+    for column, (name, (low, high)) in enumerate(BOX.items()):
+        p5, p95 = (low * (high / low) ** p for p in np.percentile(np.array(points)[fits, column], (5, 95)))
+        correlation = np.corrcoef(np.argsort(np.argsort(np.array(points)[:, column])), ranks)[0, 1]
+        print(f"| {name} | {low:g} – {high:g} | {p5:.3g} – {p95:.3g} | {correlation:+.2f} |")
+
+
+def fitted_coulomb(stroke: Stroke) -> float:
+    """F_C in N, to 0.01 N, at which the shipped plant with F_S/F_C fixed gives the paper's figure."""
+    levels = [0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0]
+    print("\n## Linear control over Coulomb friction (F_S = 1.5 F_C, the rest as shipped)\n")
+    print("| F_C [N] | linear (9) | with feedforward |\n|---|---|---|")
+    rows = []
+    for level in levels:
+        rows.append(stroke.errors(plant_with(level), law(), starts=STARTS))
+        print(f"| {level:g} | {_cell(rows[-1])} | {_cell(stroke.errors(plant_with(level), law(feedforward=True)))} |")
+    for (low, row), (high, next_row) in pairwise(zip(levels, rows, strict=True)):
+        if row[0] <= LINEAR <= next_row[0]:
+            return round(low + (high - low) * (LINEAR - row[0]) / (next_row[0] - row[0]), 2)
+    raise SystemExit(f"no F_C of {levels} N gives {LINEAR} µm: medians {[round(row[0], 2) for row in rows]} µm")
+
+
+def _cell(figures: tuple[float, ...]) -> str:
+    return f"{figures[0]:.2f} ({figures[1]:.2f}–{figures[2]:.2f})"
+
+
+def show_switching(stroke: Stroke, plant: PlantParameters, title: str, *, feedforward: bool) -> None:
+    """Error over ρ and over the slope ρ/ε of the boundary layer."""
+    slopes = [100.0, 250.0, 300.0, 350.0, 500.0, 700.0, 1000.0, math.inf]
+    print(
+        f"\n## {title}; paper: {SMC:.2f}\n\n| ρ [m/s²] | "
+        + " | ".join(f"ρ/ε = {slope:g} /s" for slope in slopes[:-1])
+        + " | sgn |"
+    )
+    print("|---" * (len(slopes) + 1) + "|")
+    for rho in (0.4, 0.7, 1.0, 2.0):
+        cells = [_cell(stroke.errors(plant, law(slope, rho=rho, feedforward=feedforward))) for slope in slopes]
+        print(f"| {rho:g} | " + " | ".join(cells) + " |")
+
+
+def show_velocity_estimate(stroke: Stroke, plant: PlantParameters, slope: float) -> None:
+    """Error over the bandwidth of the velocity estimate, with boundary layer and with sgn."""
+    print("\n## With feedforward, over the velocity estimate\n")
+    print(f"| bandwidth [Hz] | linear | ρ = 1, ρ/ε = {slope:g} /s | sgn, ρ = 0.4 | sgn, ρ = 1 |\n|---|---|---|---|---|")
+    for bandwidth in (50.0, 100.0, 200.0, 400.0, 1000.0):
+        cases = [(0.0, 1.0), (slope, 1.0), (math.inf, 0.4), (math.inf, 1.0)]
+        laws = [law(at, rho=rho, feedforward=True, velocity_bandwidth=bandwidth) for at, rho in cases]
+        print(f"| {bandwidth:g} | " + " | ".join(_cell(stroke.errors(plant, chosen)) for chosen in laws) + " |")
+
+
+def show_drive(stroke: Stroke, coulomb: float, slope: float) -> None:
+    """Error over command delay and amplifier bandwidth, and which slope is stable."""
+    print("\n## Delay and amplifier\n")
+    print(
+        "| delay [samples] | amplifier [Hz] | linear | smc, no feedforward | smc, feedforward | sgn, ρ = 0.4 | limit |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    laws = [law(), law(slope), law(slope, feedforward=True), law(math.inf, rho=0.4, feedforward=True)]
+    for delay in (0.0, 0.5, 1.0):
+        for bandwidth in (200.0, 500.0, 2000.0):
+            plant = plant_with(coulomb, **{"drive.bandwidth": bandwidth})
+            cells = [_cell(stroke.errors(plant, chosen, delay=delay)) for chosen in laws]
+            limit = stable_slope(delay, bandwidth)
+            print(f"| {delay:g} | {bandwidth:g} | " + " | ".join(cells) + f" | {limit:.0f} /s |")
+
+
+def stable_slope(delay: float, bandwidth: float) -> float:
+    """Slope ρ/ε in 1/s, to 10 /s, up to which the sampled loop inside the boundary layer is stable."""
+    low, high = 0.0, 5000.0
+    while high - low > 10.0:
+        middle = 0.5 * (low + high)
+        margins = loop_margins(
+            law(middle), NominalPlant(), period=PERIOD, delay=delay * PERIOD, amplifier_bandwidth=bandwidth
+        )
+        low, high = (middle, high) if np.abs(margins.poles).max() < 1.0 else (low, middle)
+    return low
+
+
+def show_guides(slope: float) -> None:
+    """The literal law, without feedforward, on guides of the survey's height but other slopes."""
+    print("\n## Without feedforward, other guides of the same height (cosine of n half waves)\n")
+    print("| n | largest ṙ [µm/s] | lag alone, p-p [µm] | F_C [N] | linear | smc |\n|---|---|---|---|---|---|")
+    for half_waves in (2, 3, 4, 6):
+        stroke = Stroke(half_waves)
+        lag = 2.0 * SlidingDesign().zeta / SlidingDesign().omega_n * 2.0 * stroke.rate * 1e6
+        for coulomb in (0.43, 1.0, 2.0, 4.0):
+            plant = plant_with(coulomb)
+            cells = [_cell(stroke.errors(plant, law(chosen))) for chosen in (0.0, slope)]
+            print(f"| {half_waves} | {stroke.rate * 1e6:.0f} | {lag:.2f} | {coulomb:g} | {cells[0]} | {cells[1]} |")
+
+
+def main() -> None:
+    """Print all tables, in Markdown."""
+    stroke, slope = Stroke(), 300.0
+    still = plant_with(1e-6, **{"friction.viscous": 0.0, "encoder.resolution": 1e-12, "drive.dac_bits": 24})
+    floor = stroke.error(still, law())
+    print(f"largest ṙ {stroke.rate * 1e6:.1f} µm/s; without friction and quantisation the law without feedforward")
+    print(f"leaves {floor:.3f} µm, with it {stroke.error(still, law(feedforward=True)):.4f} µm")
+    survey_the_box(stroke)
+    coulomb = fitted_coulomb(stroke)
+    plant = plant_with(coulomb)
+    nominal = NominalPlant(friction=plant.friction.static)
+    print(f"\nfitted: F_C = {coulomb:g} N, F_S = {plant.friction.static:g} N;", end=" ")
+    print(f"(11) asks for ρ > {reaching_bound(SlidingDesign(), nominal):.3f} m/s²")
+    for feedforward, words in ((False, "the paper's law, without feedforward"), (True, "with feedforward")):
+        show_switching(stroke, plant, f"smc, {words}", feedforward=feedforward)
+    show_velocity_estimate(stroke, plant, slope)
+    show_drive(stroke, coulomb, slope)
+    show_guides(slope)
+
+
+if __name__ == "__main__":
+    main()

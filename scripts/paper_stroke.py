@@ -1,0 +1,78 @@
+"""One cycle of the paper's machine on the shipped survey, for scripts/fit_paper_plant.py."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.analysis.record import StrokeRecord, find_motion
+from straightcomp_ros.contract import DEFAULT_RATE, STROKE
+from straightcomp_ros.control.law import Law
+from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.straightness.feedforward import Feedforward
+from straightcomp_ros.straightness.map import load_map
+from straightcomp_ros.sweep.kernel import Conditions, run_cycle
+
+PERIOD = 1.0 / DEFAULT_RATE
+"""Sampling period in s."""
+STARTS = [offset * 0.13e-6 for offset in range(-4, 5)]
+"""Positions in m at which the platform may stand at the start: 0.13 µm does not beat with the encoder's 0.1 µm."""
+
+
+class Stroke:
+    """A stroke forward and back, on the shipped survey or on a guide of the same height shaped as a cosine.
+
+    Args:
+        half_waves: half waves of the cosine along the stroke; None takes the survey.
+
+    Attributes:
+        rate: largest |ṙ| in m/s.
+    """
+
+    def __init__(self, half_waves: int | None = None) -> None:
+        trajectory = Trajectory(forward_and_back(MotionParameters()))
+        period_ns = round(PERIOD * 1e9)
+        self._stamps = np.arange(-(-trajectory.end_ns // period_ns)) * period_ns
+        true_x = np.array([trajectory.position(stamp) for stamp in self._stamps.tolist()])
+        x = np.floor(true_x / 1e-7 + 0.5) * 1e-7
+        guide = load_map()
+        if half_waves is None:
+            feedforward = Feedforward(guide)
+            reference = np.array(
+                [feedforward.step(*sample) for sample in zip(self._stamps.tolist(), x.tolist(), strict=True)]
+            )
+            self._true_r = guide.evaluate(true_x)[0]
+        else:
+            wave = half_waves * math.pi / STROKE
+            height = 0.5 * float(np.ptp(guide.evaluate(np.linspace(0.0, STROKE, 20_000))[0]))
+            r = height * np.cos(wave * x)
+            reference = np.stack([r, np.gradient(r, PERIOD), np.zeros_like(r)], axis=1)
+            self._true_r = height * np.cos(wave * true_x)
+        rest = np.zeros_like(x)
+        record = StrokeRecord(time=self._stamps * 1e-9, x=x, y=rest, r=rest, current=rest, law="")
+        self._window = find_motion(record).window
+        self._reference = reference
+        self.rate = float(np.abs(reference[self._window, 1]).max())
+
+    def error(self, plant: PlantParameters, law: Law, *, delay: float = 0.5, start: float = 0.0) -> float:
+        """True peak to peak error in µm.
+
+        Args:
+            plant: the machine.
+            law: the control law.
+            delay: of the command, in samples.
+            start: where the platform stands at the start, m.
+        """
+        late = np.full(self._stamps.size, round(delay * PERIOD * 1e9))
+        conditions = Conditions(self._stamps, late, self._reference, np.zeros(self._stamps.size))
+        true_y = run_cycle(law, plant, conditions, start).true_y
+        return float(np.ptp((self._true_r - true_y)[self._window])) * 1e6
+
+    def errors(self, *arguments: Any, starts: Sequence[float] = STARTS[2:7], **options: Any) -> tuple[float, ...]:
+        """Median, smallest and largest :meth:`error` in µm over ``starts``."""
+        found = [self.error(*arguments, start=start, **options) for start in starts]
+        return float(np.median(found)), min(found), max(found)

@@ -1,0 +1,69 @@
+"""A simulated run as a bag: the streams that the graph's logger would have recorded, without a graph."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import yaml
+
+from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
+from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
+
+START_NS = 1_000_000_000
+"""Stamp of the first sample: simulated time has no date, but ROS takes a stamp of zero for none."""
+
+
+class SimulatedRun:
+    """Writes each sample with its answer; as a context manager it finishes the bag.
+
+    Stamps are simulated time, and a message is recorded when it is stamped.
+
+    Args:
+        directory: the bag's folder; must be empty or absent.
+        parameters: by node and dotted name, attached as the logger attaches them.
+        delay: from each sample to the arrival of its command, in sampling periods.
+
+    Raises:
+        BagError: the folder holds files or cannot be written.
+    """
+
+    def __init__(self, directory: Path, parameters: Mapping[str, Mapping[str, Any]], delay: float) -> None:
+        self._bag = BagWriter(directory)
+        self._delay, self._applied = delay, 0.0
+        self._last_ns: int | None = None
+        for stream in STREAMS:
+            self._bag.add_topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000))
+        tree = {f"/{node}": {"ros__parameters": dict(section)} for node, section in parameters.items() if section}
+        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", yaml.safe_dump(tree, sort_keys=False).encode())
+        self._bag.add_metadata("simulation", {"delay_samples": str(delay)})
+
+    def add(self, sample: Any, truth: Any, reference: Any, command: Any) -> None:
+        """Write one sample: `Sample` and `Truth` of the hardware, (r, ṙ, r̈), and the law's `Command`."""
+        stamp = START_NS + sample.stamp_ns
+        # The command before this one has come in since its sample.
+        latency = math.nan if self._last_ns is None else self._delay * (stamp - self._last_ns) * 1e-9
+        on = 0.0 if math.isnan(sample.current) else 1.0
+        for stream, numbers in (
+            (ENCODER, (sample.x, sample.y, math.nan, sample.current)),
+            (TRUTH, truth),
+            (DRIVER_STATE, (latency, 0.0, self._applied, on)),
+            (REFERENCE, reference),
+            (COMMAND, command[:1]),
+            (CONTROLLER_STATE, command[1:]),
+        ):
+            self._bag.write(f"/{stream.topic}", stream.layout.pack(stamp, *numbers), stamp, stamp)
+        self._last_ns, self._applied = stamp, command.current
+
+    def __enter__(self) -> SimulatedRun:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bag.close()

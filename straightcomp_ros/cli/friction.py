@@ -1,0 +1,142 @@
+"""Estimate friction, mass and stiffness of the plant from a bag, with 95 % confidence intervals.
+
+Takes the streams `encoder` and `command` only, never `truth`. Position and current tell all forces only up to a common
+factor: mass or coil turns must be known (--known), and are taken from the parameters. A stroke along a good guide says
+little of mass and viscous friction; --excitation writes a map whose reference does:
+
+  straightcomp friction --excitation excitation.csv
+  straightcomp simulate --set feedforward.map.file=excitation.csv --bag BAG     (or run it on the machine)
+  straightcomp friction BAG -o plant.yaml
+  straightcomp simulate --params-file plant.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.contract import STROKE
+from straightcomp_ros.identification import IdentificationError
+from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag
+from straightcomp_ros.identification.excitation import excitation_survey
+from straightcomp_ros.identification.plant_file import parameter_file
+from straightcomp_ros.straightness.survey import write_survey
+
+SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("bag", nargs="?", metavar="BAG", help="rosbag2 folder or MCAP file")
+    add_parameter_options(parser)
+    parser.add_argument(
+        "--known",
+        action="append",
+        metavar="NAME",
+        help="hold this parameter at its value, e.g. mass; may be repeated (default: actuator.turns)",
+    )
+    parser.add_argument("--output", "-o", metavar="FILE", help="write the parameters as a ROS 2 parameter file")
+    parser.add_argument("--excitation", metavar="FILE", help="write a map (CSV) that excites all parameters, and stop")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Estimate and print, or write the map for the excitation."""
+    if (options.bag is None) == (options.excitation is None):
+        raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
+    try:
+        if options.excitation is not None:
+            write_survey(options.excitation, excitation_survey(STROKE), _EXCITATION_COMMENTS)
+            return 0
+        start = node_parameters("driver", chosen_parameters(options)["driver"]).simulated.plant
+        known = options.known or ["actuator.turns"]
+        with progress_bar() as bar:
+            task = bar.add_task("estimating", total=1.0)
+            estimate = estimate_from_bag(
+                Path(options.bag), start, known, lambda fraction: bar.update(task, completed=fraction)
+            )
+        if options.output:
+            Path(options.output).write_text(parameter_file(estimate), encoding="utf-8")
+    except (BagError, IdentificationError) as error:
+        raise CommandFailed(str(error)) from error
+    except OSError as error:
+        raise CommandFailed(f"{error.filename} cannot be written: {error.strerror}") from error
+    if options.json:
+        print_json(_figures(estimate))
+    else:
+        _print(estimate)
+    return 0
+
+
+_EXCITATION_COMMENTS = (
+    "Made up, not measured: a map for feedforward.map.file that excites friction, mass and stiffness.",
+    "Written by straightcomp friction --excitation. The platform moves up to 57 um to each side.",
+)
+
+
+def _figures(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "samples": len(estimate.recording.y),
+        "samples_in_bag": estimate.recording.total,
+        "duration_s": estimate.recording.duration,
+        "prediction_error_um": estimate.fit.rms_error_m * 1e6,
+        "prediction_error_ratio": estimate.fit.rms_error,
+        "amplifier_bandwidth_Hz": estimate.amplifier_bandwidth,
+        "delay_us": estimate.delay * 1e6,
+        "parameters": {
+            name: {
+                "value": found.value,
+                "low": found.low,
+                "high": found.high,
+                "unit": UNITS[name],
+                "known": found.known,
+                "poorly_determined": found.poor,
+                "hardly_told_apart_from": list(found.with_others),
+            }
+            for name, found in estimate.parameters.items()
+        },
+        "advice": estimate.advice,
+    }
+
+
+def _print(estimate: Estimate) -> None:
+    table = Table(title="Plant parameters", title_justify="left")
+    table.add_column("parameter", no_wrap=True)
+    for heading in ("value", "95 % from", "to"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("remark")
+    for name, found in estimate.parameters.items():
+        bounds = ("", "") if found.known else (f"{found.low:.4g}", f"{found.high:.4g}")
+        table.add_row(name, f"{found.value:.4g}", *bounds, UNITS[name], _remark(found))
+    console.print(table)
+    amplifier = (
+        "the current was interpolated: command and coil current do not fit a first-order amplifier"
+        if math.isnan(estimate.delay)
+        else f"amplifier {estimate.amplifier_bandwidth:.0f} Hz, delay {estimate.delay * 1e6:.0f} µs"
+    )
+    notes.print(
+        f"{len(estimate.recording.y)} of {estimate.recording.total} samples; one-step prediction error "
+        f"{estimate.fit.rms_error_m * 1e6:.3f} µm RMS; {amplifier}"
+    )
+    for name, words in estimate.advice.items():
+        notes.print(f"{name} would need: {words}")
+    if estimate.advice:
+        notes.print("straightcomp friction --excitation FILE writes a map that does this")
+
+
+def _remark(found: Estimated) -> str:
+    if found.known:
+        return "given"
+    if not found.poor:
+        return ""
+    others = f", hardly told apart from {', '.join(found.with_others)}" if found.with_others else ""
+    return f"poorly determined by this bag{others}"

@@ -1,0 +1,93 @@
+"""The parameters that identification looks for, as a vector of logarithms, and what is known of them beforehand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.identification import IdentificationError
+from straightcomp_ros.model.actuator import MU_0, Actuator
+from straightcomp_ros.model.friction import LuGre
+from straightcomp_ros.model.plant import Plant, PlantParameters, as_array
+from straightcomp_ros.parameters import to_mapping
+
+RATIO = "static_ratio"
+"""F_S/F_C stands for F_S in the vector, so that F_S ≥ F_C is a simple bound."""
+NAMES = (
+    "mass",
+    "actuator.turns",
+    "actuator.air_gap",
+    "friction.coulomb",
+    RATIO,
+    "friction.stribeck_velocity",
+    "friction.bristle_stiffness",
+    "friction.bristle_damping",
+    "friction.viscous",
+)
+"""Order of the vector; dotted names as below ``simulated.plant.``."""
+FORCE_SCALE = ("mass", "actuator.turns")
+"""Of these at least one must be known: position and current tell all forces only up to a common factor."""
+_STOP = 0.9
+"""The platform stays far from the stop, which must only not be inside the air gap."""
+_SMALLEST = {"friction.bristle_damping": 1.0, "friction.viscous": 0.1}
+"""Where zero is allowed, start from this: a logarithm has none."""
+_REACH = math.log(100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Start and bounds of the search.
+
+    Attributes:
+        start, low, high: (9,) natural logarithms of the values of NAMES in SI units.
+        free: places in the vector that are looked for.
+        pole_area, bias_current: of the magnets, m² and A; measured otherwise.
+    """
+
+    start: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    free: tuple[int, ...]
+    pole_area: float
+    bias_current: float
+
+    def constants(self, vector: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+        """The plant's constants (12,) for :func:`straightcomp_ros.model.plant.advance`.
+
+        Args:
+            vector: (9,) logarithms.
+            rate: of the amplifier, rad/s.
+        """
+        mass, turns, gap, coulomb, ratio, stribeck, stiffness, damping, viscous = np.exp(vector).tolist()
+        actuator = Actuator(MU_0 * turns * turns * self.pole_area / 4.0, gap, self.bias_current)
+        lugre = LuGre(coulomb, coulomb * ratio, stribeck, stiffness, damping, viscous)
+        return as_array(Plant(mass, _STOP * gap, rate, actuator, lugre))
+
+
+def unknowns(plant: PlantParameters, known: Sequence[str]) -> Unknowns:
+    """The search that starts at ``plant``, with the parameters ``known`` (names of NAMES) held at its values.
+
+    Raises:
+        IdentificationError: a known name is none of NAMES, or neither mass nor turns is known.
+    """
+    for name in known:
+        if name not in NAMES or name == RATIO:
+            allowed = ", ".join(one for one in NAMES if one != RATIO)
+            raise IdentificationError(f"known parameter '{name}': is not among the unknowns; allowed: {allowed}")
+    if not set(FORCE_SCALE) & set(known):
+        raise IdentificationError(
+            f"known parameters are {', '.join(known) or 'none'}; allowed: with {' or '.join(FORCE_SCALE)} among them, "
+            "since position and current tell all forces only up to a common factor"
+        )
+    values: dict[str, Any] = {**to_mapping(plant), RATIO: plant.friction.static / plant.friction.coulomb}
+    start = np.log([max(values[name], _SMALLEST.get(name, 0.0)) for name in NAMES])
+    low, high = start - _REACH, start + _REACH
+    ratio = NAMES.index(RATIO)
+    low[ratio] = 0.0
+    free = tuple(place for place, name in enumerate(NAMES) if name not in known)
+    return Unknowns(start, low, high, free, plant.actuator.pole_area, plant.actuator.bias_current)
