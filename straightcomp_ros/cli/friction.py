@@ -89,8 +89,8 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
         "duration_s": estimate.recording.duration,
         "prediction_error_um": estimate.fit.rms_error_m * 1e6,
         "prediction_error_ratio": estimate.fit.rms_error,
-        "amplifier_bandwidth_Hz": estimate.amplifier_bandwidth,
-        "delay_us": estimate.delay * 1e6,
+        "amplifier_bandwidth_Hz": estimate.path.rate / (2.0 * math.pi) if estimate.path.rate_found else None,
+        "delay_us": estimate.path.delay * 1e6,
         "parameters": {
             name: {
                 "value": found.value,
@@ -118,10 +118,12 @@ def _print(estimate: Estimate) -> None:
         bounds = ("", "") if found.known else (f"{found.low:.4g}", f"{found.high:.4g}")
         table.add_row(name, f"{found.value:.4g}", *bounds, UNITS[name], _remark(found))
     console.print(table)
+    path = estimate.path
+    source = "" if path.rate_found else " (from the parameters)"
     amplifier = (
-        "the current was interpolated: command and coil current do not fit a first-order amplifier"
-        if math.isnan(estimate.delay)
-        else f"amplifier {estimate.amplifier_bandwidth:.0f} Hz, delay {estimate.delay * 1e6:.0f} µs"
+        "the current was interpolated: command and coil current fit no first-order amplifier"
+        if math.isnan(path.delay)
+        else f"amplifier {path.rate / (2.0 * math.pi):.0f} Hz{source}, delay {path.delay * 1e6:.0f} µs"
     )
     notes.print(
         f"{len(estimate.recording.y)} of {estimate.recording.total} samples; one-step prediction error "

@@ -7,8 +7,7 @@ from typing import Any
 
 from rich.table import Table
 
-PAPER_PP_UM = {"linear": 1.77, "smc": 0.40}
-"""Published peak-to-peak error in µm, encoder 0.1 µm, 12-bit D/A, 2 kHz."""
+from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
 
 _ROWS = (
     ("encoder_pp_um", "compensation error p-p, encoder", "µm", 3),
@@ -27,7 +26,7 @@ _ROWS = (
 
 
 def results_table(figures: Mapping[str, Any]) -> Table:
-    """A table of those figures that are there; the paper's figure beside the p-p error as its encoder saw it."""
+    """A table of those figures that are there; the paper's figure beside the p-p error."""
     law = figures["law"]
     table = Table(title=f"Straightness compensation, law '{law}'", title_justify="left")
     table.add_column("figure")
@@ -36,6 +35,6 @@ def results_table(figures: Mapping[str, Any]) -> Table:
     table.add_column("paper", justify="right")
     for key, words, unit, digits in _ROWS:
         if figures.get(key) is not None:
-            paper = f"{PAPER_PP_UM[law]:.2f}" if key == "encoder_pp_um" and law in PAPER_PP_UM else ""
+            paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
             table.add_row(words, f"{figures[key]:.{digits}f}", unit, paper)
     return table

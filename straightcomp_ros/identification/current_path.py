@@ -1,10 +1,12 @@
-"""How the coil current runs between two samples: through the amplifier and the command's delay, as recorded.
+"""How the coil current runs between two samples: through the amplifier, with each command where it came in.
 
-A first-order amplifier that is asked for the old command until the delay is over, and then for the new one, gives
+A first-order amplifier that is asked for the old command until the new one comes in, a time d after the sample, gives
 
-    i[k+1] = a i[k] + b u[k−1] + c u[k],   a = exp(−ωT),   c = 1 − exp(−ω (T − delay)),   a + b + c = 1
+    i[k+1] = u_new + (u_old − u_new) exp(−ω (T − d)) + (i[k] − u_old) exp(−ω T)
 
-with bandwidth ω and period T: linear regression on measured currents and recorded commands gives both.
+with bandwidth ω and period T. With ω known the measured currents tell d, sample by sample: a loop's latency jitters, and
+a command that is late comes in after the next sample. ω itself follows, where d hardly changes, from the regression of
+i[k+1] on i[k], u[k−1] and u[k].
 """
 
 from __future__ import annotations
@@ -18,61 +20,98 @@ from numpy.typing import NDArray
 from straightcomp_ros.identification.recording import Recording
 from straightcomp_ros.model.converters import DriveParameters
 
-_EXPLAINED = 0.25
-"""Largest part of the current's steps that the regression may leave open, to be believed."""
+Array = NDArray[np.float64]
+
+_EXPLAINED = 0.2
+"""Largest part of the current's steps that an explanation may leave open, to be believed."""
 _INSTANT = 1e9
 """Amplifier rate in rad/s that follows at once."""
+_LATEST = 3
+"""Samples by which a command may come in late."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurrentPath:
-    """What to ask of an amplifier of ``rate`` (rad/s) that starts each period from the measured current.
+    """What to ask of an amplifier that starts each period from the measured current.
 
     Attributes:
         rate: of the first-order amplifier, rad/s.
         before, after: (n,) current asked for in A, from each sample and from ``switch_ns`` after it.
-        switch_ns: ns.
-        amplifier_bandwidth, delay: what the regression found, Hz and s; NaN where the measured current is
-            interpolated instead, because the regression does not explain it.
+        switch_ns: (n,) int64 ns.
+        delay: median time from a sample to the arrival of its command, s; NaN where the measured current is
+            interpolated, because no amplifier explains it.
+        rate_found: whether the rate comes from the record, or else from the parameters.
     """
 
     rate: float
-    before: NDArray[np.float64]
-    after: NDArray[np.float64]
-    switch_ns: int
-    amplifier_bandwidth: float
+    before: Array
+    after: Array
+    switch_ns: NDArray[np.int64]
     delay: float
+    rate_found: bool
 
 
 def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
-    """The current between the samples of ``recording``; ``drive`` tells the D/A converter's steps, which are tried."""
+    """The current between the samples of ``recording``.
+
+    Args:
+        recording: with commands as they were asked for.
+        drive: the D/A converter's steps are tried; the bandwidth is taken where the record does not tell it.
+    """
     period = recording.period_ns * 1e-9
     converted = np.array([drive.converted(value) for value in recording.command.tolist()])
-    found = [_regression(recording.current, asked, period) for asked in (recording.command, converted)]
-    (open_part, rate, delay), asked = min(zip(found, (recording.command, converted), strict=True), key=lambda f: f[0])
-    if open_part > _EXPLAINED:
-        # Straight from sample to sample, in two halves.
-        current, following = recording.current, np.append(recording.current[1:], recording.current[-1])
-        return CurrentPath(
-            _INSTANT,
-            0.75 * current + 0.25 * following,
-            0.25 * current + 0.75 * following,
-            recording.period_ns // 2,
-            math.nan,
-            math.nan,
-        )
-    before = np.concatenate([recording.current[:1], asked[:-1]])
-    return CurrentPath(rate, before, asked, round(delay * 1e9), rate / (2.0 * math.pi), delay)
+    found = [(*_regression(recording.current, asked, period), asked) for asked in (recording.command, converted)]
+    open_part, rate, asked = min(found, key=lambda one: one[0])
+    rate_found = open_part < _EXPLAINED
+    if not rate_found:
+        rate, asked = 2.0 * math.pi * drive.bandwidth, converted
+    before, after, switch, late, missed = _arrivals(recording.current, asked, rate, period)
+    if float(missed.std()) > _EXPLAINED * float(np.diff(recording.current).std()):
+        return _interpolated(recording)
+    # Where nothing changes, the time of the change says nothing.
+    telling = np.abs(after - before) > 0.5 * np.abs(after - before).mean()
+    delay = float(np.median((switch + late * period)[telling])) if telling.any() else math.nan
+    return CurrentPath(rate, before, after, np.round(switch * 1e9).astype(np.int64), delay, rate_found)
 
 
-def _regression(current: NDArray[np.float64], asked: NDArray[np.float64], period: float) -> tuple[float, float, float]:
-    """(open part of the current's steps, rate in rad/s, delay in s); the open part is inf where it fits nothing."""
+def _interpolated(recording: Recording) -> CurrentPath:
+    """Straight from sample to sample, in two halves."""
+    current, following = recording.current, np.append(recording.current[1:], recording.current[-1])
+    halves = np.full(len(current), recording.period_ns // 2)
+    return CurrentPath(
+        _INSTANT, 0.75 * current + 0.25 * following, 0.25 * current + 0.75 * following, halves, math.nan, False
+    )
+
+
+def _regression(current: Array, asked: Array, period: float) -> tuple[float, float]:
+    """(open part of the current's steps, rate in rad/s); the open part is inf where it fits no amplifier."""
     steps = float(np.diff(current).std())
     terms = np.stack([current[1:-1], asked[:-2], asked[1:-1]], axis=1)
     (a, b, c), *_ = np.linalg.lstsq(terms, current[2:], rcond=None)
-    if not (steps > 0.0 and 0.0 < a < 1.0 and 0.0 < c < 1.0 and abs(a + b + c - 1.0) < 0.05):
-        return math.inf, 0.0, 0.0
-    rate = -math.log(a) / period
-    delay = period + math.log(1.0 - c) / rate
-    open_part = float((current[2:] - terms @ np.array([a, b, c])).std()) / steps
-    return open_part, rate, min(max(delay, 0.0), period)
+    if not (steps > 0.0 and 0.0 < a < 1.0 and abs(a + b + c - 1.0) < 0.05):
+        return math.inf, 0.0
+    return float((current[2:] - terms @ np.array([a, b, c])).std()) / steps, -math.log(a) / period
+
+
+def _arrivals(
+    current: Array, asked: Array, rate: float, period: float
+) -> tuple[Array, Array, Array, NDArray[np.int64], Array]:
+    """Old and new command in A, time of the change in s, samples by which it is late, current left open in A; (n,)."""
+    n = len(current)
+    following = np.append(current[1:], current[-1])
+    keep = math.exp(-rate * period)
+    best = (np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.full(n, np.inf))
+    for late in range(_LATEST):
+        new = np.concatenate([np.full(late, asked[0]), asked[: n - late]])
+        old = np.concatenate([new[:1], new[:-1]])
+        change = old - new
+        # The rest of the old command that is left after T − d: between keep (d = 0) and 1 (d = T).
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = (following - new - (current - old) * keep) / change
+        left = np.clip(np.where(change != 0.0, left, keep), keep, 1.0)
+        missed = following - (new + change * left + (current - old) * keep)
+        answer = (old, new, period + np.log(left) / rate, np.full(n, late), missed)
+        # The least late one that explains the step: a later one does so at times by chance.
+        better = np.abs(missed) < 0.5 * np.abs(best[4]) - 1e-12
+        best = tuple(np.where(better, a, b) for a, b in zip(answer, best, strict=True))  # type: ignore[assignment]
+    return best

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from straightcomp_ros.identification.current_path import current_path
+from straightcomp_ros.identification.current_path import CurrentPath, current_path
 from straightcomp_ros.identification.fit import Fit, fit
 from straightcomp_ros.identification.recording import Recording, read_recording
 from straightcomp_ros.identification.unknowns import NAMES, RATIO, Unknowns, unknowns
@@ -79,14 +79,13 @@ class Estimate:
     Attributes:
         parameters: by dotted name below ``simulated.plant.``.
         recording: what was used of the bag.
-        amplifier_bandwidth, delay: of the current path, Hz and s; NaN where it was interpolated.
+        path: of the coil current between the samples.
         fit: the search's own figures.
     """
 
     parameters: dict[str, Estimated]
     recording: Recording
-    amplifier_bandwidth: float
-    delay: float
+    path: CurrentPath
     fit: Fit
 
     @property
@@ -118,7 +117,7 @@ def estimate_from_bag(
     path = current_path(recording, start.drive)
     found = fit(recording, path, searched, start.encoder.resolution, progress)
     parameters = _parameters(found, searched, blocks=max(2, int(recording.duration / 0.25)))
-    return Estimate(parameters, recording, path.amplifier_bandwidth, path.delay, found)
+    return Estimate(parameters, recording, path, found)
 
 
 def _parameters(found: Fit, searched: Unknowns, blocks: int) -> dict[str, Estimated]:

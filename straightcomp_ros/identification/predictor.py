@@ -35,7 +35,7 @@ def filter_gains(
     current: NDArray[np.float64],
     before: NDArray[np.float64],
     after: NDArray[np.float64],
-    switch_ns: int,
+    switch_ns: NDArray[np.int64],
     period_ns: int,
     deviations: NDArray[np.float64],
     gains: NDArray[np.float64],
@@ -77,11 +77,11 @@ def filter_gains(
                 covariance[i, j] -= gains[k, i] * first[j]
         state[3] = current[k]
         corrected = state.copy()
-        advance(constants, state, bias, before[k], switch_ns, after[k], period_ns - switch_ns)
+        advance(constants, state, bias, before[k], switch_ns[k], after[k], period_ns - switch_ns[k])
         for j in range(3):
             moved = corrected.copy()
             moved[j] += _STEPS[j]
-            advance(constants, moved, bias, before[k], switch_ns, after[k], period_ns - switch_ns)
+            advance(constants, moved, bias, before[k], switch_ns[k], after[k], period_ns - switch_ns[k])
             for i in range(3):
                 transition[i, j] = (moved[i] - state[i]) / _STEPS[j]
         covariance = transition @ covariance @ transition.T
@@ -97,7 +97,7 @@ def prediction_errors(
     current: NDArray[np.float64],
     before: NDArray[np.float64],
     after: NDArray[np.float64],
-    switch_ns: int,
+    switch_ns: NDArray[np.int64],
     period_ns: int,
     gains: NDArray[np.float64],
     errors: NDArray[np.float64],
@@ -111,4 +111,4 @@ def prediction_errors(
         for i in range(3):
             state[i] += gains[k, i] * error
         state[3] = current[k]
-        advance(constants, state, bias, before[k], switch_ns, after[k], period_ns - switch_ns)
+        advance(constants, state, bias, before[k], switch_ns[k], after[k], period_ns - switch_ns[k])

@@ -8,8 +8,8 @@ A limit cycle differs from each of these:
 - it lasts, where the answer to a slip dies away within some tens of milliseconds;
 - it lies at the loop's own frequency, above what the map asks for at the stage's speed.
 
-Where this finds one, the loop oscillates on without any noise, jitter and quantisation: an amplitude of one count is
-about where the fading ring of a loop at the edge of stability ends, and its own oscillation begins.
+Where this finds one, the loop is at the edge of its own oscillation or beyond it: about one count is where the ring of
+a loop that noise and quantisation keep exciting ends, and an oscillation that feeds itself begins.
 
 Slow hunting below that frequency is not looked for: it shows in the peak-to-peak error.
 """
