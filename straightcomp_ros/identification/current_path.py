@@ -4,7 +4,7 @@ A first-order amplifier that is asked for the old command until the new one come
 
     i[k+1] = u_new + (u_old − u_new) exp(−ω (T − d)) + (i[k] − u_old) exp(−ω T)
 
-with bandwidth ω and period T. With ω known the measured currents tell d, sample by sample: a loop's latency jitters, and
+with bandwidth ω and period T. With ω known the measured currents tell d, sample by sample: a latency jitters, and
 a command that is late comes in after the next sample. ω itself follows, where d hardly changes, from the regression of
 i[k+1] on i[k], u[k−1] and u[k].
 """

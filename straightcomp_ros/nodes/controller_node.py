@@ -23,6 +23,9 @@ from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, sub
 _REFERENCE_WAIT_NS = 50_000
 """How long a reference is to wait for the cycle that uses it: the usual jitter of its arrival."""
 
+_LOOKS = 5
+_LOOK_AGAIN_S = 40e-6
+
 
 class ControllerNode:
     """Pairs each sample with its reference and steps the law, on the timer or on arrival.
@@ -60,6 +63,17 @@ class ControllerNode:
         self._answer()
 
     def _cycle(self, _: int) -> None:
+        # Just too early would cost a whole period of latency: better look again, a little later.
+        for _ in range(_LOOKS):
+            self._fetch()
+            if self._pairing.ready:
+                break
+            time.sleep(_LOOK_AGAIN_S)
+        else:
+            self._idle_cycles += 1
+        self._answer()
+
+    def _fetch(self) -> None:
         for stamp_ns, numbers, _ in self._samples.fetch():
             self._pairing.add_sample(stamp_ns, numbers)
         references = self._references.fetch()
@@ -67,9 +81,6 @@ class ControllerNode:
             self._pairing.add_reference(stamp_ns, numbers)
         if references and self.loop:
             self.loop.shift(self._phase.shift_ns(time.time_ns() - references[-1][2]))
-        if not self._pairing.ready:
-            self._idle_cycles += 1
-        self._answer()
 
     def _answer(self) -> None:
         ready = self._pairing.ready

@@ -1,0 +1,23 @@
+"""Plants that differ from the one at which the search starts, and a short run."""
+
+from __future__ import annotations
+
+SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
+STIFF = {
+    "mass": 3.4,
+    "friction.coulomb": 0.3,
+    "friction.static": 0.5,
+    "friction.stribeck_velocity": 30e-6,
+    "friction.bristle_stiffness": 1.5e6,
+    "friction.viscous": 25.0,
+}
+SOFT = {
+    "mass": 4.2,
+    "actuator.air_gap": 1.6e-3,
+    "friction.coulomb": 0.9,
+    "friction.static": 1.1,
+    "friction.stribeck_velocity": 100e-6,
+    "friction.bristle_stiffness": 4e5,
+    "friction.bristle_damping": 600.0,
+    "friction.viscous": 40.0,
+}

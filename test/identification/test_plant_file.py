@@ -1,0 +1,76 @@
+"""The answer as JSON and as a parameter file that simulate takes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration import node_parameters, read_parameter_file
+from straightcomp_ros.contract import COMMAND, ENCODER
+from straightcomp_ros.identification import recording
+from straightcomp_ros.identification.estimate import DERIVED, UNITS
+from straightcomp_ros.parameters import to_mapping
+
+SHORT_CYCLE = ("cell.motion.stroke=0.05", "cell.motion.settle=0.1", "cell.motion.pause=0.1")
+
+
+def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
+    answer, _ = stiff_answer
+    assert set(answer) == {
+        "samples",
+        "samples_in_bag",
+        "duration_s",
+        "prediction_error_um",
+        "prediction_error_ratio",
+        "amplifier_bandwidth_Hz",
+        "delay_us",
+        "parameters",
+        "advice",
+    }
+    assert list(answer["parameters"]) == list(UNITS)
+    for found in answer["parameters"].values():
+        assert set(found) == {
+            "value",
+            "low",
+            "high",
+            "unit",
+            "known",
+            "poorly_determined",
+            "hardly_told_apart_from",
+        }
+        assert found["low"] <= found["value"] <= found["high"]
+    assert answer["parameters"]["actuator.turns"]["known"]
+    assert answer["amplifier_bandwidth_Hz"] == pytest.approx(500.0, rel=1e-3)
+    assert answer["delay_us"] == pytest.approx(250.0, abs=5.0)
+    # An encoder of 0.1 µm that is predicted as well as it reads.
+    assert answer["prediction_error_um"] == pytest.approx(0.1 / 12**0.5, rel=0.2)
+
+
+def test_the_file_holds_the_plant_under_the_drivers_names(stiff_answer) -> None:
+    answer, file = stiff_answer
+    values = read_parameter_file(file)
+    assert {node for node, section in values.items() if section} == {"driver"}
+    plant = to_mapping(node_parameters("driver", values["driver"]).simulated.plant)
+    for name, found in answer["parameters"].items():
+        if name not in DERIVED:
+            assert plant[name] == pytest.approx(found["value"], rel=1e-5), name
+
+
+def test_simulate_takes_the_file_and_everything_else_from_the_declarations(
+    stiff_answer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, file = stiff_answer
+    short = [word for assignment in SHORT_CYCLE for word in ("--set", assignment)]
+    assert main(["simulate", "--params-file", str(file), "--law", "linear", "--json", *short]) == 0
+    assert json.loads(capsys.readouterr().out)["law"] == "linear"
+
+
+def test_the_truth_is_never_read(soft_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    read = recording.read_streams
+    monkeypatch.setattr(recording, "read_streams", lambda bag, layouts: asked.extend(layouts) or read(bag, layouts))
+    recording.read_recording(soft_bag)
+    assert asked == [ENCODER.topic, COMMAND.topic]
