@@ -124,8 +124,8 @@ def _parameters(found: Fit, searched: Unknowns, blocks: int) -> dict[str, Estima
     places = {name: place for place, name in enumerate(NAMES)}
     free = list(searched.free)
     total = np.zeros((len(NAMES), len(NAMES)))
-    # The pull that may be left is as large as its last change, and moves all parameters together.
-    total[np.ix_(free, free)] = found.covariance + np.outer(found.pull, found.pull)
+    # The pull that may be left is as large as its last changes, each of which moves all parameters together.
+    total[np.ix_(free, free)] = found.covariance + found.pulls.T @ found.pulls
     total[free, free] += _LEAST**2
     quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, max(1, blocks - len(free))))
     logarithm_of: dict[str, dict[str, float]] = {name: {name: 1.0} for name in NAMES if name != RATIO}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator
@@ -14,7 +13,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.configuration import CellNodeParameters
-from straightcomp_ros.contract import ALWAYS_PUBLISHED, DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, UNCONNECTED
+from straightcomp_ros.contract import ALWAYS_PUBLISHED, DIAGNOSTICS, DRIVER_STATE, STAGE_TRAJECTORY, UNCONNECTED
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
@@ -22,6 +21,7 @@ from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 from straightcomp_ros.nodes.streams import subscribe
 
 _TICK_S = 0.05
+_ENABLED = DRIVER_STATE.layout.columns.index("enabled")
 _REASON_S = 1.5
 """Time that the driver's diagnostics get to tell why the amplifier is off."""
 
@@ -44,7 +44,8 @@ class CellNode:
         self._errors: dict[str, str] = {}
         self._enable = node.create_client(SetBool, "driver/enable")
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        subscribe(node, ENCODER, self._on_sample)
+        # The driver's record of each sample comes in bursts: it wakes this process an eighth as often as the encoder.
+        subscribe(node, DRIVER_STATE, self._on_driver_state)
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         self._steps = self._cycle()
         node.create_timer(_TICK_S, self._tick)
@@ -138,10 +139,10 @@ class CellNode:
                 self._enable.call_async(SetBool.Request(data=False))
             self.done.set_result(EXIT_FAILURE)
 
-    def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+    def _on_driver_state(self, stamp_ns: int, numbers: list[float]) -> None:
         self._first_stamp_ns = self._first_stamp_ns or stamp_ns
         self._stamp_ns = stamp_ns
-        self._amplifier_on = not math.isnan(numbers[3])
+        self._amplifier_on = bool(numbers[_ENABLED])
         self._last_sample = time.monotonic()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

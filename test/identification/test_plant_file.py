@@ -11,7 +11,8 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.configuration import node_parameters, read_parameter_file
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.identification import recording
-from straightcomp_ros.identification.estimate import DERIVED, UNITS
+from straightcomp_ros.identification.estimate import DERIVED, UNITS, Estimate, Estimated
+from straightcomp_ros.identification.plant_file import parameter_file
 from straightcomp_ros.parameters import to_mapping
 
 SHORT_CYCLE = ("cell.motion.stroke=0.05", "cell.motion.settle=0.1", "cell.motion.pause=0.1")
@@ -74,3 +75,17 @@ def test_the_truth_is_never_read(soft_bag: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(recording, "read_streams", lambda bag, layouts: asked.extend(layouts) or read(bag, layouts))
     recording.read_recording(soft_bag)
     assert asked == [ENCODER.topic, COMMAND.topic]
+
+
+@pytest.mark.parametrize("coulomb_is_poor", [False, True])
+def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor: bool) -> None:
+    parameters = {name: Estimated(name, 1.0, 0.99, 1.01, False) for name in UNITS}
+    poor = {"mass", "friction.static"} | ({"friction.coulomb"} if coulomb_is_poor else set())
+    for name in poor:
+        parameters[name] = Estimated(name, 1.0, 0.1, 10.0, False)
+    lines = parameter_file(Estimate(parameters, None, None, None)).splitlines()  # type: ignore[arg-type]
+    assert "    # simulated.plant.mass: 1.0" in lines
+    assert "    # 0.1 to 10 kg, poorly determined" in lines
+    assert "    simulated.plant.friction.viscous: 1.0" in lines
+    # F_S stays beside F_C even so: its default may be below F_C, which is refused.
+    assert ("    simulated.plant.friction.static: 1.0" in lines) is not coulomb_is_poor
