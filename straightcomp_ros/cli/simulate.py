@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
             bag = (
                 stack.enter_context(SimulatedRun(Path(options.bag), values, simulation.delay)) if options.bag else None
             )
-            record = simulation.run(lambda fraction: bar.update(task, completed=fraction), bag and bag.add)
+            record = simulation.run(lambda fraction: bar.update(task, completed=fraction), bag.add if bag else None)
     except BagError as error:
         raise CommandFailed(str(error)) from error
     try:
