@@ -22,6 +22,8 @@ from straightcomp_ros.nodes.streams import subscribe
 
 _TICK_S = 0.05
 _ENABLED = DRIVER_STATE.layout.columns.index("enabled")
+_SETTLE_S = 1.5
+"""A node that has just come up allocates and connects for about a second more, and loses messages meanwhile."""
 _REASON_S = 1.5
 """Time that the driver's diagnostics get to tell why the amplifier is off."""
 
@@ -62,6 +64,7 @@ class CellNode:
         yield from self._until(
             lambda: not self._unrecorded_topics(), lambda: f"not recorded: {', '.join(self._unrecorded_topics())}"
         )
+        yield from self._for(_SETTLE_S)
         yield from self._switch_on()
         first_ns = self._stamp_ns
         self._trajectory.publish(message_from_waypoints(self._waypoints))
@@ -124,6 +127,11 @@ class CellNode:
         while not condition():
             if time.monotonic() > deadline:
                 raise CycleFailed(otherwise())
+            yield
+
+    def _for(self, seconds: float) -> Iterator[None]:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
             yield
 
     def _tick(self) -> None:
