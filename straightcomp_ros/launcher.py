@@ -116,7 +116,7 @@ class Graph:
         for name in names:
             code = self._processes[name].poll()
             if code is not None:
-                raise LaunchError(f"node '{name}' ended with {_exit_words(code)}: {self.last_words(name)}")
+                raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {self.last_words(name)}")
 
     def last_words(self, name: str) -> str:
         """The last line that a node printed, for a message."""
@@ -148,7 +148,8 @@ def _as_argument(value: Any) -> str:
     return f"'{value}'" if isinstance(value, str) else repr(value)
 
 
-def _exit_words(code: int) -> str:
+def exit_words(code: int) -> str:
+    """How a process ended, in words."""
     return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
 
