@@ -11,7 +11,7 @@ The observer's disturbance estimate (friction, model errors) is subtracted, so t
 estimate still misses. The map's ṙ and r̈ are fed forward, so that a moving reference leaves no lag.
 
 Tuning: the observer's bandwidth first, as high as noise allows (an encoder count of 0.1 µm at 2 kHz allows some
-300 Hz); then κ and λ until `sampled loop` margins (`margins.py`) are used up; ρ above the disturbances' jumps.
+450 Hz); then κ and λ until the margins of the sampled loop (`margins.py`) are used up; ρ above the disturbances' jumps.
 """
 
 from __future__ import annotations
