@@ -14,17 +14,17 @@ FILE = Path(__file__).resolve().parent.parent / "config" / "straightcomp.yaml"
 PRIORITY = {"realtime.priority": 40}
 CHANGED: dict[str, dict[str, Any]] = {
     **dict.fromkeys(("feedforward", "controller", "logger", "cell"), PRIORITY),
-    "driver": {"simulated.command_timeout": 0.25, **PRIORITY},
+    "driver": {"simulated.command_timeout": 0.25, **PRIORITY, "realtime.keep_awake": True},
 }
 """Values that differ from the default; the head of the file says why."""
 HEAD = """\
 # Parameters of all nodes of straightcomp_ros, for `--params-file` and for the launch files.
 # Made by scripts/make_parameter_file.py from the declarations in the code; SI units.
-# Two values differ from their defaults. realtime.priority asks for real-time scheduling; where it is
-# not permitted the nodes say so and run without. All nodes have the same: they share locks in shared
-# memory, and one that is starved while it holds a lock stops the others. simulated.command_timeout is
-# longer than the default of 5 ms: a desktop stalls for longer at times, and a simulated machine breaks
-# nothing.
+# Some values differ from their defaults. realtime.priority asks for real-time scheduling; where it is not permitted the
+# nodes say so and run without; all have the same, since they share locks, and one that is starved while it holds a
+# lock stops the others. realtime.keep_awake halves the time that a CPU takes to wake up.
+# simulated.command_timeout is longer than the default of 5 ms: a desktop stalls for longer at times, and a simulated
+# machine breaks nothing.
 """
 
 

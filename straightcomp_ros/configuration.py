@@ -22,7 +22,17 @@ from straightcomp_ros.straightness.map import MapParameters
 class RealtimeParameters:
     """Scheduling of a node's process."""
 
-    priority: int = parameter(0, "SCHED_FIFO priority; 0 leaves the normal scheduling", minimum=0, maximum=98)
+    priority: int = parameter(
+        0,
+        "SCHED_FIFO priority, the same for all nodes that talk to each other; 0 leaves the normal scheduling",
+        minimum=0,
+        maximum=98,
+    )
+    cpus: str = parameter("", "CPUs that the node may use, separated by commas, e.g. '2,3'; empty for all")
+    lock_memory: bool = parameter(False, "Keep the process's memory from being paged out")
+    keep_awake: bool = parameter(
+        False, "Keep all CPUs from sleeping while the node runs: faster wake-ups for more electric power"
+    )
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,9 @@ class FeedforwardNodeParameters:
 
     map: MapParameters = group(MapParameters)
     feedforward: FeedforwardParameters = group(FeedforwardParameters)
+    interval: float = parameter(
+        0.002, "Time between two looks for samples; all that came are answered then", unit="s", above=0.0, maximum=0.01
+    )
     realtime: RealtimeParameters = group(RealtimeParameters)
 
 
@@ -68,6 +81,13 @@ class ControllerNodeParameters:
     rate: int = parameter(DEFAULT_RATE, "Control cycles per second", unit="Hz", minimum=10, maximum=20_000)
     trigger: str = parameter(
         "timer", "What starts a cycle: the node's own timer, or each sample's arrival", choices=("timer", "sample")
+    )
+    reference_lead: int = parameter(
+        8,
+        "A sample is served by the reference of so many samples before, extrapolated",
+        unit="samples",
+        minimum=0,
+        maximum=100,
     )
     control: ControlParameters = group(ControlParameters)
     realtime: RealtimeParameters = group(RealtimeParameters)

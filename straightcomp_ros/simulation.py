@@ -22,6 +22,7 @@ from straightcomp_ros.configuration import (
 )
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
@@ -65,6 +66,7 @@ class Simulation:
         self.delay = self._driver.lockstep_delay
         self._hardware = SimulatedHardware(self._driver.simulated, load_map(self._driver.guide))
         self._feedforward = Feedforward(self.map, feedforward.feedforward)
+        self._pairing = Pairing(round(self._controller.reference_lead * 1e9 / rate), wait=True)
         self._servo = Servo(make_law(self._controller.control, 1.0 / rate))
         self._trajectory = Trajectory(forward_and_back(cell.motion))
 
@@ -79,7 +81,8 @@ class Simulation:
             progress: called now and then with the fraction that is done.
             observe: called with each sample, its truth, its reference and the answer.
         """
-        hardware, step, reference_at = self._hardware, self._servo.step, self._feedforward.step
+        hardware, pairing = self._hardware, self._pairing
+        step, reference_at = self._servo.step, self._feedforward.step
         period_ns = hardware.period_ns
         delay_ns = round(self.delay * period_ns)
         count = -(-self._trajectory.end_ns // period_ns)
@@ -90,7 +93,10 @@ class Simulation:
         for index in range(count):
             sample, truth = hardware.read(index * period_ns)[-1]
             reference = reference_at(sample.stamp_ns, sample.x)
-            command = step(sample.stamp_ns, sample.y, sample.current, reference)
+            pairing.add_reference(sample.stamp_ns, reference)
+            pairing.add_sample(sample.stamp_ns, (sample.y, sample.current))
+            ((stamp_ns, (y, coil_current), served),) = pairing.take()
+            command = step(stamp_ns, y, coil_current, served)
             # A sample of the simulated machine is finite and newer than the last.
             assert command is not None
             hardware.write(command.current, sample.stamp_ns + delay_ns)

@@ -1,45 +1,76 @@
-"""Brings each sample together with its reference; either may come first."""
+"""Gives each sample its reference: that of an earlier sample, extrapolated.
+
+The map is smooth and the stage slow, so the reference of a few milliseconds ago and its two rates give the present one
+to a fraction of a nanometre. The feedforward may therefore run beside the loop instead of in it: no sample waits for
+another process's answer.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 _WAITING = 1000
-"""Halves that wait for their other half: half a second of samples."""
+"""Samples or references that are kept: half a second."""
+_LONGEST_EXTRAPOLATION_NS = 20_000_000
 
-Pair = tuple[int, Sequence[float], Sequence[float]]
+Reference = tuple[float, float, float]
+Paired = tuple[int, Sequence[float], Reference]
 
 
 class Pairing:
-    """Matches samples and references by stamp; what finds no partner is forgotten in time and counted."""
+    """Samples with their references, in the order of their coming.
 
-    def __init__(self) -> None:
-        self._samples: dict[int, Sequence[float]] = {}
-        self._references: dict[int, Sequence[float]] = {}
-        self.ready: deque[Pair] = deque()
-        """Complete pairs (stamp in ns, sample, reference) in the order of completion."""
+    A sample is served by the reference of the sample ``lead_ns`` before it, or of the first sample. Which one that is
+    depends on the stamps alone, not on who was faster: a replay of the same messages gives the same numbers.
+
+    Args:
+        lead_ns: how much older than the sample its reference is, in ns.
+        wait: a sample whose reference is late waits for it (lockstep, replay, simulation) instead of being served
+            by the newest one that is there (real time).
+    """
+
+    def __init__(self, lead_ns: int, *, wait: bool) -> None:
+        self._lead_ns = lead_ns
+        self._wait = wait
+        self._samples: deque[tuple[int, Sequence[float]]] = deque()
+        self._references: deque[tuple[int, Sequence[float]]] = deque()
+        self._first_ns = self._last_ns = -(2**63)
         self.unmatched = 0
-        """Halves that were forgotten without a partner."""
+        """Samples that were forgotten without a reference."""
 
     def add_sample(self, stamp_ns: int, sample: Sequence[float]) -> None:
-        """A sample came; its reference may be here already."""
-        reference = self._references.pop(stamp_ns, None)
-        if reference is None:
-            self._keep(self._samples, stamp_ns, sample)
-        else:
-            self.ready.append((stamp_ns, sample, reference))
+        """A sample came."""
+        if not 0 <= stamp_ns - self._last_ns <= _LONGEST_EXTRAPOLATION_NS:
+            self._first_ns = stamp_ns
+        self._last_ns = stamp_ns
+        self._samples.append((stamp_ns, sample))
+        if len(self._samples) > _WAITING:
+            self._samples.popleft()
+            self.unmatched += 1
 
     def add_reference(self, stamp_ns: int, reference: Sequence[float]) -> None:
-        """A reference came; its sample is usually here already."""
-        sample = self._samples.pop(stamp_ns, None)
-        if sample is None:
-            self._keep(self._references, stamp_ns, reference)
-        else:
-            self.ready.append((stamp_ns, sample, reference))
+        """A reference came: r in m, ṙ in m/s, r̈ in m/s². One that is repeated or overtaken is of no use."""
+        references = self._references
+        if references and stamp_ns <= references[-1][0]:
+            if references[-1][0] - stamp_ns <= _LONGEST_EXTRAPOLATION_NS:
+                return
+            references.clear()  # the machine's clock was set back
+        references.append((stamp_ns, reference))
+        if len(references) > _WAITING:
+            references.popleft()
 
-    def _keep(self, halves: dict[int, Sequence[float]], stamp_ns: int, half: Sequence[float]) -> None:
-        halves[stamp_ns] = half
-        if len(halves) > _WAITING:
-            del halves[next(iter(halves))]
-            self.unmatched += 1
+    def take(self) -> Iterator[Paired]:
+        """Samples that can be served now: (stamp in ns, sample, reference at that stamp)."""
+        samples, references = self._samples, self._references
+        while samples and references:
+            stamp_ns, sample = samples[0]
+            wanted_ns = max(stamp_ns - self._lead_ns, self._first_ns)
+            while len(references) > 1 and references[1][0] <= wanted_ns:
+                references.popleft()
+            given_ns, (r, r_dot, r_ddot) = references[0]
+            if references[-1][0] < wanted_ns and (self._wait or stamp_ns - given_ns > _LONGEST_EXTRAPOLATION_NS):
+                return
+            samples.popleft()
+            ahead = (stamp_ns - given_ns) * 1e-9
+            yield stamp_ns, sample, (r + (r_dot + 0.5 * r_ddot * ahead) * ahead, r_dot + r_ddot * ahead, r_ddot)

@@ -2,7 +2,8 @@
 
 It stands for a board with a sampling clock of its own: samples lie on an exact grid of the sampling
 period, whenever the host comes to fetch them, and a command takes effect when it arrives. How late
-that is, is the loop's own latency; nothing is added to it here.
+that is, is the loop's own latency; nothing is added to it here. When the next command is late, the board
+goes back to the mean of those before, until it comes or ``command_timeout`` ends the waiting.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from straightcomp_ros.model.stage import Trajectory, Waypoint
 from straightcomp_ros.parameters import group, parameter
 from straightcomp_ros.straightness.map import StraightnessMap
 
+_NEVER = 2**63
+
 
 @dataclass(frozen=True)
 class SimulatedParameters:
@@ -33,6 +36,14 @@ class SimulatedParameters:
         above=0.0,
         maximum=1.0,
     )
+    hold_after: float = parameter(
+        1.5,
+        "Age of the newest command from which the board applies the mean of the last commands instead",
+        unit="samples",
+        minimum=1.1,
+        maximum=1e6,
+    )
+    hold_mean: float = parameter(0.015, "Time constant of that mean", unit="s", above=0.0, maximum=10.0)
     sample_memory: int = parameter(256, "Samples that the board keeps for a late host", minimum=1, maximum=100_000)
     initial_y: float = parameter(0.0, "Platform's position at the start", unit="m", minimum=-1e-2, maximum=1e-2)
     plant: PlantParameters = group(PlantParameters)
@@ -58,7 +69,10 @@ class SimulatedHardware(Hardware):
         self._reading = parameters.plant.encoder.reading
         self._converted = parameters.plant.drive.converted
         self._commands: deque[tuple[int, float]] = deque()
-        self._command = 0.0
+        self._command = self._mean_command = 0.0
+        self._mean_weight = 1.0 - math.exp(-self.period_ns * 1e-9 / parameters.hold_mean)
+        self._hold_after_ns = round(parameters.hold_after * self.period_ns)
+        self._hold_ns = _NEVER
         self._bias = 0.0
         self._time_ns = 0
         self._next_sample_ns = 0
@@ -144,17 +158,31 @@ class SimulatedHardware(Hardware):
 
     def _currents_off(self) -> None:
         self._commands.clear()
-        self._command = 0.0
+        self._command = self._mean_command = 0.0
+        self._hold_ns = _NEVER
         self._bias = 0.0
 
     def _integrate(self, until_ns: int) -> None:
         commands = self._commands
-        while commands and commands[0][0] <= until_ns:
-            at_ns, current = commands.popleft()
-            if self._state is not State.ON:
-                current = self._command
-            # Up to the command after this one, if that comes before the sample.
-            end_ns = min(until_ns, commands[0][0]) if commands else until_ns
+        while True:
+            if commands and commands[0][0] <= until_ns and commands[0][0] <= self._hold_ns:
+                at_ns, current = commands.popleft()
+                if self._state is State.ON:
+                    self._mean_command += self._mean_weight * (current - self._mean_command)
+                    self._hold_ns = at_ns + self._hold_after_ns
+                else:
+                    current = self._command
+            elif self._hold_ns <= until_ns:
+                # The last command fought the error of its own moment; held for longer it drives the platform away.
+                # The mean is about the current that keeps the platform where it is, and friction does the rest.
+                at_ns, current = self._hold_ns, self._converted(self._mean_command)
+                self._hold_ns = _NEVER
+            else:
+                break
+            # Up to what comes next, if that is before the sample.
+            end_ns = until_ns if until_ns < self._hold_ns else self._hold_ns
+            if commands and commands[0][0] < end_ns:
+                end_ns = commands[0][0]
             advance(
                 self._constants,
                 self._plant_state,

@@ -20,8 +20,8 @@ from straightcomp_ros.nodes.phase_lock import PhaseLock
 from straightcomp_ros.nodes.runner import run
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
 
-_REFERENCE_WAIT_NS = 50_000
-"""How long a reference is to wait for the cycle that uses it: the usual jitter of its arrival."""
+_SAMPLE_WAIT_NS = 50_000
+"""How long a sample is to wait for the cycle that uses it: the usual jitter of its arrival."""
 
 _LOOKS = 5
 _LOOK_AGAIN_S = 40e-6
@@ -38,7 +38,9 @@ class ControllerNode:
         parameters = declare(node, ControllerNodeParameters)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate))
-        self._pairing = Pairing()
+        self._pairing = Pairing(
+            round(parameters.reference_lead * 1e9 / parameters.rate), wait=parameters.trigger == "sample"
+        )
         self._publish_command = publisher(node, COMMAND)
         self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
         self._commands = self._refused = self._idle_cycles = 0
@@ -50,7 +52,7 @@ class ControllerNode:
             unspun = unspun_node(node)
             self._samples, self._references = Inbox(node, unspun, ENCODER), Inbox(node, unspun, REFERENCE)
             period_ns = round(1e9 / parameters.rate)
-            self._phase = PhaseLock(period_ns, _REFERENCE_WAIT_NS)
+            self._phase = PhaseLock(period_ns, _SAMPLE_WAIT_NS)
             self.loop = PeriodicLoop(period_ns, self._cycle)
         Diagnostics(node, self._counters)
 
@@ -63,29 +65,26 @@ class ControllerNode:
         self._answer()
 
     def _cycle(self, _: int) -> None:
-        # Just too early would cost a whole period of latency: better look again, a little later.
         for _ in range(_LOOKS):
-            self._fetch()
-            if self._pairing.ready:
+            samples = self._samples.fetch()
+            if samples:
                 break
+            # Just too early would cost a whole period of latency: better look again, a little later.
             time.sleep(_LOOK_AGAIN_S)
         else:
             self._idle_cycles += 1
-        self._answer()
-
-    def _fetch(self) -> None:
-        for stamp_ns, numbers, _ in self._samples.fetch():
+        fetched_ns = time.time_ns()
+        for stamp_ns, numbers, _ in samples:
             self._pairing.add_sample(stamp_ns, numbers)
-        references = self._references.fetch()
-        for stamp_ns, numbers, _ in references:
+        self._answer()
+        # References are for samples to come: nothing waits for this.
+        for stamp_ns, numbers, _ in self._references.fetch():
             self._pairing.add_reference(stamp_ns, numbers)
-        if references and self.loop:
-            self.loop.shift(self._phase.shift_ns(time.time_ns() - references[-1][2]))
+        if samples and self.loop:
+            self.loop.shift(self._phase.shift_ns(fetched_ns - samples[-1][2]))
 
     def _answer(self) -> None:
-        ready = self._pairing.ready
-        while ready:
-            stamp_ns, sample, reference = ready.popleft()
+        for stamp_ns, sample, reference in self._pairing.take():
             command = self._servo.step(stamp_ns, sample[1], sample[3], reference)
             if command is None:
                 self._refused += 1

@@ -40,7 +40,6 @@ class DriverNode:
         self._publish_state = BurstPublisher(node, DRIVER_STATE)
         self._samples = self._commands = self._stale_commands = 0
         self._command_stamp_ns = 0
-        self._command = 0.0
         self._latency = math.nan
         self._started = False
         self._fault = ""
@@ -79,14 +78,13 @@ class DriverNode:
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
         on = 1.0 if self._hardware.state is State.ON else 0.0
-        self._publish_state(sample.stamp_ns, self._latency, lateness, self._command, on)
+        self._publish_state(sample.stamp_ns, self._latency, lateness, self._hardware.applied_current, on)
         self._latency = math.nan
         self._samples += 1
 
     def _on_lockstep_command(self, stamp_ns: int, numbers: list[float]) -> None:
         if self._lockstep and self._lockstep.awaits(stamp_ns) and self._check(numbers[0]):
             self._commands += 1
-            self._command = numbers[0]
             self._latency = self._lockstep.delay_ns * 1e-9
             self._lockstep.answer(numbers[0])
 
@@ -97,7 +95,6 @@ class DriverNode:
         elif self._check(current):
             self._hardware.write(current, arrival_ns)
             self._command_stamp_ns = stamp_ns
-            self._command = current
             self._latency = age_ns * 1e-9
             self._commands += 1
 

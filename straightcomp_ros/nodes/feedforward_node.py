@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from rclpy.node import Node
@@ -11,29 +12,37 @@ from straightcomp_ros.configuration import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.runner import run
-from straightcomp_ros.nodes.streams import publisher, subscribe
+from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
 from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.map import load_map
 
 
 class FeedforwardNode:
-    """Looks the reference up in the map, for each sample as it comes."""
+    """Looks the reference up in the map for each sample, some samples at a time.
+
+    The controller extrapolates an earlier reference, so nobody waits for this node.
+    """
 
     def __init__(self, node: Node) -> None:
         parameters = declare(node, FeedforwardNodeParameters)
-        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
+        self.node, self.done, self.realtime = node, Future(), parameters.realtime
         straightness = load_map(parameters.map)
         node.get_logger().info(f"map {parameters.map.file}: {straightness.report}")
         self._feedforward = Feedforward(straightness, parameters.feedforward)
         self._publish = publisher(node, REFERENCE)
         self._samples = 0
-        subscribe(node, ENCODER, self._on_sample)
-        Diagnostics(node, lambda: {"samples": self._samples})
+        self._inbox = Inbox(node, unspun_node(node), ENCODER)
+        self.loop = PeriodicLoop(round(parameters.interval * 1e9), self._cycle)
+        Diagnostics(node, lambda: {"samples": self._samples, "overruns": self.loop.overruns})
 
-    def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
-        self._samples += 1
-        self._publish(stamp_ns, *self._feedforward.step(stamp_ns, numbers[0]))
+    def _cycle(self, _: int) -> None:
+        for stamp_ns, numbers, _ in self._inbox.fetch():
+            self._samples += 1
+            self._publish(stamp_ns, *self._feedforward.step(stamp_ns, numbers[0]))
+            # With real-time scheduling driver and controller would have to wait for the end of this.
+            os.sched_yield()
 
     def close(self) -> None:
         """Nothing to make safe."""

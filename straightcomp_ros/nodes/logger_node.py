@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from collections import deque
@@ -28,6 +29,7 @@ from straightcomp_ros.nodes.streams import RawQueue, message_type, stream_qos, u
 
 _FETCH_INTERVAL_S = 0.02
 _WRITE_INTERVAL_S = 0.02
+_YIELD_EVERY = 8
 
 
 class LoggerNode:
@@ -71,6 +73,9 @@ class LoggerNode:
         for topic, messages in self._topics.items():
             for data, info in messages.fetch():
                 self._received += 1
+                if not self._received % _YIELD_EVERY:
+                    # With real-time scheduling nodes of the same priority would have to wait for the end of this.
+                    os.sched_yield()
                 if len(queue) < limit:
                     queue.append((topic, data, info["received_timestamp"], info["source_timestamp"]))
                 else:

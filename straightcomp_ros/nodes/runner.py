@@ -7,7 +7,6 @@ The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI
 from __future__ import annotations
 
 import gc
-import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -23,6 +22,7 @@ from rclpy.task import Future
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
@@ -107,15 +107,17 @@ class _StopRequest:
 
 def _spin(runnable: Runnable) -> int:
     done = runnable.done
-    # Python sees a signal only between two steps of its own; an idle executor takes none.
-    runnable.node.create_timer(_LONGEST_DEAFNESS_S, lambda: None)
+    # Python sees a signal only between two steps of its own; an idle executor takes none. Cyclic garbage is collected
+    # here, where it is little yet, and never in the middle of a cycle.
+    runnable.node.create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
     executor = EventsExecutor()
     executor.add_node(runnable.node)
-    if refusal := _schedule(runnable.realtime):
+    for refusal in realtime.apply(runnable.realtime):
         runnable.node.get_logger().warning(refusal)
     runnable.node.get_logger().info("ready")
     gc.collect()
     gc.freeze()
+    gc.disable()
     try:
         if runnable.loop:
             runnable.loop.run(done.done, idle=lambda: executor.spin_once(timeout_sec=0))
@@ -124,19 +126,3 @@ def _spin(runnable: Runnable) -> int:
     except ExternalShutdownException:
         return 0
     return int(done.result())
-
-
-def _schedule(realtime: RealtimeParameters) -> str:
-    """Take the real-time priority asked for; returns why not, or an empty text."""
-    if realtime.priority == 0:
-        return ""
-    try:
-        # All threads: the middleware's receiving threads have been started before.
-        for thread in os.listdir("/proc/self/task"):
-            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(realtime.priority))
-    except (OSError, AttributeError) as error:
-        return (
-            f"real-time priority {realtime.priority} is not permitted ({error}); running with normal scheduling. "
-            "Remedy: give this user rtprio in limits.conf"
-        )
-    return ""

@@ -47,12 +47,56 @@ def test_how_the_time_is_cut_into_fetches_does_not_change_the_machine():
 
 
 def test_a_command_acts_from_its_time_on_and_not_before():
-    hardware = machine(command_timeout=1.0)
+    hardware = machine(command_timeout=1.0, hold_after=10.0)
     hardware.enable()
     hardware.write(0.1, START + 4 * PERIOD)
     currents = [sample.current for sample, _ in hardware.read(START + 8 * PERIOD)]
     assert currents[:5] == [0.0] * 5
     assert 0.0 < currents[5] < currents[6] < 0.1
+
+
+def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_before():
+    hardware = machine(command_timeout=1.0, hold_after=2.5)
+    hardware.enable()
+    applied = []
+    for k in range(400):
+        hardware.write(0.05 + (0.2 if k % 2 else -0.2), START + k * PERIOD)
+        hardware.read(START + k * PERIOD)
+        applied.append(hardware.applied_current)
+    last = applied[-1]
+    assert last == pytest.approx(0.25, abs=1e-3)
+    hardware.read(START + 401 * PERIOD)  # two periods after the last command
+    assert hardware.applied_current == last
+    hardware.read(START + 402 * PERIOD)
+    assert hardware.applied_current == pytest.approx(0.05, abs=0.01)
+    hardware.write(0.1, START + 403 * PERIOD)
+    hardware.read(START + 404 * PERIOD)
+    assert hardware.applied_current == pytest.approx(0.1, abs=1e-3)
+
+
+def test_a_stall_of_the_host_moves_the_platform_less_when_the_board_holds_the_mean():
+    def moved(hold_after):
+        hardware = machine(command_timeout=1.0, hold_after=hold_after)
+        hardware.enable()
+        for k in range(400):
+            hardware.write(0.03 if k % 2 else -0.03, START + k * PERIOD)
+            hardware.read(START + k * PERIOD)
+        (_, before) = hardware.read(START + 400 * PERIOD)[-1]
+        (_, after) = hardware.read(START + 416 * PERIOD)[-1]
+        return abs(after.y - before.y)
+
+    assert moved(hold_after=1.5) < 0.1 * moved(hold_after=1e6)
+
+
+def test_after_a_switch_off_no_current_is_asked_for():
+    hardware = machine(command_timeout=1.0)
+    hardware.enable()
+    hardware.write(0.1, START)
+    hardware.read(START + PERIOD)
+    assert hardware.applied_current > 0.09
+    hardware.disable()
+    hardware.read(START + 4 * PERIOD)
+    assert hardware.applied_current == 0.0
 
 
 def test_the_true_state_is_within_half_a_count_of_the_reading():

@@ -1,0 +1,74 @@
+"""Scheduling of a node's process: priorities, CPUs, memory, and no deep sleep of the CPUs.
+
+What the system does not permit is left out and said, with the remedy; the node runs without it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import threading
+from collections.abc import Callable
+from typing import BinaryIO
+
+from straightcomp_ros.configuration import RealtimeParameters
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_CPU_LATENCY = "/dev/cpu_dma_latency"
+
+_held: list[BinaryIO] = []
+"""Files whose request lasts as long as they are open."""
+
+
+def apply(realtime: RealtimeParameters) -> list[str]:
+    """Set what the parameters ask for; call it when all threads of the node have been started.
+
+    Returns:
+        A sentence for each thing that was refused, with the remedy.
+    """
+    steps: list[tuple[bool, Callable[[RealtimeParameters], None], str, str]] = [
+        (bool(realtime.cpus), _set_cpus, f"CPUs '{realtime.cpus}'", "name CPUs that this process may use"),
+        (realtime.priority > 0, _set_priority, f"priority {realtime.priority}", "give this user rtprio in limits.conf"),
+        (realtime.lock_memory, _lock_memory, "locking memory", "give this user memlock in limits.conf"),
+        (
+            realtime.keep_awake,
+            _keep_awake,
+            f"keeping the CPUs awake by {_CPU_LATENCY}",
+            "make it writable by a udev rule",
+        ),
+    ]
+    refusals = []
+    for asked, step, what, remedy in steps:
+        if asked:
+            try:
+                step(realtime)
+            except (OSError, AttributeError, ValueError) as error:
+                refusals.append(f"real-time: {what} was refused ({error}); running without. Remedy: {remedy}")
+    return refusals
+
+
+def _set_cpus(realtime: RealtimeParameters) -> None:
+    cpus = {int(cpu) for cpu in realtime.cpus.split(",")}
+    for thread in os.listdir("/proc/self/task"):
+        os.sched_setaffinity(int(thread), cpus)
+
+
+def _set_priority(realtime: RealtimeParameters) -> None:
+    # The middleware's threads too, with the main thread's priority; threads that the node itself started have no part
+    # in its timing.
+    helpers = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
+    for thread in map(int, os.listdir("/proc/self/task")):
+        if thread not in helpers:
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(realtime.priority))
+
+
+def _lock_memory(_: RealtimeParameters) -> None:
+    if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE):
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+
+def _keep_awake(_: RealtimeParameters) -> None:
+    file = open(_CPU_LATENCY, "wb", buffering=0)  # noqa: SIM115 (closing it would end the request)
+    file.write((0).to_bytes(4, sys.byteorder))
+    _held.append(file)

@@ -1,0 +1,98 @@
+"""Which reference a sample gets, and when."""
+
+import pytest
+
+from straightcomp_ros.control.pairing import Pairing
+
+PERIOD = 500_000
+START = 1_700_000_000_000_000_000
+
+
+def at(index):
+    return START + index * PERIOD
+
+
+def quadratic(stamp_ns):
+    """r, ṙ, r̈ of a parabola: its extrapolation is exact."""
+    t = (stamp_ns - START) * 1e-9
+    return 1e-6 + 2e-3 * t + 0.5 * 0.3 * t * t, 2e-3 + 0.3 * t, 0.3
+
+
+def test_the_reference_of_an_earlier_sample_serves_at_the_sample_s_own_time():
+    pairing = Pairing(8 * PERIOD, wait=True)
+    for k in range(40):
+        pairing.add_sample(at(k), (k,))
+        pairing.add_reference(at(k), quadratic(at(k)))
+        ((stamp_ns, sample, reference),) = pairing.take()
+        assert stamp_ns == at(k) and sample == (k,)
+        assert reference == pytest.approx(quadratic(at(k)), rel=1e-12)
+
+
+def test_the_numbers_do_not_depend_on_who_was_faster():
+    def served(order):
+        pairing = Pairing(4 * PERIOD, wait=True)
+        got = []
+        for kind, k in order:
+            if kind == "sample":
+                pairing.add_sample(at(k), (k,))
+            else:
+                pairing.add_reference(at(k), (k * k * 1e-7, k * 1e-5, 0.0))
+            got += pairing.take()
+        return got
+
+    count = 50
+    together = served([(kind, k) for k in range(count) for kind in ("sample", "reference")])
+    references_first = served([("reference", k) for k in range(count)] + [("sample", k) for k in range(count)])
+    samples_first = served([("sample", k) for k in range(count)] + [("reference", k) for k in range(count)])
+    assert len(together) == count
+    assert together == references_first == samples_first
+
+
+def test_in_lockstep_a_sample_waits_for_its_reference():
+    pairing = Pairing(2 * PERIOD, wait=True)
+    for k in range(4):
+        pairing.add_sample(at(k), (k,))
+    assert not list(pairing.take())
+    pairing.add_reference(at(0), (1.0, 0.0, 0.0))
+    assert [stamp for stamp, *_ in pairing.take()] == [at(0), at(1), at(2)]
+
+
+def test_in_real_time_the_newest_reference_serves_until_it_is_too_old():
+    pairing = Pairing(2 * PERIOD, wait=False)
+    pairing.add_reference(at(0), quadratic(at(0)))
+    served = []
+    for k in range(100):
+        pairing.add_sample(at(k), (k,))
+        served += pairing.take()
+    assert [stamp for stamp, *_ in served] == [at(k) for k in range(41)]  # 20 ms
+    assert served[-1][2] == pytest.approx(quadratic(at(40)), rel=1e-12)
+    pairing.add_reference(at(99), quadratic(at(99)))
+    assert [stamp for stamp, *_ in pairing.take()][-1] == at(99)
+
+
+def test_after_a_gap_old_references_serve_no_more():
+    pairing = Pairing(2 * PERIOD, wait=False)
+    pairing.add_sample(at(0), (0,))
+    pairing.add_reference(at(0), (1.0, 0.0, 0.0))
+    assert len(list(pairing.take())) == 1
+    pairing.add_sample(at(1000), (1000,))
+    assert not list(pairing.take())
+    pairing.add_reference(at(1000), (2.0, 0.0, 0.0))
+    assert list(pairing.take()) == [(at(1000), (1000,), (2.0, 0.0, 0.0))]
+
+
+def test_a_machine_whose_clock_was_set_back_is_served_again():
+    pairing = Pairing(2 * PERIOD, wait=False)
+    for first in (10_000, 0):
+        for k in range(first, first + 5):
+            pairing.add_reference(at(k), (float(first), 0.0, 0.0))
+            pairing.add_sample(at(k), (k,))
+            ((stamp_ns, _, reference),) = pairing.take()
+            assert (stamp_ns, reference[0]) == (at(k), first)
+
+
+def test_samples_without_a_reference_are_forgotten_in_time_and_counted():
+    pairing = Pairing(2 * PERIOD, wait=False)
+    for k in range(1500):
+        pairing.add_sample(at(k), (k,))
+    assert not list(pairing.take()) and pairing.unmatched == 500

@@ -1,0 +1,72 @@
+"""What the real-time parameters set, and what is said where the system does not permit it."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.nodes import realtime
+
+REPORT = """
+import os, sys, threading, time
+from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.nodes import realtime
+threading.Thread(target=time.sleep, args=(30,), daemon=True).start()
+for refusal in realtime.apply(RealtimeParameters({arguments})):
+    print("refused", refusal)
+helpers = {{t.native_id for t in threading.enumerate()}} - {{threading.get_native_id()}}
+for thread in map(int, os.listdir("/proc/self/task")):
+    print(thread in helpers, os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority)
+print(sorted(os.sched_getaffinity(0)), open("/proc/self/status").read().partition("VmLck:")[2].split()[0])
+"""
+
+
+def report(arguments):
+    code = REPORT.format(arguments=arguments)
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    return result.stdout.splitlines()
+
+
+def test_nothing_is_touched_unless_asked_for():
+    lines = report("")
+    assert {line.split(" ", 1)[1] for line in lines[:-1]} == {f"{os.SCHED_OTHER} 0"}
+
+
+def test_all_threads_but_the_node_s_own_helpers_get_the_priority_or_the_refusal_is_said():
+    *threads, _ = report("priority=7")
+    if threads[0].startswith("refused"):
+        assert "priority 7 was refused" in threads[0] and "rtprio in limits.conf" in threads[0]
+    else:
+        assert f"False {os.SCHED_FIFO} 7" in threads
+        assert f"True {os.SCHED_OTHER} 0" in threads
+
+
+def test_the_process_stays_on_the_cpus_named():
+    cpu = max(os.sched_getaffinity(0))
+    assert report(f"cpus='{cpu}'")[-1].startswith(f"[{cpu}]")
+
+
+@pytest.mark.parametrize("cpus", ["4095", "none", "0,", "-1"])
+def test_cpus_that_cannot_be_had_are_refused_in_words(cpus):
+    before = os.sched_getaffinity(0)
+    (refusal,) = realtime.apply(RealtimeParameters(cpus=cpus))
+    assert f"CPUs '{cpus}'" in refusal and "Remedy" in refusal
+    assert os.sched_getaffinity(0) == before
+
+
+def test_memory_is_locked_or_the_refusal_is_said():
+    lines = report("lock_memory=True")
+    assert int(lines[-1].rsplit(" ", 1)[1]) > 0 or "memlock in limits.conf" in lines[0]
+
+
+def test_the_request_to_keep_awake_is_held_open_or_its_refusal_said(monkeypatch, tmp_path):
+    file = tmp_path / "cpu_dma_latency"
+    monkeypatch.setattr(realtime, "_CPU_LATENCY", str(file))
+    assert realtime.apply(RealtimeParameters(keep_awake=True)) == []
+    assert file.read_bytes() == bytes(4) and not realtime._held[-1].closed
+    realtime._held.pop().close()
+    monkeypatch.setattr(realtime, "_CPU_LATENCY", str(tmp_path / "none" / "file"))
+    (refusal,) = realtime.apply(RealtimeParameters(keep_awake=True))
+    assert "udev" in refusal
