@@ -9,6 +9,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+T = TypeVar("T", float, NDArray[np.float64])
 
 _WAITING = 1000
 """Samples or references that are kept: half a second."""
@@ -16,6 +22,11 @@ _LONGEST_EXTRAPOLATION_NS = 20_000_000
 
 Reference = tuple[float, float, float]
 Paired = tuple[int, Sequence[float], Reference]
+
+
+def extrapolated(r: T, r_dot: T, r_ddot: T, ahead: T) -> tuple[T, T, T]:
+    """r in m, ṙ in m/s and r̈ in m/s² ``ahead`` s later; for numbers, or arrays of one shape."""
+    return r + (r_dot + 0.5 * r_ddot * ahead) * ahead, r_dot + r_ddot * ahead, r_ddot
 
 
 class Pairing:
@@ -72,5 +83,4 @@ class Pairing:
             if references[-1][0] < wanted_ns and (self._wait or stamp_ns - given_ns > _LONGEST_EXTRAPOLATION_NS):
                 return
             samples.popleft()
-            ahead = (stamp_ns - given_ns) * 1e-9
-            yield stamp_ns, sample, (r + (r_dot + 0.5 * r_ddot * ahead) * ahead, r_dot + r_ddot * ahead, r_ddot)
+            yield stamp_ns, sample, extrapolated(r, r_dot, r_ddot, (stamp_ns - given_ns) * 1e-9)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,13 @@ from straightcomp_ros.parameters import group, parameter
 from straightcomp_ros.straightness.map import StraightnessMap
 
 _NEVER = 2**63
+
+
+class Hold(NamedTuple):
+    """When the board applies the mean of the commands: age of the newest in ns; share of each command in the mean."""
+
+    after_ns: int
+    weight: float
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,11 @@ class SimulatedParameters:
     initial_y: float = parameter(0.0, "Platform's position at the start", unit="m", minimum=-1e-2, maximum=1e-2)
     plant: PlantParameters = group(PlantParameters)
 
+    @property
+    def hold(self) -> Hold:
+        """``hold_after`` and ``hold_mean`` at this rate."""
+        return Hold(round(self.hold_after * 1e9 / self.rate), 1.0 - math.exp(-1.0 / (self.rate * self.hold_mean)))
+
 
 class SimulatedHardware(Hardware):
     """Plant and stage in simulated time, integrated up to whatever time the caller names.
@@ -70,8 +83,7 @@ class SimulatedHardware(Hardware):
         self._converted = parameters.plant.drive.converted
         self._commands: deque[tuple[int, float]] = deque()
         self._command = self._mean_command = 0.0
-        self._mean_weight = 1.0 - math.exp(-self.period_ns * 1e-9 / parameters.hold_mean)
-        self._hold_after_ns = round(parameters.hold_after * self.period_ns)
+        self._hold = parameters.hold
         self._hold_ns = _NEVER
         self._bias = 0.0
         self._time_ns = 0
@@ -168,8 +180,8 @@ class SimulatedHardware(Hardware):
             if commands and commands[0][0] <= until_ns and commands[0][0] <= self._hold_ns:
                 at_ns, current = commands.popleft()
                 if self._state is State.ON:
-                    self._mean_command += self._mean_weight * (current - self._mean_command)
-                    self._hold_ns = at_ns + self._hold_after_ns
+                    self._mean_command += self._hold.weight * (current - self._mean_command)
+                    self._hold_ns = at_ns + self._hold.after_ns
                 else:
                     current = self._command
             elif self._hold_ns <= until_ns:

@@ -16,10 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law
+from straightcomp_ros.hardware.simulated import Hold, SimulatedParameters
 from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.converters import nearest_count, nearest_step
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 
+_NEVER = 2**62
+_SHIPPED_HOLD = SimulatedParameters().hold
 _compiling = threading.Lock()
 _kernels: dict[Callable[..., Any], Callable[..., int]] = {}
 
@@ -53,7 +56,13 @@ class Cycle(NamedTuple):
     current: NDArray[np.float64]
 
 
-def run_cycle(law: Law, plant: PlantParameters, conditions: Conditions, initial_y: float = 0.0) -> Cycle:
+def run_cycle(
+    law: Law,
+    plant: PlantParameters,
+    conditions: Conditions,
+    initial_y: float = 0.0,
+    hold: Hold = _SHIPPED_HOLD,
+) -> Cycle:
     """Run one cycle with the amplifier on from the first sample, as `Simulation` does.
 
     The law starts anew, whatever it did before; like the amplifier's and the board's, the time limits of the Servo
@@ -64,6 +73,7 @@ def run_cycle(law: Law, plant: PlantParameters, conditions: Conditions, initial_
         plant: the machine.
         conditions: of the cycle.
         initial_y: the platform's position at the start, m.
+        hold: what the board does when the next command is late.
     """
     count = conditions.stamps.size
     true_y, y, current = np.empty(count), np.empty(count), np.empty(count)
@@ -75,6 +85,7 @@ def run_cycle(law: Law, plant: PlantParameters, conditions: Conditions, initial_
         plant.encoder.resolution,
         plant.drive.current_step,
         plant.drive.half_codes,
+        hold,
         conditions.stamps,
         np.maximum.accumulate(conditions.stamps + conditions.delays),
         conditions.references,
@@ -104,6 +115,7 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
         resolution,
         current_step,
         half_codes,
+        hold,
         stamps,
         effective,
         references,
@@ -117,15 +129,26 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
         """Samples done. Its length is its point: in one function, so that the order of events can be read."""
         taken = 0
         now = 0
-        command = 0.0
+        command = mean = 0.0
+        hold_at = _NEVER
         for k in range(stamps.size):
-            # As SimulatedHardware integrates: a call of advance() spans one command, up to the next one.
+            # As SimulatedHardware integrates: a call of advance() spans one command, up to what comes next.
             until = stamps[k]
-            while taken < k and effective[taken] <= until:
-                at = effective[taken]
-                asked = nearest_step(current_step, half_codes, current[taken])
-                taken += 1
-                end = min(until, effective[taken]) if taken < k else until
+            while True:
+                if taken < k and effective[taken] <= until and effective[taken] <= hold_at:
+                    at = effective[taken]
+                    asked = nearest_step(current_step, half_codes, current[taken])
+                    mean += hold.weight * (asked - mean)
+                    hold_at = at + hold.after_ns
+                    taken += 1
+                elif hold_at <= until:
+                    at, asked = hold_at, nearest_step(current_step, half_codes, mean)
+                    hold_at = _NEVER
+                else:
+                    break
+                end = min(until, hold_at)
+                if taken < k:
+                    end = min(end, effective[taken])
                 advance(constants, state, bias, command, at - now, asked, end - at)
                 command = asked
                 now = end

@@ -15,6 +15,7 @@ import numpy as np
 from numba.experimental import jitclass
 from numpy.typing import NDArray
 
+from straightcomp_ros.control.pairing import extrapolated
 from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.converters import nearest_count
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, continues, rates
@@ -51,6 +52,12 @@ def references(
     follow(make_filter(parameters.bandwidth), parameters.restart_gap_ns, parameters.max_speed, stamps, x, v, a)
     r, slope, curvature = straightness.evaluate(x)
     return np.column_stack([r, *rates(slope, curvature, v, a)])
+
+
+def served(references: NDArray[np.float64], stamps: NDArray[np.int64], lead_ns: int) -> NDArray[np.float64]:
+    """What `Pairing` makes of a cycle's references, (n, 3): each sample's own, from that of ``lead_ns`` before it."""
+    earlier = np.searchsorted(stamps, np.maximum(stamps - lead_ns, stamps[0]), side="right") - 1
+    return np.column_stack(extrapolated(*references[earlier].T, (stamps - stamps[earlier]) * 1e-9))
 
 
 @cache

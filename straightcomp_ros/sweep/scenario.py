@@ -33,6 +33,7 @@ class Scenario:
         driver: machine, and the rate of its samples.
         controls: parameters of each law, by its name.
         feedforward: tracking of the stage.
+        lead_ns: how much older than a sample its reference is, in ns.
         trajectory: motion of the stage, one cycle.
         survey: the measurement that the controller's map is made from.
         map_parameters: how the map is made.
@@ -44,6 +45,7 @@ class Scenario:
     driver: DriverNodeParameters
     controls: Mapping[str, ControlParameters]
     feedforward: FeedforwardParameters
+    lead_ns: int
     trajectory: Trajectory
     survey: Survey
     map_parameters: MapParameters
@@ -96,6 +98,7 @@ def make_scenario(
         driver=driver,
         controls=controls,
         feedforward=feedforward.feedforward,
+        lead_ns=round(controller.reference_lead * 1e9 / rate),
         trajectory=Trajectory(forward_and_back(cell.motion)),
         survey=read_survey(
             find_survey(feedforward.map.file), min_points=feedforward.map.min_points, max_gap=feedforward.map.max_gap

@@ -17,7 +17,7 @@ from straightcomp_ros.straightness.map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.sweep.kernel import Conditions, Cycle, run_cycle
 from straightcomp_ros.sweep.limit_cycle import LEAST_AMPLITUDE, LOWEST_FREQUENCY, sustained_oscillation
-from straightcomp_ros.sweep.references import readings, references
+from straightcomp_ros.sweep.references import readings, references, served
 from straightcomp_ros.sweep.scenario import Scenario
 from straightcomp_ros.sweep.uncertainty import Streams, deviating, draw, mismeasured, sample_times, streams
 
@@ -81,12 +81,12 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
     conditions = Conditions(
         stamps=stamps,
         delays=np.full(stamps.size, round(deviation.delay * scenario.period_ns)),
-        references=given,
+        references=served(given, stamps, scenario.lead_ns),
         noise=deviation.sensor_noise * random.sensor.standard_normal(stamps.size),
     )
-    initial_y = scenario.driver.simulated.initial_y
+    board = scenario.driver.simulated
     return [
-        _judged(scenario, trial, name, course, run_cycle(law, plant, conditions, initial_y))
+        _judged(scenario, trial, name, course, run_cycle(law, plant, conditions, board.initial_y, board.hold))
         for name, law in laws.items()
     ]
 

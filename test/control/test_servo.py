@@ -1,7 +1,6 @@
 import math
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import AMPLIFIER_OFF, Servo
 
 T = 500_000
@@ -53,21 +52,3 @@ def test_after_a_clock_step_backward_the_law_starts_anew():
     for step in range(100):
         loop.step(10**12 + step * T, 0.0, 0.0, HELD)
     assert loop.step(10**6, 0.0, 0.0, HELD) == fresh.step(0, 0.0, 0.0, HELD)
-
-
-def test_sample_and_reference_meet_in_either_order():
-    pairing = Pairing()
-    pairing.add_sample(1, [0.1])
-    pairing.add_reference(2, [0.2])
-    pairing.add_reference(1, [1.0])
-    pairing.add_sample(2, [2.0])
-    assert list(pairing.ready) == [(1, [0.1], [1.0]), (2, [2.0], [0.2])]
-
-
-def test_halves_without_a_partner_are_forgotten_and_counted():
-    pairing = Pairing()
-    for stamp in range(2000):
-        pairing.add_sample(stamp, [0.0])
-    assert pairing.unmatched > 900
-    pairing.add_reference(0, [0.0])
-    assert not pairing.ready

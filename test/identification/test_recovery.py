@@ -62,7 +62,9 @@ def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag: Path) ->
     estimate = estimate_from_bag(guide_bag, START, ["actuator.turns"])
     truth, found = truth_of(STIFF), estimate.parameters
     for name in found:
-        assert found[name].low <= truth[name] * (1 + 1e-9) and truth[name] <= found[name].high * (1 + 1e-9), name
+        # The interval of what this motion hardly tells is itself no more than a guess: it must be said to be poor.
+        inside = found[name].low <= truth[name] * (1 + 1e-9) and truth[name] <= found[name].high * (1 + 1e-9)
+        assert inside or (found[name].poor and name in estimate.advice), name
     assert not found["actuator.air_gap"].poor
     assert {"mass", "friction.static", "friction.viscous"} <= set(estimate.advice)
     assert "quick motion" in estimate.advice["mass"]

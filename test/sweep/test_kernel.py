@@ -16,7 +16,7 @@ from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
 from straightcomp_ros.straightness.map import MapParameters, load_map
 from straightcomp_ros.sweep.kernel import Conditions, run_cycle
-from straightcomp_ros.sweep.references import readings, references
+from straightcomp_ros.sweep.references import readings, references, served
 from straightcomp_ros.sweep.scenario import make_scenario
 from straightcomp_ros.sweep.trial import laws_of
 
@@ -50,7 +50,9 @@ def test_a_cycle_is_the_simulation_to_the_last_bit(values, law, delay):
         Conditions(
             stamps=stamps,
             delays=np.full(stamps.size, round(delay * PERIOD)),
-            references=references(simulation.map, scenario.feedforward, stamps, record.x),
+            references=served(
+                references(simulation.map, scenario.feedforward, stamps, record.x), stamps, scenario.lead_ns
+            ),
             noise=np.zeros(stamps.size),
         ),
         scenario.driver.simulated.initial_y,
