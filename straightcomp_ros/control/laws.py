@@ -14,21 +14,40 @@ LAWS = ("linear", "smc", "super_twisting", "smc_observer")
 
 @dataclass(frozen=True)
 class ObserverDesign:
-    """Observer and reaching law of 'smc_observer' and 'super_twisting'."""
+    """Observer and reaching law of 'smc_observer'."""
 
-    bandwidth: float = parameter(450.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
+    bandwidth: float = parameter(440.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
+    delay: float = parameter(
+        0.7, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
+    )
+    amplifier_bandwidth: float = parameter(
+        500.0, "Bandwidth of the amplifier; 'super_twisting' takes it too", unit="Hz", above=0.0, maximum=1e6
+    )
+    surface: float = parameter(
+        540.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
+    )
+    reaching: float = parameter(600.0, "κ: rate at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
+    rho: float = parameter(5.0, "Largest reaching acceleration ρ", unit="m/s²", above=0.0, maximum=1e4)
+    gain_allowance: float = parameter(
+        2.1,
+        "How many times stronger than nominal a current is taken to accelerate; above 1 it leaves gain margin",
+        minimum=0.1,
+        maximum=10.0,
+    )
+
+
+@dataclass(frozen=True)
+class TwistingDesign:
+    """Observer and gains of 'super_twisting'."""
+
+    bandwidth: float = parameter(100.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
     delay: float = parameter(
         0.5, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
     )
-    amplifier_bandwidth: float = parameter(500.0, "Bandwidth of the amplifier", unit="Hz", above=0.0, maximum=1e6)
     surface: float = parameter(
-        350.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
+        700.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
     )
-    reaching: float = parameter(350.0, "κ: rate at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
-    rho: float = parameter(5.0, "Largest reaching acceleration ρ", unit="m/s²", above=0.0, maximum=1e4)
-    disturbance_rate: float = parameter(
-        30.0, "L of 'super_twisting': bound of the disturbance's rate", unit="m/s³", above=0.0, maximum=1e6
-    )
+    disturbance_rate: float = parameter(10.0, "L: bound of the disturbance's rate", unit="m/s³", above=0.0, maximum=1e6)
 
 
 @dataclass(frozen=True)
@@ -45,6 +64,7 @@ class ControlParameters:
     )
     design: SlidingDesign = group(SlidingDesign)
     observer: ObserverDesign = group(ObserverDesign)
+    super_twisting: TwistingDesign = group(TwistingDesign)
     nominal: NominalPlant = group(NominalPlant)
 
     def __post_init__(self) -> None:
@@ -70,17 +90,27 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
             current_limit=parameters.current_limit,
         )
         return Law(gains, sliding_mode.start, sliding_mode.step)
-    loop = tracking.loop(
-        period=period,
-        delay_samples=observer.delay,
-        amplifier_bandwidth=observer.amplifier_bandwidth,
-        observer_bandwidth=observer.bandwidth,
-        mass=nominal.mass,
-        current_limit=parameters.current_limit,
-        actuator=nominal.actuator,
-    )
+
+    def loop(delay: float, bandwidth: float, gain_allowance: float) -> tracking.Loop:
+        return tracking.loop(
+            period=period,
+            delay_samples=delay,
+            amplifier_bandwidth=observer.amplifier_bandwidth,
+            observer_bandwidth=bandwidth,
+            # A stronger magnet and a lighter platform are the same to a law; the balance of the two magnets is neither.
+            mass=nominal.mass / gain_allowance,
+            current_limit=parameters.current_limit,
+            actuator=nominal.actuator,
+        )
+
     if parameters.law == "super_twisting":
-        twisting = super_twisting.gains(observer.surface, observer.disturbance_rate, loop)
-        return Law(twisting, super_twisting.start, super_twisting.step)
-    reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, loop)
+        twisting = parameters.super_twisting
+        believed = loop(twisting.delay, twisting.bandwidth, 1.0)
+        return Law(
+            super_twisting.gains(twisting.surface, twisting.disturbance_rate, believed),
+            super_twisting.start,
+            super_twisting.step,
+        )
+    believed = loop(observer.delay, observer.bandwidth, observer.gain_allowance)
+    reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, believed)
     return Law(reaching, smc_observer.start, smc_observer.step)

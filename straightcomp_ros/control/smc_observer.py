@@ -10,8 +10,11 @@ which reaches σ = 0 without overshoot instead of switching about it: chattering
 The observer's disturbance estimate (friction, model errors) is subtracted, so that ρ needs to exceed only what the
 estimate still misses. The map's ṙ and r̈ are fed forward, so that a moving reference leaves no lag.
 
-Tuning: the observer's bandwidth first, as high as noise allows (an encoder count of 0.1 µm at 2 kHz allows some
-450 Hz); then κ and λ until the margins of the sampled loop (`margins.py`) are used up; ρ above the disturbances' jumps.
+Tuning: first ``gain_allowance``: the law reckons with a current that accelerates more than it nominally does. Bias and
+negative stiffness stay balanced, but the loop's gain falls where delay and amplifier lag would make it oscillate, and a
+machine with strong magnets, little mass and a late command stays stable; too much, and a weak machine no longer holds
+against the negative stiffness (`margins.py` gives both ends). Then the observer's bandwidth, as high as encoder noise and
+the jitter of the delay allow; then λ and κ, until the spread over uncertain machines (`straightcomp robustness`) grows.
 """
 
 from __future__ import annotations
