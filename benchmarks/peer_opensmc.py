@@ -42,10 +42,10 @@ INSTALL = (
 MACHINES: Mapping[str, tuple[str, dict[str, Any]]] = {
     "nominal": ("driver", {}),
     "delay of one sample": ("driver", {"lockstep_delay": 1.0}),
-    "mass −20 %": ("driver", {"simulated__plant__mass": 2.4}),
+    "mass −20 %": ("driver", {"simulated.plant.mass": 2.4}),
 }
 """What the peer and our laws run on: node and parameters that differ from the shipped file. No law is told of it."""
-SHORT = {"motion__stroke": 0.3, "motion__settle": 0.3, "motion__pause": 0.2}
+SHORT = {"motion.stroke": 0.3, "motion.settle": 0.3, "motion.pause": 0.2}
 
 
 class Design(NamedTuple):
@@ -137,14 +137,14 @@ def peer_law(name: str, design: Design, values: Values) -> Law:
 def search(name: str, values: Values, draws: int) -> tuple[Design, float]:
     """The best of ``draws`` designs, and its largest error in m over the machines on the short stroke."""
     random = np.random.default_rng(1)
-    short = with_values(values, "cell", **SHORT)
+    short = with_values(values, "cell", SHORT)
     best, least = DESIGNS[name], math.inf
     tried = [Design(*(math.exp(random.uniform(*np.log(ends))) for ends in RANGES[name])) for _ in range(draws)]
     for design in track([best, *tried], f"searching {name}", console=Console(stderr=True)):
         worst = 0.0
         for node, changes in MACHINES.values():
             try:
-                machine = with_values(short, node, **changes)
+                machine = with_values(short, node, changes)
                 worst = max(worst, figures_of(machine, peer_law(name, design, machine)).pp)
             except (MetricsError, FloatingPointError, OverflowError, ZeroDivisionError, ValueError):
                 worst = math.inf  # the loop ran away
@@ -161,11 +161,11 @@ def compare(values: Values) -> dict[str, dict[str, LawFigures]]:
     found: dict[str, dict[str, LawFigures]] = {}
     for law, machine in track(jobs, "running the strokes", console=Console(stderr=True)):
         node, changes = MACHINES[machine]
-        varied = with_values(values, node, **changes)
+        varied = with_values(values, node, changes)
         if law in DESIGNS:
             figures = figures_of(varied, peer_law(law, DESIGNS[law], varied))
         else:
-            figures = figures_of(with_values(varied, "controller", control__law=law))
+            figures = figures_of(with_values(varied, "controller", {"control.law": law}))
         found.setdefault(law, {})[machine] = figures
     return found
 

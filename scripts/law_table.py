@@ -108,8 +108,8 @@ def row(law: str, figures: LawFigures, sgn: LawFigures) -> dict[str, Any]:
 
 def rows(values: Values, robustness: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The table: all laws, then the one with sgn σ."""
-    chosen = {law: with_values(values, "controller", control__law=law) for law in LAWS}
-    chosen[SGN] = with_values(values, "controller", control__law="smc", control__design__boundary_layer=0.0)
+    chosen = {law: with_values(values, "controller", {"control.law": law}) for law in LAWS}
+    chosen[SGN] = with_values(values, "controller", {"control.law": "smc", "control.design.boundary_layer": 0.0})
     figures = {law: figures_of(one) for law, one in chosen.items()}
     return [
         {**row(law, figures[law], figures[SGN]), **robustness.get(law, {}), **margins_of(one)}

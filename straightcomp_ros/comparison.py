@@ -38,10 +38,10 @@ class LawFigures:
     step_time: float
 
 
-def with_values(values: Values, node: str, **changes: Any) -> dict[str, dict[str, Any]]:
-    """``values`` with other ones for some parameters of ``node``; dots are written as two underscores."""
+def with_values(values: Values, node: str, changes: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """``values`` with other ones for some parameters of ``node``, by dotted name."""
     copied = {name: dict(parameters) for name, parameters in values.items()}
-    copied.setdefault(node, {}).update({name.replace("__", "."): value for name, value in changes.items()})
+    copied.setdefault(node, {}).update(changes)
     return copied
 
 

@@ -60,8 +60,8 @@ def test_another_file_is_refused_in_one_sentence_that_names_it(script, tmp_path,
 
 
 def test_the_law_with_sgn_works_the_coils_harder_and_a_law_that_is_handed_in_is_the_one_that_runs():
-    smooth = with_values(SHORT, "controller", control__law="smc")
-    sgn = with_values(smooth, "controller", control__design__boundary_layer=0.0)
+    smooth = with_values(SHORT, "controller", {"control.law": "smc"})
+    sgn = with_values(smooth, "controller", {"control.design.boundary_layer": 0.0})
     figures = figures_of(sgn)
     assert figures.control_activity > 2.0 * figures_of(smooth).control_activity
     assert figures.step_time > 0.0
@@ -71,8 +71,8 @@ def test_the_law_with_sgn_works_the_coils_harder_and_a_law_that_is_handed_in_is_
 
 
 def test_margins_are_told_of_laws_that_have_them_only(script):
-    margins = script.margins_of(with_values(SHORT, "controller", control__law="linear"))
+    margins = script.margins_of(with_values(SHORT, "controller", {"control.law": "linear"}))
     assert 0.0 < margins["gain_low"] < 1.0 < margins["gain_high"]
     assert margins["longest_delay_samples"] > 0.5
-    none = script.margins_of(with_values(SHORT, "controller", control__law="super_twisting"))
+    none = script.margins_of(with_values(SHORT, "controller", {"control.law": "super_twisting"}))
     assert set(none) == set(margins) and not any(none.values())

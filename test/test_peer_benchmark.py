@@ -41,7 +41,7 @@ def test_rows_tell_each_machine_in_micrometres(script):
 
 def test_every_machine_is_one_that_can_be_set(script):
     for node, changes in script.MACHINES.values():
-        figures_of(with_values(SHORT, node, **changes))
+        figures_of(with_values(SHORT, node, changes))
 
 
 @pytest.mark.parametrize("name", ["opensmc, ESO", "opensmc, Levant"])
