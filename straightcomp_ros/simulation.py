@@ -20,7 +20,7 @@ from straightcomp_ros.configuration import (
     FeedforwardNodeParameters,
     node_parameters,
 )
-from straightcomp_ros.control.law import Command
+from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
@@ -39,6 +39,7 @@ class Simulation:
 
     Args:
         values: parameters by node and dotted name, as `read_parameter_file` gives them.
+        law: steps in place of the one that the parameters name.
 
     Raises:
         ParameterError: a parameter is refused, or controller and machine disagree about the rate.
@@ -52,7 +53,7 @@ class Simulation:
     map: StraightnessMap
     delay: float
 
-    def __init__(self, values: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, values: Mapping[str, Mapping[str, Any]], law: Law | None = None) -> None:
         self._driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
         feedforward: FeedforwardNodeParameters = node_parameters("feedforward", values.get("feedforward", {}))
         self._controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
@@ -67,7 +68,7 @@ class Simulation:
         self._hardware = SimulatedHardware(self._driver.simulated, load_map(self._driver.guide))
         self._feedforward = Feedforward(self.map, feedforward.feedforward)
         self._pairing = Pairing(round(self._controller.reference_lead * 1e9 / rate), wait=True)
-        self._servo = Servo(make_law(self._controller.control, 1.0 / rate))
+        self._servo = Servo(law or make_law(self._controller.control, 1.0 / rate))
         self._trajectory = Trajectory(forward_and_back(cell.motion))
 
     def run(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from straightcomp_ros.paper import (
+    beyond_figure_4,
     figure_2,
     figure_3,
     figure_4,
@@ -20,7 +21,7 @@ from straightcomp_ros.paper import (
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.machine import Machine
 
-FIGURES = (figure_2, figure_3, figure_4, figure_5, figure_6, figure_7, figure_8, figure_9)
+FIGURES = (figure_2, figure_3, figure_4, beyond_figure_4, figure_5, figure_6, figure_7, figure_8, figure_9)
 """Modules of the figures; each has compute(machine), with the claims in its answer, and draw(answer)."""
 
 
@@ -35,7 +36,7 @@ class Reproduction:
 def reproduce(
     machine: Machine, folder: Path, progress: Callable[[float], None] = lambda fraction: None
 ) -> Reproduction:
-    """Compute every figure, write it to ``folder`` as figure_N.png, and gather the claims.
+    """Compute every figure, write it to ``folder`` under its module's name, and gather the claims.
 
     Args:
         machine: what the figures are computed with.

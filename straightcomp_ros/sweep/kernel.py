@@ -65,22 +65,30 @@ def run_cycle(
 ) -> Cycle:
     """Run one cycle with the amplifier on from the first sample, as `Simulation` does.
 
-    The law starts anew, whatever it did before; like the amplifier's and the board's, the time limits of the Servo
-    for late commands and lost samples are not modelled.
-
     Args:
         law: the law; its functions must be `compilable`.
         plant: the machine.
         conditions: of the cycle.
-        initial_y: the platform's position at the start, m.
+        initial_y: the platform's position at the start, m; it is at rest there.
         hold: what the board does when the next command is late.
+    """
+    return run_from(law, plant, conditions, PlantState(y=initial_y), hold)
+
+
+def run_from(
+    law: Law, plant: PlantParameters, conditions: Conditions, initial: PlantState, hold: Hold = _SHIPPED_HOLD
+) -> Cycle:
+    """As :func:`run_cycle`, from any state of the plant (its forces are not read).
+
+    The law starts anew, at rest at its first reading; like the amplifier's and the board's, the time limits of the
+    Servo for late commands and lost samples are not modelled.
     """
     count = conditions.stamps.size
     true_y, y, current = np.empty(count), np.empty(count), np.empty(count)
-    first = plant.encoder.reading(initial_y + float(conditions.noise[0]))
+    first = plant.encoder.reading(initial.y + float(conditions.noise[0]))
     done = kernel(law.function)(
         as_array(plant.constants()),
-        np.array(PlantState(y=initial_y)),
+        np.array(initial),
         plant.actuator.bias_current,
         plant.encoder.resolution,
         plant.drive.current_step,
