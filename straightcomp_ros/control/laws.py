@@ -40,12 +40,12 @@ class ObserverDesign:
 class TwistingDesign:
     """Observer and gains of 'super_twisting'."""
 
-    bandwidth: float = parameter(100.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
+    bandwidth: float = parameter(200.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
     delay: float = parameter(
         0.5, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
     )
     surface: float = parameter(
-        700.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
+        500.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
     )
     disturbance_rate: float = parameter(10.0, "L: bound of the disturbance's rate", unit="m/s³", above=0.0, maximum=1e6)
 

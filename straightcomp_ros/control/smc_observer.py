@@ -13,8 +13,9 @@ estimate still misses. The map's ṙ and r̈ are fed forward, so that a moving r
 Tuning: first ``gain_allowance``: the law reckons with a current that accelerates more than it nominally does. Bias and
 negative stiffness stay balanced, but the loop's gain falls where delay and amplifier lag would make it oscillate, and a
 machine with strong magnets, little mass and a late command stays stable; too much, and a weak machine no longer holds
-against the negative stiffness (`margins.py` gives both ends). Then the observer's bandwidth, as high as encoder noise and
-the jitter of the delay allow; then λ and κ, until the spread over uncertain machines (`straightcomp robustness`) grows.
+against the negative stiffness (`margins.py` gives both ends). Then the observer's bandwidth, as high as encoder noise
+and the jitter of the delay allow; then λ and κ, until the spread over uncertain machines (`straightcomp robustness`)
+grows.
 """
 
 from __future__ import annotations
