@@ -16,10 +16,12 @@ import yaml
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.diagnostics import read_reports
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.launcher import Graph, LaunchError, exit_words
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.straightness.map import StraightnessMap, load_map
+from straightcomp_ros.timing.report import NodeTiming, amplifier_on, summarise
 
 _RECORDED = ("driver", "feedforward", "controller", "logger")
 _SLACK_S = 90.0
@@ -32,12 +34,13 @@ class DemonstrationFailed(RuntimeError):
 
 @dataclass(frozen=True)
 class Demonstration:
-    """A finished run: its bag, what it holds, and the figures."""
+    """A finished run: its bag, what it holds, the figures, and each node's timing while the amplifier was on."""
 
     bag: Path
     evaluation: BagEvaluation
     map: StraightnessMap
     metrics: Metrics
+    timing: Mapping[str, NodeTiming]
 
     def figures(self) -> dict[str, Any]:
         """Display values by name, as `straightcomp demo --json` prints them."""
@@ -52,6 +55,7 @@ class Demonstration:
             "latency_p50_us": evaluation.latency_us(50),
             "latency_p99_us": evaluation.latency_us(99),
             "bag": str(self.bag),
+            "timing": {node: timing.to_display() for node, timing in self.timing.items()},
         }
 
 
@@ -80,12 +84,15 @@ def demonstrate(
     try:
         evaluation = evaluate_bag(bag)
         metrics = evaluate(evaluation.record, straightness)
+        reports = read_reports(bag)
     except (BagError, MetricsError) as error:
         raise DemonstrationFailed(str(error)) from error
     recorded = float(evaluation.record.time[-1])
     if recorded < 0.99 * duration:
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
-    return Demonstration(bag, evaluation, straightness, metrics)
+    begin_ns, end_ns = amplifier_on(reports.get("driver", []))
+    timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in _RECORDED}
+    return Demonstration(bag, evaluation, straightness, metrics, timing)
 
 
 def _as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:

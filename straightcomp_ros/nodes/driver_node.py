@@ -25,7 +25,7 @@ from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.straightness.map import load_map
 from straightcomp_ros.timing.histogram import Histogram
-from straightcomp_ros.timing.report import LATENCY, LOST, OVERRUNS, SAMPLES, written
+from straightcomp_ros.timing.report import AMPLIFIER, LATENCY, LOST, OVERRUNS, SAMPLES, written
 
 
 class DriverNode:
@@ -169,7 +169,7 @@ class DriverNode:
             LOST: self._hardware.lost_samples,
             "commands": self._commands,
             "stale_commands": self._stale_commands,
-            "amplifier": self._hardware.state.value,
+            AMPLIFIER: self._hardware.state.value,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
             **written(LATENCY, self._latencies.take()),
         }

@@ -18,6 +18,8 @@ OVERRUNS = "overruns"
 LOST = "lost_samples"
 TIMER_ERROR = "timer_error"
 LATENCY = "latency"
+AMPLIFIER = "amplifier"
+"""State of the amplifier, in the driver's report."""
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
 
@@ -74,6 +76,12 @@ class NodeTiming:
             "lost_samples": self.lost_samples,
             "timer_error_us": percentiles_us(self.timer_error),
         }
+
+
+def amplifier_on(driver: Sequence[Report]) -> tuple[int, int]:
+    """First and last report, ns since the epoch, of a driver whose amplifier is on; all time where it never is."""
+    times = [report.time_ns for report in driver if report.values.get(AMPLIFIER) == "on"]
+    return (times[0], times[-1]) if times else (0, 2**63)
 
 
 def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63) -> NodeTiming:
