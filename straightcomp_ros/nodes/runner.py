@@ -25,6 +25,7 @@ from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.shared_memory import remove_stale
 from straightcomp_ros.straightness.survey import SurveyError
 
 EXIT_CONFIGURATION = 2
@@ -62,6 +63,8 @@ def run(
     """
     # rclpy's own handlers shut the context down under a running callback; ours let it end first.
     stop = _StopRequest()
+    # What a killed node left in shared memory would stay for good, and the middleware stumbles over its ports.
+    remove_stale()
     try:
         rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name, automatically_declare_parameters_from_overrides=True)
