@@ -56,7 +56,7 @@ def run_cycle(
         for name in RECORDED:
             extra = {"output": str(bag)} if name == "logger" else {}
             ids[name] = graph.start(name, extra, parameter_file, command=commands.get(name)).pid
-        cell = graph.start("cell", {"progress": True}, parameter_file, read_output=True)
+        cell = graph.start("cell", {"progress": True}, parameter_file, command=commands.get("cell"), read_output=True)
         started(ids)
         _follow(graph, cell, time.monotonic() + duration + _SLACK_S, progress)
         codes = graph.stop(RECORDED)

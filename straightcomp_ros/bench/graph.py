@@ -28,7 +28,7 @@ _REST_S = 1.0
 """Motion after the window, so that its last samples are answered and recorded."""
 _PAUSE_S = 0.5
 _DRIVER_TIMEOUT_S = 1.0
-"""The machine forgives this much: a stall is to be measured, not to end the measurement."""
+"""The machine forgives this much: a stall is to be measured, not to switch the law off."""
 _SCALED = {"driver": {"simulated.sample_memory": 256}, "controller": {"reference_lead": 8}}
 """Lengths of time that are given in samples: they stay what they are in seconds."""
 
@@ -79,6 +79,7 @@ class Measurement:
                 "complete": not any(recording.missing.values()),
                 "expected_samples": recording.expected,
                 "missing": dict(recording.missing),
+                "amplifier_on": recording.amplifier_on,
             },
         }
 
@@ -126,6 +127,9 @@ def bench_parameters(
     return chosen
 
 
+_CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}.nodes.steady_cell"]}
+
+
 def baseline_commands() -> dict[str, Sequence[str]]:
     """What starts the plain rclpy nodes instead of the project's."""
     return {node: [sys.executable, "-m", f"{PACKAGE}.nodes.baseline", node] for node in RECORDED}
@@ -165,7 +169,15 @@ def measure(
         progress(fraction)
 
     try:
-        run_cycle(bag, parameter_file, folder / "logs", duration, follow, started=process_ids.update, commands=commands)
+        run_cycle(
+            bag,
+            parameter_file,
+            folder / "logs",
+            duration,
+            follow,
+            started=process_ids.update,
+            commands={**_CELL, **(commands or {})},
+        )
         if not window.finished:
             raise LaunchError("the stage's motion ended before the window did; the machine is too busy to measure")
         begin, end = window.looks[0], window.looks[-1]

@@ -21,11 +21,13 @@ class Recording:
     Attributes:
         expected: samples that the sampling clock took in the window.
         missing: by topic, how many of them have no message there.
+        amplifier_on: fraction of the recorded samples with the amplifier on; the law is at work only there.
         latency: (n,) time in s from each sample to the arrival of its command at the driver, as far as recorded.
     """
 
     expected: int
     missing: Mapping[str, int]
+    amplifier_on: float
     latency: NDArray[np.float64]
 
     @property
@@ -70,7 +72,9 @@ def read_window(bag: Path, rate: int, begin_ns: int, end_ns: int) -> Recording:
         - (len(np.unique(streams[stream.topic].stamp[inside(stream.topic)])) if stream.topic in streams else 0)
         for stream in STREAMS
     }
-    latency = np.empty(0)
+    latency = enabled = np.empty(0)
     if DRIVER_STATE.topic in streams:
-        latency = streams[DRIVER_STATE.topic].columns["command_latency"][inside(DRIVER_STATE.topic)]
-    return Recording(expected, missing, latency[np.isfinite(latency)])
+        columns, wanted = streams[DRIVER_STATE.topic].columns, inside(DRIVER_STATE.topic)
+        latency, enabled = columns["command_latency"][wanted], columns["enabled"][wanted]
+    amplifier_on = float(enabled.mean()) if len(enabled) else float("nan")
+    return Recording(expected, missing, amplifier_on, latency[np.isfinite(latency)])

@@ -105,13 +105,18 @@ def _measured(
 
 
 def ratios(ours: dict[str, Any], baseline: dict[str, Any]) -> dict[str, float]:
-    """Ours divided by the baseline's: CPU, rate of the controller, lost samples; NaN where the baseline has zero."""
+    """Ours divided by the baseline's: CPU in all and per sample that the controller handled, the controller's rate, losses,
+    latency; NaN where the baseline has zero."""
 
     def ratio(a: float, b: float) -> float:
         return a / b if b else float("nan")
 
     return {
         "cpu_cores": ratio(ours["cpu_cores"], baseline["cpu_cores"]),
+        "cpu_per_sample": ratio(
+            ours["cpu_cores"] * baseline["controller"]["rate_hz"],
+            baseline["cpu_cores"] * ours["controller"]["rate_hz"],
+        ),
         "rate_hz": ratio(ours["controller"]["rate_hz"], baseline["controller"]["rate_hz"]),
         "lost_samples": ratio(ours["lost_samples"], baseline["lost_samples"]),
         "latency_p50": ratio(ours["latency_us"]["p50"], baseline["latency_us"]["p50"]),
@@ -121,7 +126,7 @@ def ratios(ours: dict[str, Any], baseline: dict[str, Any]) -> dict[str, float]:
 
 def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
     scheduling = f"SCHED_FIFO {options.fifo}" if options.fifo else "normal scheduling"
-    console.print(_table(figures, f"Graph at {options.rate} Hz, {scheduling}, {figures['seconds']:.1f} s"))
+    console.print(_table(figures, f"Graph at {options.rate} Hz, {scheduling}, {figures['seconds']:.1f} s; late in µs"))
     _print_whole(figures)
     if "soak" in figures:
         slopes = figures["soak"]["growth_mb_per_hour"]
@@ -141,7 +146,7 @@ def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
 def _table(figures: dict[str, Any], title: str) -> Table:
     table = Table(title=title, title_justify="left")
     table.add_column("node")
-    for column in ("rate [Hz]", "overruns", "late p50 [µs]", "p99", "p99.9", "max", "CPU [cores]", "memory [MB]"):
+    for column in ("Hz", "overruns", "late p50", "p99", "p99.9", "max", "CPU", "MB"):
         table.add_column(column, justify="right")
     for node in RECORDED:
         values = figures[node]
@@ -152,7 +157,7 @@ def _table(figures: dict[str, Any], title: str) -> Table:
             str(values["overruns"]),
             *(rounded(late[key]) for key in ("p50", "p99", "p999", "max")),
             rounded(values["cpu_cores"], 3),
-            " → ".join(rounded(value, 1) for value in values["rss_mb"]),
+            "→".join(rounded(value) for value in values["rss_mb"]),
         )
     return table
 
@@ -164,7 +169,8 @@ def _print_whole(figures: dict[str, Any]) -> None:
     console.print(
         f"sample → command [µs]: {shown}\n"
         f"samples without a command: {figures['lost_samples']} of {bag['expected_samples']}; "
-        f"missing in the bag: {missing}\nCPU: {figures['cpu_cores']:.2f} cores",
+        f"missing in the bag: {missing}\n"
+        f"CPU: {figures['cpu_cores']:.2f} cores; amplifier on in {100 * bag['amplifier_on']:.1f} % of the window",
         highlight=False,
     )
 

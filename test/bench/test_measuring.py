@@ -78,7 +78,9 @@ def bag(tmp_path):
             for stream in STREAMS:
                 if (stream.topic == "command" and k % 10 == 0) or (stream.topic == "controller_state" and k == 899):
                     continue
-                numbers = [k * 1e-6 if stream is DRIVER_STATE else 0.0] * len(stream.layout.columns)
+                numbers = [0.0] * len(stream.layout.columns)
+                if stream is DRIVER_STATE:
+                    numbers = [k * 1e-6, 0.0, 0.0, float(k >= 300)]
                 bag.write(f"/{stream.topic}", stream.layout.pack(stamp, *numbers), stamp, stamp)
     return tmp_path / "bag"
 
@@ -88,6 +90,7 @@ def test_every_sample_of_the_window_is_asked_for_on_every_topic(bag):
     assert found.expected == 800
     missing = {"encoder": 0, "reference": 0, "command": 80, "controller_state": 1, "driver_state": 0, "truth": 0}
     assert found.missing == missing and found.lost_samples == 80
+    assert found.amplifier_on == 0.75
     assert found.latency_us()["max"] == pytest.approx(899) and found.latency_us()["p50"] == pytest.approx(499.5)
 
 

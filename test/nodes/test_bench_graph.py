@@ -10,17 +10,17 @@ NODES = ("driver", "feedforward", "controller", "logger")
 
 
 def test_both_graphs_are_measured_in_one_run_and_only_json_is_printed(capfd, tmp_path):
-    arguments = ["--rate", "500", "--soak", "0.08", "--baseline", "--json", "--output", str(tmp_path)]
+    arguments = ["--rate", "100", "--soak", "0.1", "--baseline", "--json", "--output", str(tmp_path)]
     assert main(["bench", "graph", *arguments]) == 0
     figures = json.loads(capfd.readouterr().out)
     baseline = figures["baseline"]
     assert figures["soak"]["growth_mb_per_hour"].keys() == set(NODES)
     for measured in (figures, baseline):
-        assert measured["seconds"] == pytest.approx(4.8, abs=1.0)
-        assert measured["bag"]["expected_samples"] == pytest.approx(500 * measured["seconds"], abs=2)
+        assert measured["seconds"] == pytest.approx(6.0, abs=2.0)
+        assert measured["bag"]["expected_samples"] == pytest.approx(100 * measured["seconds"], abs=2)
         for node in NODES:
             # A busy machine may starve a node; none handles more than there is, but for a backlog.
-            assert 0 < measured[node]["rate_hz"] < 1000
+            assert 0 < measured[node]["rate_hz"] < 200
             assert 0 < measured[node]["cpu_cores"] < 2 and min(measured[node]["rss_mb"]) > 10
         assert measured["cpu_cores"] == pytest.approx(sum(measured[node]["cpu_cores"] for node in NODES))
         assert measured["lost_samples"] == measured["bag"]["missing"]["command"] <= measured["bag"]["expected_samples"]
