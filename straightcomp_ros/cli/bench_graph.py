@@ -105,8 +105,8 @@ def _measured(
 
 
 def ratios(ours: dict[str, Any], baseline: dict[str, Any]) -> dict[str, float]:
-    """Ours divided by the baseline's: CPU in all and per sample that the controller handled, the controller's rate, losses,
-    latency; NaN where the baseline has zero."""
+    """Ours divided by the baseline's: CPU in all and per sample that the controller handled, the controller's rate,
+    losses, latency; NaN where the baseline has zero."""
 
     def ratio(a: float, b: float) -> float:
         return a / b if b else float("nan")
