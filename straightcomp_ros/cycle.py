@@ -31,7 +31,7 @@ def run_cycle(
     parameter_file: Path,
     logs: Path,
     duration: float,
-    progress: Callable[[float], None],
+    progress: Callable[[float], object],
     *,
     started: Callable[[Mapping[str, int]], None] = lambda process_ids: None,
     commands: Mapping[str, Sequence[str]] | None = None,
@@ -43,7 +43,7 @@ def run_cycle(
         parameter_file: of all nodes.
         logs: folder for what the nodes print.
         duration: of the cycle, s.
-        progress: called some 20 times a second with the fraction of the cycle that is done.
+        progress: called some 20 times a second with the fraction of the cycle that is done; True ends the cycle now.
         started: called once with the process id of each node.
         commands: by node, what to start in its place.
 
@@ -68,15 +68,15 @@ def run_cycle(
                 print(f"node '{name}' did not stop cleanly: {exit_words(code)}", file=sys.stderr)
 
 
-def _follow(graph: Graph, cell: Any, deadline: float, progress: Callable[[float], None]) -> None:
-    """Pass the cell's progress on until it ends; raise LaunchError if it or another node fails."""
+def _follow(graph: Graph, cell: Any, deadline: float, progress: Callable[[float], object]) -> None:
+    """Pass the cell's progress on until it ends or is enough; raise LaunchError if it or another node fails."""
     while cell.poll() is None:
         graph.check(RECORDED)
         if time.monotonic() > deadline:
             raise LaunchError("the cycle did not end in time")
         if select.select([cell.stdout], [], [], 0.2)[0]:
             word, _, fraction = cell.stdout.readline().partition(" ")
-            if word == "progress":
-                progress(float(fraction))
+            if word == "progress" and progress(float(fraction)) is True:
+                return
     if cell.returncode != 0:
         raise LaunchError(f"cell: {graph.last_words('cell')}")

@@ -25,7 +25,7 @@ from straightcomp_ros.timing.report import NodeTiming, summarise
 _SETTLE_S = 1.5
 """Motion before the window: the caches are filled by then, and the loops are locked to each other."""
 _REST_S = 1.0
-"""Motion after the window, so that its last samples are answered and recorded."""
+"""Time after the window, so that its last samples are answered and recorded."""
 _PAUSE_S = 0.5
 _DRIVER_TIMEOUT_S = 1.0
 """The machine forgives this much: a stall is to be measured, not to switch the law off."""
@@ -164,9 +164,16 @@ def measure(
     process_ids: dict[str, int] = {}
     window = Window(lambda: usage(process_ids), settle=_SETTLE_S, seconds=seconds, interval=look_interval)
 
-    def follow(fraction: float) -> None:
-        window(time.monotonic())
+    finished: list[float] = []
+
+    def follow(fraction: float) -> bool:
+        now = time.monotonic()
+        window(now)
         progress(fraction)
+        if window.finished:
+            finished.append(now)
+        # The window's last samples are answered and recorded then.
+        return bool(finished) and now >= finished[0] + _REST_S
 
     try:
         run_cycle(
@@ -178,8 +185,6 @@ def measure(
             started=process_ids.update,
             commands={**_CELL, **(commands or {})},
         )
-        if not window.finished:
-            raise LaunchError("the stage's motion ended before the window did; the machine is too busy to measure")
         begin, end = window.looks[0], window.looks[-1]
         recording = read_window(bag, values["driver"]["simulated.rate"], begin.time_ns, end.time_ns)
         reports = read_reports(bag)

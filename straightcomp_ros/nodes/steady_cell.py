@@ -1,4 +1,5 @@
 """cell, for measuring: goes on when the amplifier is switched off, so that an overloaded graph can be measured too.
+It never ends by itself.
 
 python -m straightcomp_ros.nodes.steady_cell --ros-args …
 """
@@ -20,7 +21,7 @@ _AGAIN_S = 0.5
 
 
 class SteadyCell(CellNode):
-    """Ends by the clock, and switches the amplifier on again whenever a fault has switched it off."""
+    """Switches the amplifier on again whenever a fault has switched it off; ends when it is told to."""
 
     def __init__(self, node: Node) -> None:
         super().__init__(node)
@@ -38,8 +39,9 @@ class SteadyCell(CellNode):
     def _follow_motion(self, first_ns: int) -> Iterator[None]:
         duration = self._waypoints[-1].time_ns * 1e-9
         begin = tried = time.monotonic()
-        while (now := time.monotonic()) - begin < duration:
-            print(f"progress {(now - begin) / duration:.3f}", flush=True)
+        while True:
+            now = time.monotonic()
+            print(f"progress {min((now - begin) / duration, 1.0):.3f}", flush=True)
             if not self._amplifier_on and now - tried > _AGAIN_S:
                 tried = now
                 yield from self._reset_fault()
