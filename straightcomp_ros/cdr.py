@@ -18,6 +18,7 @@ import numpy as np
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian
 NANOSECONDS = 1_000_000_000
+_HEADER_STAMP = struct.Struct("<iI")
 
 
 class LayoutMismatch(ValueError):
@@ -214,3 +215,9 @@ def joint_trajectory_point(
     builder.uint32(0)
     places = [(array, joint) for array in ("positions", "velocities", "accelerations")]
     return builder.layout("trajectory_msgs/msg/JointTrajectory", (*position, *velocity, *acceleration), places)
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """Stamp in ns of any message that starts with a std_msgs/Header, from its serialised bytes (little endian)."""
+    sec, nanosec = _HEADER_STAMP.unpack_from(data, len(_ENCAPSULATION))
+    return int(sec * NANOSECONDS + nanosec)

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import select
 import shutil
-import sys
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.diagnostics import read_reports
 from straightcomp_ros.configuration import node_parameters
-from straightcomp_ros.launcher import Graph, LaunchError, exit_words
+from straightcomp_ros.cycle import RECORDED, as_parameter_file, run_cycle
+from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.straightness.map import StraightnessMap, load_map
-
-_RECORDED = ("driver", "feedforward", "controller", "logger")
-_SLACK_S = 90.0
-"""Start, discovery and a busy machine, beyond the duration of the cycle itself."""
+from straightcomp_ros.timing.report import NodeTiming, amplifier_on, summarise
 
 
 class DemonstrationFailed(RuntimeError):
@@ -32,12 +26,13 @@ class DemonstrationFailed(RuntimeError):
 
 @dataclass(frozen=True)
 class Demonstration:
-    """A finished run: its bag, what it holds, and the figures."""
+    """A finished run: its bag, what it holds, the figures, and each node's timing while the amplifier was on."""
 
     bag: Path
     evaluation: BagEvaluation
     map: StraightnessMap
     metrics: Metrics
+    timing: Mapping[str, NodeTiming]
 
     def figures(self) -> dict[str, Any]:
         """Display values by name, as `straightcomp demo --json` prints them."""
@@ -52,6 +47,7 @@ class Demonstration:
             "latency_p50_us": evaluation.latency_us(50),
             "latency_p99_us": evaluation.latency_us(99),
             "bag": str(self.bag),
+            "timing": {node: timing.to_display() for node, timing in self.timing.items()},
         }
 
 
@@ -75,53 +71,21 @@ def demonstrate(
     straightness = load_map(node_parameters("feedforward", values["feedforward"]).map)
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
-    parameter_file.write_text(_as_parameter_file(values))
-    _run_graph(bag, parameter_file, output / "logs", duration, progress)
+    parameter_file.write_text(as_parameter_file(values))
+    logs = output / "logs"
+    try:
+        run_cycle(bag, parameter_file, logs, duration, progress)
+    except LaunchError as error:
+        raise DemonstrationFailed(f"{error} (logs in {logs})") from error
     try:
         evaluation = evaluate_bag(bag)
         metrics = evaluate(evaluation.record, straightness)
+        reports = read_reports(bag)
     except (BagError, MetricsError) as error:
         raise DemonstrationFailed(str(error)) from error
     recorded = float(evaluation.record.time[-1])
     if recorded < 0.99 * duration:
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
-    return Demonstration(bag, evaluation, straightness, metrics)
-
-
-def _as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
-    # An empty section is refused by rcl.
-    tree = {f"/**/{node}": {"ros__parameters": dict(section)} for node, section in values.items() if section}
-    return yaml.safe_dump(tree, sort_keys=False)
-
-
-def _run_graph(bag: Path, parameter_file: Path, logs: Path, duration: float, progress: Callable[[float], None]) -> None:
-    try:
-        with Graph(logs) as graph:
-            for name in _RECORDED:
-                extra = {"output": str(bag)} if name == "logger" else {}
-                graph.start(name, extra, parameter_file)
-            cell = graph.start("cell", {"progress": True}, parameter_file, read_output=True)
-            _follow(graph, cell, time.monotonic() + duration + _SLACK_S, progress)
-            codes = graph.stop(_RECORDED)
-            if codes["logger"] != 0:
-                raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
-            # The bag is complete and the amplifier off by now: how the others ended does not touch the result.
-            for name, code in codes.items():
-                if code != 0:
-                    print(f"node '{name}' did not stop cleanly: {exit_words(code)}", file=sys.stderr)
-    except LaunchError as error:
-        raise DemonstrationFailed(f"{error} (logs in {logs})") from error
-
-
-def _follow(graph: Graph, cell: Any, deadline: float, progress: Callable[[float], None]) -> None:
-    """Pass the cell's progress on until it ends; raise LaunchError if it or another node fails."""
-    while cell.poll() is None:
-        graph.check(_RECORDED)
-        if time.monotonic() > deadline:
-            raise LaunchError("the cycle did not end in time")
-        if select.select([cell.stdout], [], [], 0.2)[0]:
-            word, _, fraction = cell.stdout.readline().partition(" ")
-            if word == "progress":
-                progress(float(fraction))
-    if cell.returncode != 0:
-        raise LaunchError(f"cell: {graph.last_words('cell')}")
+    begin_ns, end_ns = amplifier_on(reports.get("driver", []))
+    timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
+    return Demonstration(bag, evaluation, straightness, metrics, timing)

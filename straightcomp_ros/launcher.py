@@ -78,6 +78,7 @@ class Graph:
         parameter_file: Path | None = None,
         *,
         arguments: Sequence[str] = (),
+        command: Sequence[str] | None = None,
         read_output: bool = False,
     ) -> subprocess.Popen[str]:
         """Start the node ``name`` (executable ``<name>_node``).
@@ -87,16 +88,17 @@ class Graph:
             parameters: values that win over the file's.
             parameter_file: ROS 2 parameter file.
             arguments: further ROS arguments, e.g. a remapping.
+            command: what to start instead of the executable.
             read_output: standard output is a pipe for the caller instead of going to the log.
         """
-        command = [*executable_command(f"{name}_node"), "--ros-args", *arguments]
+        words = [*(command or executable_command(f"{name}_node")), "--ros-args", *arguments]
         if parameter_file:
-            command += ["--params-file", str(parameter_file)]
+            words += ["--params-file", str(parameter_file)]
         for key, value in parameters.items():
-            command += ["-p", f"{key}:={_as_argument(value)}"]
+            words += ["-p", f"{key}:={_as_argument(value)}"]
         with self.log(name).open("w") as log:
             process = subprocess.Popen(
-                command,
+                words,
                 env=self._environment,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE if read_output else log,

@@ -22,7 +22,7 @@ from straightcomp_ros.bags.summary import UNREADABLE
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.cdr import Layout
 
-__all__ = ["StreamColumns", "read_attachments", "read_metadata", "read_streams"]
+__all__ = ["StreamColumns", "opened", "read_attachments", "read_metadata", "read_streams"]
 
 
 def read_streams(bag: Path, layouts: Mapping[str, Layout]) -> dict[str, StreamColumns]:
@@ -42,7 +42,7 @@ def read_streams(bag: Path, layouts: Mapping[str, Layout]) -> dict[str, StreamCo
     Warns:
         UserWarning: the bag was not finished; what is whole is read.
     """
-    with _opened(bag) as files:
+    with opened(bag) as files:
         topics = [file.topics() for file in files]
         names = {channel.topic for channels, _ in topics for channel in channels.values()}
         wanted = {full: key for key in layouts if (full := resolved(key, names, str(bag)))}
@@ -75,7 +75,7 @@ def read_attachments(bag: Path) -> dict[str, bytes]:
         BagError: the bag is absent or damaged.
     """
     found = {}
-    with _opened(bag) as files:
+    with opened(bag) as files:
         for file in files:
             for record in file.records(Opcode.ATTACHMENT):
                 crc = int.from_bytes(record.content[-4:], "little")
@@ -96,7 +96,7 @@ def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
         BagError: the bag is absent or damaged.
     """
     found: dict[str, dict[str, str]] = {}
-    with _opened(bag) as files:
+    with opened(bag) as files:
         for file in files:
             # Metadata records have no checksum of their own.
             file.check_data_section()
@@ -120,7 +120,15 @@ def _check_kind(topic: str, kind: tuple[str, str], layout: Layout) -> None:
 
 
 @contextmanager
-def _opened(bag: Path) -> Iterator[list[McapInput]]:
+def opened(bag: Path) -> Iterator[list[McapInput]]:
+    """The files of a bag, open.
+
+    Raises:
+        BagError: there is none, or it is no MCAP file.
+
+    Warns:
+        UserWarning: the bag was not finished.
+    """
     with ExitStack() as stack:
         files = [stack.enter_context(McapInput(path)) for path in mcap_files(bag)]
         for file in files:

@@ -12,7 +12,7 @@ from pathlib import Path
 from straightcomp_ros.analysis.plot import plot_run
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.tables import results_table
+from straightcomp_ros.cli.tables import results_table, timing_table
 from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate
 from straightcomp_ros.launcher import ros_available
 from straightcomp_ros.parameters import ParameterError
@@ -67,5 +67,6 @@ def run(options: argparse.Namespace) -> int:
         print_json(figures)
     else:
         console.print(results_table(figures))
+        console.print(timing_table(figures["timing"]))
         notes.print(f"bag: {result.bag}\nplot: {picture}")
     return 0

@@ -40,7 +40,12 @@ def progress_bar() -> Progress:
 
 def print_json(values: Mapping[str, Any]) -> None:
     """One JSON object on standard output; what is not finite becomes null, which JSON can say."""
-    plain = {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()
-    }
-    print(json.dumps(plain))
+    print(json.dumps(_plain(values)))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,3 +39,26 @@ def results_table(figures: Mapping[str, Any]) -> Table:
             paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
             table.add_row(words, f"{figures[key]:.{digits}f}", unit, paper)
     return table
+
+
+def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Each node's rate and how late its loop woke up; ``timing`` as in the figures of a demonstration."""
+    table = Table(title="Timing of the nodes, from their diagnostics", title_justify="left")
+    table.add_column("node")
+    for column in ("rate [Hz]", "overruns", "lost", "timer error p50 [µs]", "p99", "max"):
+        table.add_column(column, justify="right")
+    for node, values in timing.items():
+        late = values["timer_error_us"]
+        table.add_row(
+            node,
+            rounded(values["rate_hz"]),
+            str(values["overruns"]),
+            str(values["lost_samples"]),
+            *(rounded(late[key]) for key in ("p50", "p99", "max")),
+        )
+    return table
+
+
+def rounded(value: float | None, digits: int = 0) -> str:
+    """A number for a table; a dash where there is none."""
+    return "–" if value is None or math.isnan(value) else f"{value:.{digits}f}"

@@ -19,6 +19,8 @@ from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.phase_lock import PhaseLock
 from straightcomp_ros.nodes.runner import run
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.timing.gaps import StampGaps
+from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES
 
 _SAMPLE_WAIT_NS = 50_000
 """How long a sample is to wait for the cycle that uses it: the usual jitter of its arrival."""
@@ -43,7 +45,8 @@ class ControllerNode:
         )
         self._publish_command = publisher(node, COMMAND)
         self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
-        self._commands = self._refused = self._idle_cycles = 0
+        self._samples_seen = self._commands = self._refused = self._idle_cycles = 0
+        self._gaps = StampGaps()
         self.loop: PeriodicLoop | None = None
         if parameters.trigger == "sample":
             subscribe(node, ENCODER, self._on_sample)
@@ -56,8 +59,13 @@ class ControllerNode:
             self.loop = PeriodicLoop(period_ns, self._cycle)
         Diagnostics(node, self._counters)
 
-    def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+    def _add_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+        self._samples_seen += 1
+        self._gaps.see(stamp_ns)
         self._pairing.add_sample(stamp_ns, numbers)
+
+    def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+        self._add_sample(stamp_ns, numbers)
         self._answer()
 
     def _on_reference(self, stamp_ns: int, numbers: list[float]) -> None:
@@ -75,7 +83,7 @@ class ControllerNode:
             self._idle_cycles += 1
         fetched_ns = time.time_ns()
         for stamp_ns, numbers, _ in samples:
-            self._pairing.add_sample(stamp_ns, numbers)
+            self._add_sample(stamp_ns, numbers)
         self._answer()
         # References are for samples to come: nothing waits for this.
         for stamp_ns, numbers, _ in self._references.fetch():
@@ -95,12 +103,14 @@ class ControllerNode:
 
     def _counters(self) -> dict[str, object]:
         return {
+            SAMPLES: self._samples_seen,
+            LOST: self._gaps.lost,
             "commands": self._commands,
             "refused_samples": self._refused,
             "unmatched_samples": self._pairing.unmatched,
             "idle_cycles": self._idle_cycles,
-            "overruns": self.loop.overruns if self.loop else 0,
             "phase_error_us": self._phase.error_ns * 1e-3 if self.loop else 0.0,
+            **(self.loop.report() if self.loop else {OVERRUNS: 0}),
         }
 
     def close(self) -> None:

@@ -24,6 +24,8 @@ from straightcomp_ros.nodes.runner import run
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.straightness.map import load_map
+from straightcomp_ros.timing.histogram import Histogram
+from straightcomp_ros.timing.report import AMPLIFIER, LATENCY, LOST, OVERRUNS, SAMPLES, written
 
 
 class DriverNode:
@@ -41,6 +43,7 @@ class DriverNode:
         self._samples = self._commands = self._stale_commands = 0
         self._command_stamp_ns = 0
         self._latency = math.nan
+        self._latencies = Histogram()
         self._started = False
         self._fault = ""
         self._reported_fault = ""
@@ -96,6 +99,7 @@ class DriverNode:
             self._hardware.write(current, arrival_ns)
             self._command_stamp_ns = stamp_ns
             self._latency = age_ns * 1e-9
+            self._latencies.record(age_ns)
             self._commands += 1
 
     def _check(self, current: float) -> bool:
@@ -161,12 +165,13 @@ class DriverNode:
 
     def _counters(self) -> dict[str, object]:
         counters: dict[str, object] = {
-            "samples": self._samples,
-            "lost_samples": self._hardware.lost_samples,
+            SAMPLES: self._samples,
+            LOST: self._hardware.lost_samples,
             "commands": self._commands,
             "stale_commands": self._stale_commands,
-            "overruns": self.loop.overruns if self.loop else 0,
-            "amplifier": self._hardware.state.value,
+            AMPLIFIER: self._hardware.state.value,
+            **(self.loop.report() if self.loop else {OVERRUNS: 0}),
+            **written(LATENCY, self._latencies.take()),
         }
         if self._present_fault:
             counters["error"] = self._present_fault

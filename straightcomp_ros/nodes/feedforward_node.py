@@ -17,6 +17,8 @@ from straightcomp_ros.nodes.runner import run
 from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
 from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.map import load_map
+from straightcomp_ros.timing.gaps import StampGaps
+from straightcomp_ros.timing.report import LOST, SAMPLES
 
 
 class FeedforwardNode:
@@ -33,16 +35,21 @@ class FeedforwardNode:
         self._feedforward = Feedforward(straightness, parameters.feedforward)
         self._publish = publisher(node, REFERENCE)
         self._samples = 0
+        self._gaps = StampGaps()
         self._inbox = Inbox(node, unspun_node(node), ENCODER)
         self.loop = PeriodicLoop(round(parameters.interval * 1e9), self._cycle)
-        Diagnostics(node, lambda: {"samples": self._samples, "overruns": self.loop.overruns})
+        Diagnostics(node, self._counters)
 
     def _cycle(self, _: int) -> None:
         for stamp_ns, numbers, _ in self._inbox.fetch():
             self._samples += 1
+            self._gaps.see(stamp_ns)
             self._publish(stamp_ns, *self._feedforward.step(stamp_ns, numbers[0]))
             # With real-time scheduling driver and controller would have to wait for the end of this.
             os.sched_yield()
+
+    def _counters(self) -> dict[str, object]:
+        return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}
 
     def close(self) -> None:
         """Nothing to make safe."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from collections import deque
 from datetime import datetime
 from pathlib import Path
@@ -19,15 +20,19 @@ from trajectory_msgs.msg import JointTrajectory
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cdr import header_stamp_ns
 from straightcomp_ros.configuration import LoggerNodeParameters
-from straightcomp_ros.contract import DIAGNOSTICS, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
+from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
 from straightcomp_ros.nodes.streams import RawQueue, message_type, stream_qos, unspun_node
+from straightcomp_ros.timing.gaps import StampGaps
+from straightcomp_ros.timing.histogram import Histogram
+from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
 
-_FETCH_INTERVAL_S = 0.02
+_FETCH_INTERVAL_NS = 20_000_000
 _WRITE_INTERVAL_S = 0.02
 _YIELD_EVERY = 8
 
@@ -43,6 +48,9 @@ class LoggerNode:
         self._queue: deque[tuple[str, bytes, int, int]] = deque()
         self._queue_limit = parameters.queue_limit
         self._dropped = self._received = self._written = 0
+        self._encoder = node.resolve_topic_name(ENCODER.topic)
+        self._samples = self._overruns = self._fetched_ns = 0
+        self._gaps, self._timer_errors = StampGaps(), Histogram()
         self._topics: dict[str, RawQueue] = {}
         self._unspun = unspun_node(node)
         self._failure: Exception | None = None
@@ -53,7 +61,7 @@ class LoggerNode:
         self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
         self._remote = RemoteParameters(node, parameters.nodes.split())
         Diagnostics(node, self._counters)
-        node.create_timer(_FETCH_INTERVAL_S, self._fetch)
+        node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
         node.create_timer(0.2, self._watch)
         self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")
         self._thread.start()
@@ -69,10 +77,14 @@ class LoggerNode:
         self._topics[full_name] = RawQueue(self._unspun, kind, full_name, qos)
 
     def _fetch(self) -> None:
+        self._note_time()
         queue, limit = self._queue, self._queue_limit
         for topic, messages in self._topics.items():
             for data, info in messages.fetch():
                 self._received += 1
+                if topic == self._encoder:
+                    self._samples += 1
+                    self._gaps.see(header_stamp_ns(data))
                 if not self._received % _YIELD_EVERY:
                     # With real-time scheduling nodes of the same priority would have to wait for the end of this.
                     os.sched_yield()
@@ -80,6 +92,15 @@ class LoggerNode:
                     queue.append((topic, data, info["received_timestamp"], info["source_timestamp"]))
                 else:
                     self._dropped += 1
+
+    def _note_time(self) -> None:
+        # The executor's timer tells nothing of its own lateness: what counts is how long messages had to wait.
+        now = time.monotonic_ns()
+        if self._fetched_ns:
+            late_ns = max(0, now - self._fetched_ns - _FETCH_INTERVAL_NS)
+            self._timer_errors.record(late_ns)
+            self._overruns += late_ns // _FETCH_INTERVAL_NS
+        self._fetched_ns = now
 
     def _write_until_stopped(self) -> None:
         try:
@@ -102,11 +123,15 @@ class LoggerNode:
 
     def _counters(self) -> dict[str, object]:
         counters: dict[str, object] = {
+            SAMPLES: self._samples,
+            LOST: self._gaps.lost,
+            OVERRUNS: self._overruns,
             "received": self._received,
             "written": self._written,
             "dropped": self._dropped,
             "queued": len(self._queue),
             UNCONNECTED: " ".join(topic for topic, queue in self._topics.items() if not queue.connected),
+            **written(TIMER_ERROR, self._timer_errors.take()),
         }
         if self._failure:
             counters["error"] = f"recording stopped: {self._failure}"

@@ -7,6 +7,9 @@ import sys
 import time
 from collections.abc import Callable
 
+from straightcomp_ros.timing.histogram import Histogram
+from straightcomp_ros.timing.report import OVERRUNS, TIMER_ERROR, written
+
 _PR_SET_TIMERSLACK = 29
 _IDLE_EVERY_NS = 20_000_000
 
@@ -29,22 +32,28 @@ class PeriodicLoop:
         """Periods that were worked."""
         self.overruns = 0
         """Periods that were missed."""
+        self._timer_errors = Histogram()
         self._shift_ns = 0
 
     def shift(self, shift_ns: int) -> None:
         """Move all wake-ups from the next one on by ``shift_ns``."""
         self._shift_ns += shift_ns
 
+    def report(self) -> dict[str, object]:
+        """Values for the diagnostics: overruns, and how late the wake-ups since the last report were."""
+        return {OVERRUNS: self.overruns, **written(TIMER_ERROR, self._timer_errors.take())}
+
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
         """Loop until ``stopped()``; ``idle`` is called some 50 times a second, for work that can wait."""
         _exact_sleep()
         period_ns, cycle = self._period_ns, self._cycle
-        monotonic_ns, sleep = time.monotonic_ns, time.sleep
+        monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
         wake_ns = next_idle_ns = monotonic_ns()
         while not stopped():
             wait_ns = wake_ns - monotonic_ns()
             if wait_ns > 0:
                 sleep(wait_ns * 1e-9)
+            record(monotonic_ns() - wake_ns)
             cycle(wake_ns)
             self.cycles += 1
             if wake_ns >= next_idle_ns:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -25,6 +25,7 @@ from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.shared_memory import remove_stale
 from straightcomp_ros.straightness.survey import SurveyError
 
 EXIT_CONFIGURATION = 2
@@ -48,7 +49,12 @@ class Runnable(Protocol):
         """Leave everything safe and saved. The ROS context may be gone already."""
 
 
-def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | None = None) -> int:
+def run(
+    name: str,
+    make: Callable[[Node], Runnable],
+    arguments: Sequence[str] | None = None,
+    executor: Callable[[], Executor] = EventsExecutor,
+) -> int:
     """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
 
     Returns:
@@ -57,6 +63,8 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
     """
     # rclpy's own handlers shut the context down under a running callback; ours let it end first.
     stop = _StopRequest()
+    # What a killed node left in shared memory would stay for good, and the middleware stumbles over its ports.
+    remove_stale()
     try:
         rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name, automatically_declare_parameters_from_overrides=True)
@@ -72,7 +80,7 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
             return EXIT_CONFIGURATION
         try:
             stop.ends(runnable.done)
-            code = _spin(runnable)
+            code = _spin(runnable, executor())
         finally:
             runnable.close()
         return code
@@ -105,12 +113,11 @@ class _StopRequest:
             self._done.set_result(0)
 
 
-def _spin(runnable: Runnable) -> int:
+def _spin(runnable: Runnable, executor: Executor) -> int:
     done = runnable.done
     # Python sees a signal only between two steps of its own; an idle executor takes none. Cyclic garbage is collected
     # here, where it is little yet, and never in the middle of a cycle.
     runnable.node.create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
-    executor = EventsExecutor()
     executor.add_node(runnable.node)
     for refusal in realtime.apply(runnable.realtime):
         runnable.node.get_logger().warning(refusal)

@@ -23,6 +23,13 @@ def test_a_live_stroke_is_recorded_and_compensated(tmp_path, short_cycle):
     assert figures["lost_samples"] < 0.05 * figures["expected_samples"]
     assert np.median(np.abs(record.r - record.y)) < 0.2e-6 < np.ptp(record.r)
     assert 0 < figures["latency_p50_us"] <= figures["latency_p99_us"]
+    for node in ("driver", "feedforward", "controller", "logger"):
+        timing = figures["timing"][node]
+        assert 1000 < timing["rate_hz"] < 2500 and timing["overruns"] >= 0
+        late = timing["timer_error_us"]
+        assert 0 <= late["p50"] <= late["p99"] <= late["p999"] <= late["max"]
+    in_diagnostics = result.timing["driver"].latency.percentiles_us([50])[0]
+    assert in_diagnostics == pytest.approx(figures["latency_p50_us"], rel=0.5)
     assert seen == sorted(seen) and seen[-1] > 0.99
 
 
@@ -65,7 +72,7 @@ def test_a_bag_that_is_short_fails_the_demonstration(tmp_path, short_cycle, monk
 
 
 def test_a_demonstration_without_a_bag_fails_with_the_reason(tmp_path, short_cycle, monkeypatch):
-    monkeypatch.setattr(demonstration, "_run_graph", lambda *arguments: None)
+    monkeypatch.setattr(demonstration, "run_cycle", lambda *arguments: None)
     with pytest.raises(DemonstrationFailed) as failure:
         demonstrate(short_cycle, tmp_path)
     assert isinstance(failure.value.__cause__, BagError)

@@ -11,12 +11,12 @@ import pytest
 PACKAGE = "straightcomp_ros"
 SOURCE = Path(__file__).resolve().parents[2] / PACKAGE
 INNER = ("model", "control", "straightness")
-MIDDLE = ("hardware", "bags", "analysis")
+MIDDLE = ("hardware", "bags", "analysis", "timing")
 OUTER = ("nodes", "cli")
 FORBIDDEN = {
     **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),
     **dict.fromkeys(MIDDLE, ("sweep", *OUTER)),
-    **dict.fromkeys(("sweep", "paper", "identification"), OUTER),
+    **dict.fromkeys(("sweep", "paper", "identification", "bench"), OUTER),
     "nodes": ("cli",),
     "cli": (),
 }

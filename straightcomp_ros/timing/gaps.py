@@ -1,0 +1,34 @@
+"""Counts the samples that are missing between those that came."""
+
+from __future__ import annotations
+
+_RESTART_NS = 10_000_000_000
+
+
+class StampGaps:
+    """Watches the stamps of a stream whose samples lie on a grid; the grid's period is the least step seen so far.
+
+    A step backwards, or one longer than ten seconds, is a restart of the source and no loss.
+
+    Attributes:
+        lost: samples that the grid has between two stamps seen, and that did not come.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._last_ns = -(2**63)
+        self._period_ns = _RESTART_NS
+
+    def see(self, stamp_ns: int) -> None:
+        """The next sample came; one that is repeated changes nothing."""
+        step = stamp_ns - self._last_ns
+        if step == self._period_ns:
+            self._last_ns = stamp_ns
+            return
+        if step == 0:
+            return
+        self._last_ns = stamp_ns
+        if 0 < step < self._period_ns:
+            self._period_ns = step
+        elif 0 < step < _RESTART_NS:
+            self.lost += round(step / self._period_ns) - 1

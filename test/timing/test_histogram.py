@@ -1,0 +1,98 @@
+"""Histogram of durations, gaps in stamps, and the reports made of them."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from straightcomp_ros.timing.gaps import StampGaps
+from straightcomp_ros.timing.histogram import NOTHING, Distribution, Histogram
+from straightcomp_ros.timing.report import Report, summarise, written
+
+PERIOD = 500_000
+
+
+def recorded(values):
+    histogram = Histogram()
+    for value in values:
+        histogram.record(value)
+    return histogram.take()
+
+
+@given(st.lists(st.integers(0, 2**39), min_size=1, max_size=300), st.sampled_from([50.0, 90.0, 99.0, 99.9, 100.0]))
+def test_a_percentile_lies_within_six_percent_of_the_sorted_values(values, percent):
+    rank = max(math.ceil(percent / 100.0 * len(values)), 1)
+    exact = sorted(values)[rank - 1]
+    found = recorded(values).percentiles_us([percent])[0] * 1e3
+    assert abs(found - exact) <= exact / 16 + 1
+
+
+@given(st.lists(st.integers(-5, 2**45), max_size=50), st.lists(st.integers(0, 2**30), max_size=50))
+def test_a_sum_of_histograms_is_the_histogram_of_all_and_survives_its_text(first, second):
+    both = recorded(first) + Distribution.from_text(recorded(second).to_text())
+    together = recorded(first + second)
+    assert both == together and both.total == len(first) + len(second)
+
+
+def test_taking_starts_anew_and_nothing_has_no_percentile():
+    histogram = Histogram()
+    histogram.record(1000)
+    assert histogram.take().total == 1
+    empty = histogram.take()
+    assert empty.total == 0 and math.isnan(empty.percentiles_us([50.0])[0]) and math.isnan(empty.largest_us)
+
+
+@pytest.mark.parametrize("text", ["", "x", "5 9999:1", "5 -1:1", "5 3"])
+def test_a_text_that_is_no_histogram_is_refused(text):
+    with pytest.raises(ValueError):
+        Distribution.from_text(text)
+
+
+@given(st.integers(1, 10**7), st.sets(st.integers(3, 200), max_size=60), st.integers(0, 10**18))
+def test_every_sample_that_is_left_out_is_counted_once(period, left_out, start):
+    gaps = StampGaps()
+    for k in range(202):
+        if k not in left_out:
+            gaps.see(start + k * period)
+            gaps.see(start + k * period)
+    assert gaps.lost == len(left_out)
+
+
+def test_a_restart_of_the_source_is_no_loss():
+    gaps = StampGaps()
+    for start in (10**18, 5 * 10**17, 2 * 10**18):
+        for k in range(10):
+            gaps.see(start + k * PERIOD)
+    assert gaps.lost == 0
+
+
+def reports_of(seconds):
+    histogram = Histogram()
+    source = random.Random(1)
+    reports, values = [], []
+    for second in range(seconds):
+        values.append([source.randrange(10**6) for _ in range(2000)])
+        for value in values[-1]:
+            histogram.record(value)
+        counters = {"samples": 2000 * second, "overruns": second, "lost_samples": 3 * second}
+        texts = {**counters, **written("timer_error", histogram.take())}
+        reports.append(Report(second * 10**9, {key: str(text) for key, text in texts.items()}))
+    return reports, values
+
+
+def test_a_summary_has_the_percentiles_and_counts_of_its_window_alone():
+    reports, values = reports_of(10)
+    summary = summarise(reports, 2 * 10**9, 7 * 10**9)
+    inside = np.concatenate(values[3:8])
+    assert summary.rate_hz == 2000.0 and summary.overruns == 5 and summary.lost_samples == 15
+    assert summary.timer_error.total == len(inside)
+    assert summary.timer_error.largest_us == inside.max() * 1e-3
+    assert summary.timer_error.percentiles_us([99])[0] == pytest.approx(np.percentile(inside, 99) * 1e-3, rel=0.06)
+    assert summary.latency is NOTHING
+
+
+def test_one_report_says_nothing_of_a_rate():
+    assert math.isnan(summarise(reports_of(1)[0]).rate_hz)
