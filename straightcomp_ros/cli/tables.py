@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.table import Table
@@ -37,4 +37,14 @@ def results_table(figures: Mapping[str, Any]) -> Table:
         if figures.get(key) is not None:
             paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
             table.add_row(words, f"{figures[key]:.{digits}f}", unit, paper)
+    return table
+
+
+def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
+    """True error of one cycle after the other, figures as of :func:`results_table`."""
+    table = Table(title=f"True compensation error from cycle to cycle, law '{law}'", title_justify="left")
+    for heading in ("cycle", "p-p / µm", "RMS / µm"):
+        table.add_column(heading, justify="right")
+    for number, figures in enumerate(cycles, 1):
+        table.add_row(str(number), f"{figures['true_pp_um']:.3f}", f"{figures['true_rms_um']:.4f}")
     return table
