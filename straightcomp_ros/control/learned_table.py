@@ -45,7 +45,7 @@ class LearnedTable:
             that were not visited.
         speed: (n,) of the stage where it was learned, m/s; 0 at nodes that were not visited.
         updates: times that something was learned.
-        caution: factor of the gain, halved each time that an update made things worse.
+        caution: factor of the gain, halved when an update made things worse, doubled up to 1 when one made them better.
         tried: whether the coefficients are other than those of the best pass.
     """
 
@@ -150,6 +150,8 @@ class LearnedTable:
                 return False
             self.best_square[visited] = square[visited]
         elif now <= best:
+            if self.tried:
+                self.caution = min(1.0, 2.0 * self.caution)
             # Only where the stage was: elsewhere the last update is still to be proved.
             proved = slice(*(np.flatnonzero(visited)[[0, -1]] + (0, 1)))
             self.best[proved] = self.coefficients[proved]

@@ -1,4 +1,4 @@
-"""Learning from stroke to stroke, on servos that are formulas and on machines that differ from what the law believes."""
+"""Learning from stroke to stroke, on servos that are formulas and on machines that the law does not know."""
 
 import math
 from collections.abc import Callable
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.control.learning import Learning, LearningParameters
@@ -132,7 +132,7 @@ def test_another_speed_is_not_corrected_by_what_was_learned_and_is_learned_anew(
     rig.restart_at(slow)
     bare = Rig(learning(), motion=slow).cycle()
     assert rig.cycle()[True] < 1.05 * bare[True]
-    for _ in range(4):
+    for _ in range(7):
         last = rig.cycle()
     assert last[True] < 0.3 * bare[True]
 
@@ -144,8 +144,8 @@ def test_a_shorter_stroke_uses_and_improves_the_same_table():
     before = rig.cycle()
     elsewhere = learner.tables[True].at(0.15, 0.05)
     rig.restart_at(MotionParameters(stroke=0.1, speed=0.05, settle=0.2, pause=0.1))
-    rig.cycle()
-    after = rig.cycle()
+    for _ in range(4):
+        after = rig.cycle()
     assert after[True] < 0.6 * before[True]
     assert learner.tables[True].at(0.15, 0.05) == elsewhere
 
@@ -183,7 +183,7 @@ def test_while_the_amplifier_is_off_nothing_is_corrected_and_nothing_learned():
     assert learner.tables[True].updates == updates
     # Switched on in the middle of a stroke, the correction waits for the stage to stand still.
     start_ns = rig.now_ns + trajectory.end_ns
-    for index in range(300, 700):
+    for index in range(600, 1000):
         stamp_ns = start_ns + index * PERIOD_NS
         assert learner.step(stamp_ns, trajectory.position(index * PERIOD_NS), 0.0, (1.0, 2.0, 3.0)) == (1.0, 2.0, 3.0)
 
@@ -203,11 +203,16 @@ def test_the_error_that_is_reported_is_that_of_the_reference_asked_for():
     assert differ
 
 
-@pytest.mark.parametrize("law, gained", [("smc_observer", 1.0), ("smc", 0.97)])
-def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning(law, gained):
+def cycles_of(values: dict, learn: bool) -> list[Metrics]:
+    simulation = Simulation({**values, "controller": {**values["controller"], "learning.learn": learn}})
+    return [evaluate(simulation.run(), simulation.map) for _ in range(4)]
+
+
+@pytest.mark.parametrize("law, seed, gained", [("smc_observer", 4, 1.0), ("smc", 3, 0.97), ("linear", 5, 0.7)])
+def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning(law, seed, gained):
     ratios = []
-    for trial in range(5):
-        machine = draw(UncertaintyParameters(), streams(3 if law == "smc" else 4, trial).machine)
+    for trial in range(4):
+        machine = draw(UncertaintyParameters(), streams(seed, trial).machine)
         plant = "simulated.plant."
         values = {
             "driver": {
@@ -219,14 +224,12 @@ def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning
                 plant + "friction.static": 0.645 * machine.friction,
                 plant + "friction.viscous": 10.0 * machine.friction,
             },
-            "controller": {"control.law": law, "learning.learn": True},
-            "cell": {"motion.stroke": 0.1, "motion.settle": 0.2, "motion.pause": 0.1},
+            "controller": {"control.law": law},
+            "cell": {"motion.stroke": 0.04, "motion.settle": 0.2, "motion.pause": 0.1},
         }
-        simulation = Simulation(values)
-        cycles = [evaluate(simulation.run(), simulation.map) for _ in range(5)]
-        encoder, true = ([getattr(cycle, name) for cycle in cycles] for name in ("encoder_rms", "true_rms"))
-        # The margin of the learning, and the chance in which count the platform comes to rest.
-        assert max(encoder) < 1.1 * encoder[0], machine
-        assert max(true) < 1.1 * true[0], machine
-        ratios.append(np.mean(true[-2:]) / true[0])
+        learned, bare = ([cycle.true_rms for cycle in cycles_of(values, learn)] for learn in (True, False))
+        # Two passes differ by chance by some 4 %: it depends on the count at which the platform came to rest.
+        assert max(learned) < 1.06 * max(bare), machine
+        assert np.mean(learned[1:]) < 1.04 * np.mean(bare), machine
+        ratios.append(np.mean(learned[-2:]) / np.mean(bare))
     assert np.mean(ratios) < gained
