@@ -52,6 +52,9 @@ class LearnedTable:
     def __init__(self, spacing: float, margin: float) -> None:
         self.spacing = spacing
         self._margin = margin
+        self._per_metre = 1.0 / spacing
+        self._half_per_metre = 0.5 / spacing
+        self._per_metre_squared = 1.0 / (spacing * spacing)
         self.first = 0
         self.clear()
         self._publish()
@@ -73,18 +76,19 @@ class LearnedTable:
     def at(self, x: float, speed: float) -> tuple[float, float, float, float]:
         """Weight by which the correction is to be applied at a speed in m/s, the correction in m, and its first two
         derivatives by x in m/m and 1/m; no correction outside of the table."""
-        u = x * self._per_metre - self.first
+        first, end, plain, plain_speed = self._lookup
+        u = x * self._per_metre - first
         i = int(u)
-        if not 1 <= i < self._end:
+        if not 1 <= i < end:
             return 1.0, 0.0, 0.0, 0.0
-        learned = self._plain_speed[i]
+        learned = plain_speed[i]
         away = abs(speed - learned)
         weight = 1.0
         if away > _SAME_SPEED * learned > 0.0:
             weight = max(0.0, (_OTHER_SPEED - away / learned) / (_OTHER_SPEED - _SAME_SPEED))
         t = u - i
         s = 1.0 - t
-        b0, b1, b2, b3 = self._plain[i - 1 : i + 3]
+        b0, b1, b2, b3 = plain[i - 1 : i + 3]
         tt, ss = t * t, s * s
         return (
             weight,
@@ -193,13 +197,11 @@ class LearnedTable:
             self.first -= before
 
     def _publish(self) -> None:
-        """Plain numbers for :meth:`at`: NumPy's overhead on single ones would be most of a lookup."""
-        self._plain: list[float] = self.coefficients.tolist()
-        self._plain_speed: list[float] = self.speed.tolist()
-        self._end = len(self._plain) - 2
-        self._per_metre = 1.0 / self.spacing
-        self._half_per_metre = 0.5 * self._per_metre
-        self._per_metre_squared = self._per_metre * self._per_metre
+        """Plain numbers for :meth:`at`: NumPy's overhead on single ones would be most of a lookup.
+
+        They change all at once: another thread may be at a lookup.
+        """
+        self._lookup = (self.first, self.coefficients.size - 2, self.coefficients.tolist(), self.speed.tolist())
 
 
 def _sums(visits: NDArray[np.intp], square: Array, other: Array) -> tuple[float, float]:

@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ from straightcomp_ros.parameters import ParameterError, parameter
 from straightcomp_ros.straightness.tracking import TrackingFilter
 
 Reference = Sequence[float]
+Job = Callable[[], None]
 
 _REST = 1e-3
 """m/s below which the stage counts as standing: a pass ends."""
@@ -85,13 +87,17 @@ class Learning:
         parameters: how to learn.
         law: the law's name. A law is corrected only by what was learned with it.
         rate: samples per second.
+        run: runs what is to be done at the end of a pass, some 3 ms of work, at once or soon; one job after the other.
 
     Raises:
         LearningFileError: the file is refused.
         ParameterError: the cut-off is too near to half of the rate.
     """
 
-    def __init__(self, parameters: LearningParameters, law: str, rate: float) -> None:
+    def __init__(
+        self, parameters: LearningParameters, law: str, rate: float, run: Callable[[Job], None] = lambda job: job()
+    ) -> None:
+        self._run = run
         self._parameters, self._law = parameters, law
         self._fade_speed = parameters.fade_speed
         if parameters.cutoff > 0.4 * rate:
@@ -175,10 +181,12 @@ class Learning:
             return
         record = np.frombuffer(self._pass).reshape(-1, 5)
         self._pass = array("d")
-        if len(record) < _SHORTEST:
-            return
+        if len(record) >= _SHORTEST:
+            self._run(partial(self._learn, self._tables[self._forward], record))
+
+    def _learn(self, table: LearnedTable, record: NDArray[np.float64]) -> None:
         x, error, weight, correction, speed = record.T.copy()
-        chosen, table = self._parameters, self._tables[self._forward]
+        chosen = self._parameters
 
         def wanted(gain: float) -> NDArray[np.float64]:
             kept = (1.0 - chosen.forgetting) * correction
@@ -188,6 +196,8 @@ class Learning:
         table.learn(x, error, weight, wanted, speed, gain, chosen.limit)
 
 
-def make_learning(parameters: LearningParameters, law: str, rate: float) -> Learning | None:
+def make_learning(
+    parameters: LearningParameters, law: str, rate: float, run: Callable[[Job], None] = lambda job: job()
+) -> Learning | None:
     """The learning that the parameters ask for, None if they ask for none; arguments and errors as of `Learning`."""
-    return Learning(parameters, law, rate) if parameters.learn else None
+    return Learning(parameters, law, rate, run) if parameters.learn else None

@@ -14,6 +14,7 @@ from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.periodic import PeriodicLoop
@@ -38,7 +39,15 @@ class ControllerNode:
     def __init__(self, node: Node) -> None:
         parameters = declare(node, ControllerNodeParameters)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
-        self._learning = make_learning(parameters.learning, parameters.control.law, parameters.rate)
+        self._learner: BesideTheLoop | None = None
+        if parameters.learning.learn and parameters.trigger == "timer":
+            self._learner = BesideTheLoop(node)
+        self._learning = make_learning(
+            parameters.learning,
+            parameters.control.law,
+            parameters.rate,
+            self._learner.run if self._learner is not None else lambda job: job(),
+        )
         self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate), learning=self._learning)
         self._pairing = Pairing(
             round(parameters.reference_lead * 1e9 / parameters.rate), wait=parameters.trigger == "sample"
@@ -109,6 +118,8 @@ class ControllerNode:
     def close(self) -> None:
         """Keep what was learned. Nothing to make safe: the driver switches off when no command comes."""
         self._publish_state.flush()
+        if self._learner is not None:
+            self._learner.close()
         if self._learning is not None:
             self._learning.save()
 

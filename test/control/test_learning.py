@@ -168,6 +168,18 @@ def test_nothing_is_learned_from_a_pass_that_was_disturbed(disturb):
     assert learner.tables[False].updates == 1
 
 
+def test_what_is_done_at_the_end_of_a_pass_may_be_done_later():
+    jobs = []
+    later = Rig(Learning(LEARN, "smc", RATE, jobs.append))
+    at_once = Rig(learning())
+    later.cycle()
+    at_once.cycle()
+    assert len(jobs) == 2 and later.learning.tables[True].updates == 0
+    for job in jobs:
+        job()
+    assert later.cycle() == at_once.cycle()
+
+
 def test_while_the_amplifier_is_off_nothing_is_corrected_and_nothing_learned():
     learner = learning()
     rig = Rig(learner)
