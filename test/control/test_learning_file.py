@@ -23,7 +23,9 @@ def learned() -> dict[bool, LearnedTable]:
     for forward, first, count in ((True, -8, 60), (False, 4, 30)):
         squares = random.uniform(1e-16, 1e-14, count)
         squares[:4] = math.nan
-        filled[forward].restore(first, random.uniform(-1e-6, 1e-6, count), squares, 2.0 * squares, np.full(count, 0.2))
+        # As in every table, the correction fades out over the nodes at its ends.
+        coefficients = np.pad(random.uniform(-1e-6, 1e-6, count - 8), 4)
+        filled[forward].restore(first, coefficients, squares, 2.0 * squares, np.full(count, 0.2))
     return filled
 
 
