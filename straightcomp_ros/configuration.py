@@ -11,6 +11,7 @@ import yaml
 
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.control.learning import LearningParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters
 from straightcomp_ros.parameters import ParameterError, flatten, from_mapping, group, parameter
@@ -90,6 +91,7 @@ class ControllerNodeParameters:
         maximum=100,
     )
     control: ControlParameters = group(ControlParameters)
+    learning: LearningParameters = group(LearningParameters)
     realtime: RealtimeParameters = group(RealtimeParameters)
 
 

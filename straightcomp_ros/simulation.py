@@ -22,6 +22,7 @@ from straightcomp_ros.configuration import (
 )
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.interface import Sample, Truth
@@ -35,7 +36,7 @@ _PROGRESS_EVERY = 2000
 
 
 class Simulation:
-    """One cycle of the stage under the parameters of the nodes.
+    """Cycles of the stage, one after the other, under the parameters of the nodes.
 
     Args:
         values: parameters by node and dotted name, as `read_parameter_file` gives them.
@@ -68,7 +69,10 @@ class Simulation:
         self._hardware = SimulatedHardware(self._driver.simulated, load_map(self._driver.guide))
         self._feedforward = Feedforward(self.map, feedforward.feedforward)
         self._pairing = Pairing(round(self._controller.reference_lead * 1e9 / rate), wait=True)
-        self._servo = Servo(law or make_law(self._controller.control, 1.0 / rate))
+        control = self._controller.control
+        self._learning = make_learning(self._controller.learning, control.law, rate)
+        self._servo = Servo(law or make_law(control, 1.0 / rate), learning=self._learning)
+        self._begin_ns = 0
         self._trajectory = Trajectory(forward_and_back(cell.motion))
 
     def run(
@@ -76,7 +80,7 @@ class Simulation:
         progress: Callable[[float], None] = lambda fraction: None,
         observe: Callable[[Sample, Truth, Sequence[float], Command], None] | None = None,
     ) -> StrokeRecord:
-        """Run the cycle once.
+        """Run the cycle once, from where the last one ended.
 
         Args:
             progress: called now and then with the fraction that is done.
@@ -88,16 +92,19 @@ class Simulation:
         delay_ns = round(self.delay * period_ns)
         count = -(-self._trajectory.end_ns // period_ns)
         rows = array("d")
-        hardware.enable()
-        hardware.start(0)
-        hardware.move(self._trajectory, 0)
+        begin_ns = self._begin_ns
+        if begin_ns == 0:
+            hardware.enable()
+            hardware.start(0)
+        hardware.move(self._trajectory, begin_ns)
+        self._begin_ns += count * period_ns
         for index in range(count):
-            sample, truth = hardware.read(index * period_ns)[-1]
+            sample, truth = hardware.read(begin_ns + index * period_ns)[-1]
             reference = reference_at(sample.stamp_ns, sample.x)
             pairing.add_reference(sample.stamp_ns, reference)
-            pairing.add_sample(sample.stamp_ns, (sample.y, sample.current))
-            ((stamp_ns, (y, coil_current), served),) = pairing.take()
-            command = step(stamp_ns, y, coil_current, served)
+            pairing.add_sample(sample.stamp_ns, (sample.x, sample.y, sample.current))
+            ((stamp_ns, (x, y, coil_current), served),) = pairing.take()
+            command = step(stamp_ns, y, coil_current, served, x)
             # A sample of the simulated machine is finite and newer than the last.
             assert command is not None
             hardware.write(command.current, sample.stamp_ns + delay_ns)
@@ -119,3 +126,12 @@ class Simulation:
             guide=guide,
             law=self._controller.control.law,
         )
+
+    def save_learning(self) -> None:
+        """Write what was learned to the file that the parameters name, if they do.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        if self._learning is not None:
+            self._learning.save()

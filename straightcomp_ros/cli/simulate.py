@@ -1,23 +1,26 @@
-"""Run one cycle of the stage offline: the same plant, map and control law as the running graph, deterministic."""
+"""Run cycles of the stage offline: the same plant, map and control law as the running graph, deterministic."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
-from straightcomp_ros.analysis.metrics import MetricsError, evaluate
+from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.analysis.plot import plot_run
+from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.tables import results_table
+from straightcomp_ros.cli.tables import cycles_table, results_table
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.straightness.survey import SurveyError
 
-SUMMARY = "run a stroke forward and back offline"
+SUMMARY = "run strokes forward and back offline"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     parser.add_argument(
         "--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)"
+    )
+    parser.add_argument("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
+    parser.add_argument("--learn", action="store_true", help="learn from stroke to stroke")
+    parser.add_argument(
+        "--learned", metavar="FILE", help="as --learn; read what was learned from FILE if it exists, and write it there"
     )
     parser.add_argument("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
     parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG)")
@@ -36,29 +44,48 @@ def run(options: argparse.Namespace) -> int:
     values = chosen_parameters(options)
     if options.delay is not None:
         values["driver"]["lockstep_delay"] = options.delay
+    if options.strokes < 1:
+        raise CommandFailed(f"--strokes {options.strokes}; allowed: >= 1", exit_code=2)
+    if options.learn or options.learned:
+        values["controller"]["learning.learn"] = True
+    if options.learned:
+        values["controller"]["learning.file"] = options.learned
     try:
         simulation = Simulation(values)
     except (ParameterError, SurveyError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
     try:
-        with ExitStack() as stack:
-            bar = stack.enter_context(progress_bar())
-            task = bar.add_task("simulating", total=1.0)
-            bag = (
-                stack.enter_context(SimulatedRun(Path(options.bag), values, simulation.delay)) if options.bag else None
-            )
-            record = simulation.run(lambda fraction: bar.update(task, completed=fraction), bag.add if bag else None)
-    except BagError as error:
+        record, cycles = _run_cycles(options, values, simulation)
+        simulation.save_learning()
+    except (BagError, MetricsError, OSError) as error:
         raise CommandFailed(str(error)) from error
-    try:
-        metrics = evaluate(record, simulation.map)
-    except MetricsError as error:
-        raise CommandFailed(str(error)) from error
+    metrics = cycles[-1]
     if options.plot:
         plot_run(record, simulation.map, metrics, Path(options.plot), title=f"Simulated stroke, law '{record.law}'")
-    figures = {"law": record.law, "delay_samples": simulation.delay, **metrics.to_display()}
+    shown = [cycle.to_display() for cycle in cycles]
+    figures = {"law": record.law, "delay_samples": simulation.delay, **shown[-1]}
     if options.json:
-        print_json(figures)
-    else:
-        console.print(results_table(figures))
+        listed = [{"true_pp_um": c["true_pp_um"], "true_rms_um": c["true_rms_um"]} for c in shown]
+        print_json({**figures, "cycles": listed} if options.strokes > 1 else figures)
+        return 0
+    if options.strokes > 1:
+        console.print(cycles_table(figures["law"], shown))
+    console.print(results_table(figures))
     return 0
+
+
+def _run_cycles(
+    options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]], simulation: Simulation
+) -> tuple[StrokeRecord, list[Metrics]]:
+    """The last cycle, and the figures of all."""
+    cycles = []
+    with ExitStack() as stack:
+        bar = stack.enter_context(progress_bar())
+        task = bar.add_task("simulating", total=float(options.strokes))
+        bag = stack.enter_context(SimulatedRun(Path(options.bag), values, simulation.delay)) if options.bag else None
+        for number in range(options.strokes):
+            record = simulation.run(
+                lambda fraction, done=number: bar.update(task, completed=done + fraction), bag.add if bag else None
+            )
+            cycles.append(evaluate(record, simulation.map))
+    return record, cycles

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.table import Table
@@ -62,3 +62,13 @@ def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
 def rounded(value: float | None, digits: int = 0) -> str:
     """A number for a table; a dash where there is none."""
     return "–" if value is None or math.isnan(value) else f"{value:.{digits}f}"
+
+
+def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
+    """True error of one cycle after the other, figures as of :func:`results_table`."""
+    table = Table(title=f"True compensation error from cycle to cycle, law '{law}'", title_justify="left")
+    for heading in ("cycle", "p-p / µm", "RMS / µm"):
+        table.add_column(heading, justify="right")
+    for number, figures in enumerate(cycles, 1):
+        table.add_row(str(number), f"{figures['true_pp_um']:.3f}", f"{figures['true_rms_um']:.4f}")
+    return table

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from straightcomp_ros.control.law import Command, Law
+from straightcomp_ros.control.learning import Learning
 
 AMPLIFIER_OFF = Command(0.0, math.nan, math.nan, 0.0, 0.0, math.nan, math.nan)
 
@@ -20,16 +21,20 @@ class Servo:
     Args:
         law: control law.
         restart_gap_ns: gap between two samples, in ns, after which old values say nothing.
+        learning: corrects the law's reference by what earlier strokes left; None for none.
     """
 
-    def __init__(self, law: Law, restart_gap_ns: int = 20_000_000) -> None:
+    def __init__(self, law: Law, restart_gap_ns: int = 20_000_000, learning: Learning | None = None) -> None:
         self._law = law
+        self._learning = learning
         self._restart_gap_ns = restart_gap_ns
         self._stamp_ns: int | None = None
         self._answer = AMPLIFIER_OFF
         self._running = False
 
-    def step(self, stamp_ns: int, y: float, coil_current: float, reference: Sequence[float]) -> Command | None:
+    def step(
+        self, stamp_ns: int, y: float, coil_current: float, reference: Sequence[float], x: float = math.nan
+    ) -> Command | None:
         """Answer one sample, or None for a sample older than the last one, or with non-finite numbers.
 
         Args:
@@ -37,6 +42,7 @@ class Servo:
             y: encoder reading, m.
             coil_current: measured control current, A; NaN while the amplifier is off.
             reference: r in m, ṙ in m/s and r̈ in m/s² for the same sample.
+            x: the stage's position, m; only learning asks for it.
         """
         last = self._stamp_ns
         if last is not None and stamp_ns <= last and last - stamp_ns <= self._restart_gap_ns:
@@ -48,10 +54,18 @@ class Servo:
         self._stamp_ns = stamp_ns
         if math.isnan(coil_current):
             self._running = False
+            if self._learning is not None:
+                self._learning.interrupt()
             self._answer = AMPLIFIER_OFF._replace(error=r - y)
             return self._answer
         if not self._running or gap:
             self._law.reset(y)
             self._running = True
-        self._answer = self._law.step(y, r, r_dot, r_ddot, coil_current)
+            if self._learning is not None:
+                self._learning.interrupt()
+        if self._learning is None:
+            self._answer = self._law.step(y, r, r_dot, r_ddot, coil_current)
+        else:
+            r_law, r_dot, r_ddot = self._learning.step(stamp_ns, x, y, reference)
+            self._answer = self._law.step(y, r_law, r_dot, r_ddot, coil_current)._replace(error=r - y)
         return self._answer

@@ -11,8 +11,10 @@ from rclpy.task import Future
 from straightcomp_ros.configuration import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.periodic import PeriodicLoop
@@ -39,7 +41,16 @@ class ControllerNode:
     def __init__(self, node: Node) -> None:
         parameters = declare(node, ControllerNodeParameters)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
-        self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate))
+        self._learner: BesideTheLoop | None = None
+        if parameters.learning.learn and parameters.trigger == "timer":
+            self._learner = BesideTheLoop(node)
+        self._learning = make_learning(
+            parameters.learning,
+            parameters.control.law,
+            parameters.rate,
+            self._learner.run if self._learner is not None else lambda job: job(),
+        )
+        self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate), learning=self._learning)
         self._pairing = Pairing(
             round(parameters.reference_lead * 1e9 / parameters.rate), wait=parameters.trigger == "sample"
         )
@@ -93,7 +104,7 @@ class ControllerNode:
 
     def _answer(self) -> None:
         for stamp_ns, sample, reference in self._pairing.take():
-            command = self._servo.step(stamp_ns, sample[1], sample[3], reference)
+            command = self._servo.step(stamp_ns, sample[1], sample[3], reference, sample[0])
             if command is None:
                 self._refused += 1
                 continue
@@ -111,11 +122,16 @@ class ControllerNode:
             "idle_cycles": self._idle_cycles,
             "phase_error_us": self._phase.error_ns * 1e-3 if self.loop else 0.0,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
+            **(self._learning.counters() if self._learning is not None else {}),
         }
 
     def close(self) -> None:
-        """Nothing to make safe: the driver switches off when no command comes."""
+        """Keep what was learned. Nothing to make safe: the driver switches off when no command comes."""
         self._publish_state.flush()
+        if self._learner is not None:
+            self._learner.close()
+        if self._learning is not None:
+            self._learning.save()
 
 
 def main() -> int:

@@ -65,9 +65,7 @@ def test_far_from_the_surface_the_reaching_acceleration_is_rho_and_near_it_never
         assert command.switching_current * gain == pytest.approx(expected, rel=0.01)
     servo.reset(0.0)
     near = servo.step(0.0, 1e-9, 0.0, 0.0)
-    assert near.switching_current * gain == pytest.approx(
-        -observer.reaching * near.sliding_variable, rel=1e-3
-    )
+    assert near.switching_current * gain == pytest.approx(-observer.reaching * near.sliding_variable, rel=1e-3)
 
 
 def test_the_laws_rank_as_their_designs_promise():

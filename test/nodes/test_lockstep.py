@@ -1,5 +1,7 @@
 """The proof that live and offline are one code."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -20,3 +22,26 @@ def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, s
         np.testing.assert_array_equal(getattr(live.record, column), getattr(offline, column), err_msg=column)
     assert live.record.law == law
     assert np.ptp(offline.current) > 0.005  # it did work for its result
+
+
+def test_the_graph_learns_in_lockstep_what_the_simulation_learns(tmp_path, short_cycle):
+    short_cycle["controller"].update({"control.law": "smc", "trigger": "sample", "learning.learn": True})
+    short_cycle["driver"].update({"lockstep": True, "lockstep_delay": 0.5})
+    short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
+    here, there = tmp_path / "offline.csv", tmp_path / "live.csv"
+    short_cycle["controller"]["learning.file"] = str(here)
+    first = Simulation(short_cycle)
+    bare = first.run()
+    first.run()
+    first.save_learning()
+    shutil.copy(here, there)
+    again = Simulation(short_cycle)
+    offline = again.run()
+    again.save_learning()
+    short_cycle["controller"]["learning.file"] = str(there)
+    live = demonstrate(short_cycle, tmp_path).evaluation
+    assert live.expected_samples == live.received_samples == len(offline.x)
+    for column in ("y", "r", "current", "true_y"):
+        np.testing.assert_array_equal(getattr(live.record, column), getattr(offline, column), err_msg=column)
+    assert there.read_bytes() == here.read_bytes()
+    assert (offline.current != bare.current).any()  # what was learned was applied

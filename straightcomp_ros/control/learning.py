@@ -1,0 +1,203 @@
+"""Learning from stroke to stroke: iterative learning control over x, one table for each direction of motion.
+
+The stage repeats its strokes, and with them most of what the servo leaves: the reversals of friction where r(x) turns,
+and a law's lag. What a pass left, r − y at the encoder, is added to the reference of the next pass:
+
+    c ← Q[(1 − f) c + γ (r − y)],   law's reference: r + c(x), with rates c' ẋ and c'' ẋ² + c' ẍ
+
+(Bristow, Tharayil, Alleyne, A survey of iterative learning control, IEEE Control Systems 26(3), 2006). Correcting the
+reference and not the current makes the plant of the learning loop the closed servo loop T, which is near 1 below
+its bandwidth whatever the machine's mass, force and friction are: |1 − γ T| < 1 there, and Q, a low-pass without phase,
+is zero where T is not known. γ falls as 1/(k + 2) with the updates k down to `gain`: this averages the noise of
+the passes (Saab, IEEE Trans. Automatic Control 46(6), 2001).
+
+Near rest, where the direction means nothing, the correction fades with the speed squared. No pass is learned from
+in which the amplifier was off, samples were missing, or the beginning was not seen.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+from straightcomp_ros.control.learned_table import LearnedTable
+from straightcomp_ros.control.learning_file import read_tables, write_tables
+from straightcomp_ros.parameters import ParameterError, parameter
+from straightcomp_ros.straightness.tracking import TrackingFilter
+
+Reference = Sequence[float]
+Job = Callable[[], None]
+
+_REST = 1e-3
+"""m/s below which the stage counts as standing: a pass ends."""
+_STAGE_BANDWIDTH = 30.0
+"""Hz, of the estimate of ẋ and ẍ."""
+_SETTLED = 100
+"""Samples after a restart until the estimated speed is believed to be that of a stage at rest."""
+_SHORTEST = 200
+"""Samples of a pass that says something."""
+_LONGEST = 1_000_000
+"""Samples of a pass that are kept; a longer one is not learned from."""
+_JUMP = 0.01
+"""m from sample to sample that no stage moves."""
+_ORDER = 2
+"""Of the low-pass; forward and backward it counts twice."""
+
+
+@dataclass(frozen=True)
+class LearningParameters:
+    """Learning from stroke to stroke."""
+
+    learn: bool = parameter(False, "Learn from stroke to stroke, and correct the law's reference by what was learned")
+    file: str = parameter(
+        "", "What was learned: read at the start if it exists, written at the end; empty keeps it in memory only"
+    )
+    gain: float = parameter(
+        0.3, "Part of a pass's error that is learned, once many were averaged", above=0.0, maximum=1.0
+    )
+    forgetting: float = parameter(0.01, "Part of the correction that each pass forgets", minimum=0.0, maximum=0.5)
+    cutoff: float = parameter(
+        50.0, "Frequency up to which is learned, below the servo's bandwidth", unit="Hz", above=0.0, maximum=1000.0
+    )
+    limit: float = parameter(2e-6, "Largest correction of the reference", unit="m", above=0.0, maximum=1e-4)
+    spacing: float = parameter(0.25e-3, "Distance of the nodes along x", unit="m", minimum=1e-5, maximum=1e-2)
+    fade_speed: float = parameter(
+        0.02, "Speed of the stage below which the correction fades", unit="m/s", above=0.0, maximum=1.0
+    )
+    margin: float = parameter(
+        0.05,
+        "Part by which a pass's RMS error may exceed the best one's by chance; beyond it the last update is taken back",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+class Learning:
+    """Corrects the references of a stream of samples, and learns whenever a pass ends.
+
+    Args:
+        parameters: how to learn.
+        law: the law's name. A law is corrected only by what was learned with it.
+        rate: samples per second.
+        run: runs what is to be done at the end of a pass, some 3 ms of work, at once or soon; one job after the other.
+
+    Raises:
+        LearningFileError: the file is refused.
+        ParameterError: the cut-off is too near to half of the rate.
+    """
+
+    def __init__(
+        self, parameters: LearningParameters, law: str, rate: float, run: Callable[[Job], None] = lambda job: job()
+    ) -> None:
+        self._run = run
+        self._parameters, self._law = parameters, law
+        self._fade_speed = parameters.fade_speed
+        if parameters.cutoff > 0.4 * rate:
+            raise ParameterError(
+                f"parameter 'learning.cutoff': {parameters.cutoff!r} Hz; allowed: <= {0.4 * rate:g} Hz at this rate"
+            )
+        self._low_pass = butter(_ORDER, parameters.cutoff, fs=rate, output="sos")
+        self._tables = {forward: LearnedTable(parameters.spacing, parameters.margin) for forward in (True, False)}
+        if parameters.file and Path(parameters.file).exists():
+            read_tables(Path(parameters.file), law, self._tables)
+        self._tracked = TrackingFilter(_STAGE_BANDWIDTH)
+        self._pass = array("d")
+        self._forward = True
+        self.interrupt()
+
+    @property
+    def tables(self) -> Mapping[bool, LearnedTable]:
+        """What was learned: forward at True, backward at False."""
+        return self._tables
+
+    def interrupt(self) -> None:
+        """Forget the pass that is going on, and correct nothing before the stage has stood still."""
+        self._pass = array("d")
+        self._samples = 0
+        self._stood = False
+
+    def step(self, stamp_ns: int, x: float, y: float, reference: Reference) -> Reference:
+        """The law's reference (m, m/s, m/s²) for a sample: stamp, x and y in m, and the reference asked for."""
+        tracked = self._tracked
+        if not abs(x - tracked.x) < _JUMP or not self._samples:
+            self.interrupt()
+            if math.isfinite(x):
+                tracked.restart(x)
+                self._stamp_ns, self._samples = stamp_ns, 1
+            return reference
+        tracked.update((stamp_ns - self._stamp_ns) * 1e-9, x)
+        self._stamp_ns = stamp_ns
+        self._samples += 1
+        v = tracked.v
+        forward = v > 0.0
+        if -_REST < v < _REST or forward is not self._forward:
+            self._end_pass()
+            self._forward = forward
+            self._stood = self._stood or self._samples > _SETTLED
+            return reference
+        if not self._stood:
+            return reference
+        speed = v if forward else -v
+        weight, correction, slope, curvature = self._tables[forward].at(x, speed)
+        if speed < self._fade_speed:
+            weight *= (speed / self._fade_speed) ** 2
+        r, r_dot, r_ddot = reference
+        if self._samples > _LONGEST and len(self._pass) > 5 * _LONGEST:
+            self.interrupt()
+            return reference
+        self._pass.extend((x, r - y, weight, correction, speed))
+        return (
+            r + weight * correction,
+            r_dot + weight * slope * v,
+            r_ddot + weight * (curvature * v * v + slope * tracked.a),
+        )
+
+    def save(self) -> None:
+        """Write the file that the parameters name, if they do.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        if self._parameters.file:
+            write_tables(Path(self._parameters.file), self._law, self._tables)
+
+    def counters(self) -> dict[str, object]:
+        """Figures for the diagnostics."""
+        return {
+            f"learned_{name}": self._tables[forward].updates
+            for name, forward in (("forward", True), ("backward", False))
+        }
+
+    def _end_pass(self) -> None:
+        if not self._pass:
+            return
+        record = np.frombuffer(self._pass).reshape(-1, 5)
+        self._pass = array("d")
+        if len(record) >= _SHORTEST:
+            self._run(partial(self._learn, self._tables[self._forward], record))
+
+    def _learn(self, table: LearnedTable, record: NDArray[np.float64]) -> None:
+        x, error, weight, correction, speed = record.T.copy()
+        chosen = self._parameters
+
+        def wanted(gain: float) -> NDArray[np.float64]:
+            kept = (1.0 - chosen.forgetting) * correction
+            return np.asarray(sosfiltfilt(self._low_pass, kept + gain * error))
+
+        gain = max(chosen.gain, 1.0 / (table.updates + 2.0))
+        table.learn(x, error, weight, wanted, speed, gain, chosen.limit)
+
+
+def make_learning(
+    parameters: LearningParameters, law: str, rate: float, run: Callable[[Job], None] = lambda job: job()
+) -> Learning | None:
+    """The learning that the parameters ask for, None if they ask for none; arguments and errors as of `Learning`."""
+    return Learning(parameters, law, rate, run) if parameters.learn else None
