@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from io import BytesIO
@@ -11,13 +10,13 @@ from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Metadata
+from mcap.records import Metadata
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.blocks import blocks
 from straightcomp_ros.bags.columns import StreamColumns, StreamDecoder
 from straightcomp_ros.bags.folder import mcap_files
-from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.mcap_input import McapInput, attachment_of
 from straightcomp_ros.bags.summary import UNREADABLE
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.cdr import Layout
@@ -78,13 +77,7 @@ def read_attachments(bag: Path) -> dict[str, bytes]:
     with _opened(bag) as files:
         for file in files:
             for record in file.records(Opcode.ATTACHMENT):
-                crc = int.from_bytes(record.content[-4:], "little")
-                if crc and zlib.crc32(record.content[:-4]) != crc:
-                    raise file.damaged(record.offset, "the checksum of an attachment is wrong")
-                try:
-                    attachment = Attachment.read(ReadDataStream(BytesIO(record.content)))
-                except UNREADABLE as error:
-                    raise file.damaged(record.offset, f"an attachment cannot be read ({error})") from error
+                attachment = attachment_of(file, record)
                 found[attachment.name] = attachment.data
     return found
 

@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
 from straightcomp_ros.configuration import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.nodes.declare import declare
@@ -85,6 +85,7 @@ class LoggerNode:
         try:
             while not self._stopping.wait(_WRITE_INTERVAL_S):
                 self._write_queue()
+                self._bag.flush_older(FLUSH_AGE)
             self._write_queue()
         except (OSError, BagError) as error:
             self._failure = error
