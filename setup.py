@@ -42,6 +42,7 @@ setup(
         "mcap>=1.2",
         "numba",
         "numpy",
+        "plotly>=6",
         "pyyaml",
         "rich",
         "rosbags>=0.11",

@@ -18,25 +18,28 @@ from straightcomp_ros.bags.columns import StreamColumns, StreamDecoder
 from straightcomp_ros.bags.folder import mcap_files
 from straightcomp_ros.bags.mcap_input import McapInput, attachment_of
 from straightcomp_ros.bags.summary import UNREADABLE
-from straightcomp_ros.bags.topics import resolved
+from straightcomp_ros.bags.topics import chosen_topics
 from straightcomp_ros.cdr import Layout
 
 __all__ = ["StreamColumns", "read_attachments", "read_metadata", "read_streams"]
 
 
-def read_streams(bag: Path, layouts: Mapping[str, Layout]) -> dict[str, StreamColumns]:
+def read_streams(
+    bag: Path, layouts: Mapping[str, Layout], remap: Mapping[str, str] | None = None
+) -> dict[str, StreamColumns]:
     """Read streams as columns, fast where the messages have the layout, otherwise by the names in them.
 
     Args:
         bag: rosbag2 folder, or one MCAP file.
         layouts: by topic, relative (``encoder``: ``/encoder``, or else the only ``/…/encoder``) or full.
+        remap: for topics of ``layouts`` that are named otherwise in the bag, their names there.
 
     Returns:
         By the same topic names; a topic that the bag lacks, or that has no messages, is left out.
 
     Raises:
         BagError: the bag is absent, empty, damaged, without any message, or its messages are of another kind; a
-            relative name fits several topics.
+            relative name fits several topics, or ``remap`` names a topic that the bag lacks.
 
     Warns:
         UserWarning: the bag was not finished; what is whole is read.
@@ -44,7 +47,7 @@ def read_streams(bag: Path, layouts: Mapping[str, Layout]) -> dict[str, StreamCo
     with _opened(bag) as files:
         topics = [file.topics() for file in files]
         names = {channel.topic for channels, _ in topics for channel in channels.values()}
-        wanted = {full: key for key in layouts if (full := resolved(key, names, str(bag)))}
+        wanted = chosen_topics(layouts, names, str(bag), remap or {})
         decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
         count = 0
         for file, (channels, schemas) in zip(files, topics, strict=True):

@@ -6,10 +6,12 @@ import json
 import math
 import sys
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 console = Console()
 """Standard output: results."""
@@ -27,6 +29,8 @@ class CommandFailed(Exception):
 
 def progress_bar() -> Progress:
     """A progress bar on standard error, silent when that is no terminal."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -40,7 +44,12 @@ def progress_bar() -> Progress:
 
 def print_json(values: Mapping[str, Any]) -> None:
     """One JSON object on standard output; what is not finite becomes null, which JSON can say."""
-    plain = {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()
-    }
-    print(json.dumps(plain))
+    print(json.dumps(_plain(values)))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
