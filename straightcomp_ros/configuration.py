@@ -123,12 +123,25 @@ class CellNodeParameters:
     realtime: RealtimeParameters = group(RealtimeParameters)
 
 
+@dataclass(frozen=True)
+class PlayerNodeParameters:
+    """Parameters of the node `player`."""
+
+    bag: str = parameter("", "Bag whose samples are published: a rosbag2 folder or MCAP file")
+    topic: str = parameter("encoder", "The bag's name for the topic of the samples")
+    speed: float = parameter(1.0, "Speed of the play, 1 as recorded", above=0.0, maximum=100.0)
+    subscribers: int = parameter(2, "Subscribers of the samples that the play waits for", minimum=0, maximum=100)
+    start_timeout: float = parameter(30.0, "Longest wait for them", unit="s", above=0.0)
+    realtime: RealtimeParameters = group(RealtimeParameters)
+
+
 NODE_PARAMETERS: Mapping[str, type] = {
     "driver": DriverNodeParameters,
     "feedforward": FeedforwardNodeParameters,
     "controller": ControllerNodeParameters,
     "logger": LoggerNodeParameters,
     "cell": CellNodeParameters,
+    "player": PlayerNodeParameters,
 }
 """Parameter set of each node, by the node's name."""
 

@@ -39,6 +39,7 @@ class Simulation:
 
     Args:
         values: parameters by node and dotted name, as `read_parameter_file` gives them.
+        motion: of the stage, and its start in ns; the cell's cycle from 0 if None.
 
     Raises:
         ParameterError: a parameter is refused, or controller and machine disagree about the rate.
@@ -52,7 +53,7 @@ class Simulation:
     map: StraightnessMap
     delay: float
 
-    def __init__(self, values: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, values: Mapping[str, Mapping[str, Any]], motion: tuple[Trajectory, int] | None = None) -> None:
         self._driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
         feedforward: FeedforwardNodeParameters = node_parameters("feedforward", values.get("feedforward", {}))
         self._controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
@@ -68,41 +69,42 @@ class Simulation:
         self._feedforward = Feedforward(self.map, feedforward.feedforward)
         self._pairing = Pairing(round(self._controller.reference_lead * 1e9 / rate), wait=True)
         self._servo = Servo(make_law(self._controller.control, 1.0 / rate))
-        self._trajectory = Trajectory(forward_and_back(cell.motion))
+        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.motion)), 0)
 
     def run(
         self,
         progress: Callable[[float], None] = lambda fraction: None,
-        observe: Callable[[Sample, Truth, Sequence[float], Command], None] | None = None,
+        observe: Callable[[Sample, Truth, Sequence[float], Command, float], None] | None = None,
     ) -> StrokeRecord:
         """Run the cycle once.
 
         Args:
             progress: called now and then with the fraction that is done.
-            observe: called with each sample, its truth, its reference and the answer.
+            observe: called with each sample, its truth, its reference, the answer, and the age in s of the reference
+                that the answer was computed from.
         """
         hardware, pairing = self._hardware, self._pairing
         step, reference_at = self._servo.step, self._feedforward.step
         period_ns = hardware.period_ns
         delay_ns = round(self.delay * period_ns)
-        count = -(-self._trajectory.end_ns // period_ns)
+        count = -(-(self._trajectory.end_ns + self._start_ns) // period_ns)
         rows = array("d")
         hardware.enable()
         hardware.start(0)
-        hardware.move(self._trajectory, 0)
+        hardware.move(self._trajectory, self._start_ns)
         for index in range(count):
             sample, truth = hardware.read(index * period_ns)[-1]
             reference = reference_at(sample.stamp_ns, sample.x)
             pairing.add_reference(sample.stamp_ns, reference)
             pairing.add_sample(sample.stamp_ns, (sample.y, sample.current))
-            ((stamp_ns, (y, coil_current), served),) = pairing.take()
+            ((stamp_ns, (y, coil_current), served, age_ns),) = pairing.take()
             command = step(stamp_ns, y, coil_current, served)
             # A sample of the simulated machine is finite and newer than the last.
             assert command is not None
             hardware.write(command.current, sample.stamp_ns + delay_ns)
             rows.extend((sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation))
             if observe is not None:
-                observe(sample, truth, reference, command)
+                observe(sample, truth, reference, command, age_ns * 1e-9)
             if index % _PROGRESS_EVERY == 0:
                 progress(index / count)
         progress(1.0)

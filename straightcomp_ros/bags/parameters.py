@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.parameters import flatten
+from straightcomp_ros.parameters import belongs_to_ros, flatten
+
+if TYPE_CHECKING:
+    from straightcomp_ros.bags.writer import BagWriter
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 MAP_PARAMETERS = ("feedforward", "map.file")
@@ -38,8 +41,30 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
     for key, section in tree.items() if isinstance(tree, Mapping) else [(tree, None)]:
         if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
             raise BagError(f"{where}: '{key}' has no 'ros__parameters:'; record the bag again")
-        values.setdefault(str(key).rsplit("/", 1)[-1], {}).update(flatten(section["ros__parameters"]))
+        own = flatten(section["ros__parameters"])
+        values.setdefault(str(key).rsplit("/", 1)[-1], {}).update(
+            {name: value for name, value in own.items() if not belongs_to_ros(name)}
+        )
     return values
+
+
+def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
+    """Attach the survey that the parameters name, as it is on this machine now.
+
+    Returns:
+        Why it is not attached, empty when it is.
+    """
+    from straightcomp_ros.straightness.map import MapParameters, find_survey
+    from straightcomp_ros.straightness.survey import SurveyError
+
+    node, name = MAP_PARAMETERS
+    try:
+        path = find_survey(str(values.get(node, {}).get(name, MapParameters().file)))
+        data = path.read_bytes()
+    except (SurveyError, OSError) as error:
+        return f"the map is not attached to the bag: {error}"
+    bag.attach(MAP_ATTACHMENT, "text/csv", data)
+    return ""
 
 
 def unpacked_map(attachments: Mapping[str, bytes], folder: Path) -> Path | None:

@@ -15,7 +15,14 @@ _WAITING = 1000
 _LONGEST_EXTRAPOLATION_NS = 20_000_000
 
 Reference = tuple[float, float, float]
-Paired = tuple[int, Sequence[float], Reference]
+Paired = tuple[int, Sequence[float], Reference, int]
+
+
+def extrapolated(reference: Sequence[float], ahead_ns: int) -> Reference:
+    """r in m, ṙ in m/s and r̈ in m/s², ``ahead_ns`` after the reference's own stamp."""
+    r, r_dot, r_ddot = reference
+    ahead = ahead_ns * 1e-9
+    return r + (r_dot + 0.5 * r_ddot * ahead) * ahead, r_dot + r_ddot * ahead, r_ddot
 
 
 class Pairing:
@@ -61,16 +68,16 @@ class Pairing:
             references.popleft()
 
     def take(self) -> Iterator[Paired]:
-        """Samples that can be served now: (stamp in ns, sample, reference at that stamp)."""
+        """Samples that can be served now: (stamp in ns, sample, reference at that stamp, its age in ns)."""
         samples, references = self._samples, self._references
         while samples and references:
             stamp_ns, sample = samples[0]
             wanted_ns = max(stamp_ns - self._lead_ns, self._first_ns)
             while len(references) > 1 and references[1][0] <= wanted_ns:
                 references.popleft()
-            given_ns, (r, r_dot, r_ddot) = references[0]
+            given_ns, reference = references[0]
             if references[-1][0] < wanted_ns and (self._wait or stamp_ns - given_ns > _LONGEST_EXTRAPOLATION_NS):
                 return
             samples.popleft()
-            ahead = (stamp_ns - given_ns) * 1e-9
-            yield stamp_ns, sample, (r + (r_dot + 0.5 * r_ddot * ahead) * ahead, r_dot + r_ddot * ahead, r_ddot)
+            age_ns = stamp_ns - given_ns
+            yield stamp_ns, sample, extrapolated(reference, age_ns), age_ns

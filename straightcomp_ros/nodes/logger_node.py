@@ -17,6 +17,7 @@ from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.bags.parameters import attach_map
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
 from straightcomp_ros.configuration import LoggerNodeParameters
@@ -46,6 +47,7 @@ class LoggerNode:
         self._topics: dict[str, RawQueue] = {}
         self._unspun = unspun_node(node)
         self._failure: Exception | None = None
+        self._attached = False
         self._stopping = threading.Event()
         for stream in STREAMS:
             self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(parameters.queue_depth))
@@ -85,10 +87,20 @@ class LoggerNode:
         try:
             while not self._stopping.wait(_WRITE_INTERVAL_S):
                 self._write_queue()
+                if self._remote.complete and not self._attached:
+                    # Now, not at the end: after a SIGKILL the bag still says what it is of.
+                    self._attach()
                 self._bag.flush_older(FLUSH_AGE)
             self._write_queue()
         except (OSError, BagError) as error:
             self._failure = error
+
+    def _attach(self) -> None:
+        self._attached = True
+        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
+        refusal = attach_map(self._bag, self._remote.values)
+        if refusal:
+            self.node.get_logger().warning(refusal)
 
     def _write_queue(self) -> None:
         queue = self._queue
@@ -118,7 +130,8 @@ class LoggerNode:
         self._fetch()
         self._stopping.set()
         self._thread.join()
-        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
+        if not self._attached:
+            self._attach()
         self._bag.add_metadata("logger", {"received": str(self._received), "dropped": str(self._dropped)})
         self._bag.close()
 
