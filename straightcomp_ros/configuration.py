@@ -132,6 +132,13 @@ class PlayerNodeParameters:
     speed: float = parameter(1.0, "Speed of the play, 1 as recorded", above=0.0, maximum=100.0)
     subscribers: int = parameter(2, "Subscribers of the samples that the play waits for", minimum=0, maximum=100)
     start_timeout: float = parameter(30.0, "Longest wait for them", unit="s", above=0.0)
+    ahead: int = parameter(
+        0,
+        "Samples without a command beyond which the play waits, so that slow nodes lose none; 0 keeps the pace",
+        unit="samples",
+        minimum=0,
+        maximum=500,
+    )
     realtime: RealtimeParameters = group(RealtimeParameters)
 
 

@@ -13,15 +13,17 @@ from rclpy.task import Future
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.configuration import PlayerNodeParameters
-from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
-from straightcomp_ros.nodes.streams import message_type, stream_qos
+from straightcomp_ros.nodes.streams import Inbox, message_type, stream_qos, unspun_node
 
 _AFTERPLAY_S = 0.5
 """Time for the others to answer the last samples."""
+_SILENCE_NS = 1_000_000_000
+"""Silence after which the play goes on without answers."""
 
 
 class PlayerNode:
@@ -53,7 +55,12 @@ class PlayerNode:
         self._timeout = parameters.start_timeout
         self._deadline = time.monotonic() + parameters.start_timeout
         self._start_ns: int | None = None
+        self._end_ns = 0
         self._next = 0
+        self._ahead = parameters.ahead or len(stamps)
+        self._places = {stamp: place for place, stamp in enumerate(stamps)}
+        self._answered, self._progress_ns = 0, 0
+        self._inbox = Inbox(node, unspun_node(node), COMMAND) if parameters.ahead else None
         period = sorted(b - a for a, b in zip(self._due_ns, self._due_ns[1:], strict=False))
         self.loop = PeriodicLoop(max(period[len(period) // 2] if period else 0, 50_000), self._cycle)
         Diagnostics(node, lambda: {"samples": self._next, "overruns": self.loop.overruns})
@@ -62,14 +69,29 @@ class PlayerNode:
         if self._start_ns is None:
             self._wait(wake_ns)
             return
-        elapsed_ns = time.monotonic_ns() - self._start_ns
+        now_ns = time.monotonic_ns()
+        elapsed_ns = now_ns - self._start_ns
         due, messages, publish = self._due_ns, self._messages, self._publisher.publish
-        while self._next < len(due) and due[self._next] <= elapsed_ns:
+        self._see_answers(now_ns)
+        end = min(len(due), self._answered + self._ahead)
+        while self._next < end and due[self._next] <= elapsed_ns:
             publish(messages[self._next])
             self._next += 1
-        if self._next == len(due) and elapsed_ns > due[-1] + _AFTERPLAY_S * 1e9 and not self.done.done():
+        if self._next < len(due):
+            self._end_ns = now_ns
+        elif now_ns > self._end_ns + _AFTERPLAY_S * 1e9 and not self.done.done():
             self.node.get_logger().info(f"played {self._next} samples")
             self.done.set_result(0)
+
+    def _see_answers(self, now_ns: int) -> None:
+        if self._inbox is None:
+            return
+        for stamp_ns, _, _ in self._inbox.fetch():
+            self._answered = max(self._answered, self._places.get(stamp_ns, -1) + 1)
+            self._progress_ns = now_ns
+        if now_ns - self._progress_ns > _SILENCE_NS:
+            # Whatever was lost will not come any more.
+            self._answered, self._progress_ns = self._next, now_ns
 
     def _wait(self, wake_ns: int) -> None:
         count = self._publisher.get_subscription_count()

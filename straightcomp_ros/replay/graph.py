@@ -19,7 +19,7 @@ from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.launcher import Graph, LaunchError, exit_words
 
 _PLAYED_TO = ("feedforward", "controller", "logger")
-_SLACK_S = 60.0
+_SLACK_S = 90.0
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,7 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
             "bag": str(Path(bag).absolute()),
             "topic": (remap or {}).get(ENCODER.topic, ENCODER.topic),
             "subscribers": len(_PLAYED_TO),
+            "ahead": 50,
         }
         # Real-time priority is of no use here: nothing is late.
         for section in values.values():

@@ -1,0 +1,1 @@
+"""Measures this package on the machine that it runs on."""
