@@ -105,6 +105,19 @@ class LoggerNodeParameters:
     queue_limit: int = parameter(
         200_000, "Messages in memory that wait for the disk; beyond it they are dropped and counted", minimum=1000
     )
+    topics: str = parameter(
+        ".*", "Regular expression that a topic's name must match as a whole to be recorded, e.g. 'encoder|command'"
+    )
+    snapshot: float = parameter(
+        0.0,
+        "0 records all; otherwise the last so many seconds stay in memory until ~/snapshot is called",
+        unit="s",
+        minimum=0.0,
+        maximum=600.0,
+    )
+    min_free_bytes: int = parameter(
+        200_000_000, "Free space on the disk below which the recording is finished and the node fails", minimum=0
+    )
     nodes: str = parameter(
         "driver feedforward controller", "Nodes whose parameters are attached to the bag, separated by blanks"
     )

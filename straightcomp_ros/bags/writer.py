@@ -17,9 +17,9 @@ from straightcomp_ros.bags.qos import TopicQos
 
 CHUNK_SIZE = 512 * 1024
 """Bytes of messages in a chunk: about a fifth of a second of all streams at 2 kHz."""
-FLUSH_AGE = 0.25
-"""Age in s at which a recording writes its open chunk, full or not. With the delays of fetching and writing, a SIGKILL
-takes less than half a second."""
+FLUSH_AGE = 0.15
+"""Age in s at which a recording writes its open chunk, full or not. With the delays of fetching and writing on a busy
+machine, a SIGKILL takes less than half a second."""
 
 
 class BagWriter:
