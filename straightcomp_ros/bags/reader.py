@@ -17,6 +17,7 @@ from straightcomp_ros.bags.blocks import blocks
 from straightcomp_ros.bags.columns import StreamColumns, StreamDecoder
 from straightcomp_ros.bags.folder import mcap_files
 from straightcomp_ros.bags.mcap_input import McapInput, attachment_of
+from straightcomp_ros.bags.sqlite_input import sqlite_blocks, sqlite_files, sqlite_topics
 from straightcomp_ros.bags.summary import UNREADABLE
 from straightcomp_ros.bags.topics import chosen_topics
 from straightcomp_ros.cdr import Layout
@@ -44,6 +45,8 @@ def read_streams(
     Warns:
         UserWarning: the bag was not finished; what is whole is read.
     """
+    if sqlite_files(bag):
+        return _read_sqlite(bag, layouts, remap or {})
     with _opened(bag) as files:
         topics = [file.topics() for file in files]
         names = {channel.topic for channels, _ in topics for channel in channels.values()}
@@ -70,13 +73,33 @@ def read_streams(
     return {key: columns for key, columns in finished if columns is not None}
 
 
+def _read_sqlite(bag: Path, layouts: Mapping[str, Layout], remap: Mapping[str, str]) -> dict[str, StreamColumns]:
+    files = [(path, sqlite_topics(path)) for path in sqlite_files(bag)]
+    names = {topic.name for _, topics in files for topic in topics.values()}
+    wanted = chosen_topics(layouts, names, str(bag), remap)
+    decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
+    for path, topics in files:
+        for topic_id, topic in topics.items():
+            if topic.name in wanted:
+                kind = (topic.type_name, topic.encoding)
+                _check_kind(f"bag {path}: topic '{topic.name}'", kind, layouts[wanted[topic.name]])
+                for data, places in sqlite_blocks(path, topic_id):
+                    decoders[topic.name].add(data, places)
+    finished = {key: decoders[full].finished() for full, key in wanted.items()}
+    if not any(columns is not None for columns in finished.values()):
+        raise BagError(f"bag {bag} has no messages on {', '.join(layouts)}; its topics are {', '.join(sorted(names))}")
+    return {key: columns for key, columns in finished.items() if columns is not None}
+
+
 def read_attachments(bag: Path) -> dict[str, bytes]:
     """The files attached to a bag, by name; of two with one name the later.
 
     Raises:
         BagError: the bag is absent or damaged.
     """
-    found = {}
+    found: dict[str, bytes] = {}
+    if sqlite_files(bag):
+        return found  # SQLite bags have none
     with _opened(bag) as files:
         for file in files:
             for record in file.records(Opcode.ATTACHMENT):
