@@ -119,9 +119,7 @@ def _live_recording(work: Path, seconds: float) -> dict[str, float | None]:
     bag = work / "live"
     with Graph(work / "logs") as graph:
         for name in _RECORDED:
-            process = graph.start(
-                name, {"output": str(bag)} if name == "logger" else _PATIENT if name == "driver" else {}
-            )
+            process = graph.start(name, {"driver": _PATIENT, "logger": {"output": str(bag)}}.get(name, {}))
         _wait_for(bag)
         time.sleep(2.0)
         before, started = _cpu_seconds(process.pid), time.monotonic()
