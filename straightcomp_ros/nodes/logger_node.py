@@ -162,12 +162,12 @@ class LoggerNode:
         self._fetch()
         self._stopping.set()
         self._thread.join()
-        if not self._attached:
-            self._attach()
-        counts = {"received": self._received, "written": self._written, "dropped": self._intake.dropped}
-        self._bag.add_metadata("logger", {name: str(count) for name, count in counts.items()})
-        self._bag.add_metadata("losses", {topic: str(count) for topic, count in self._losses.by_topic().items()})
-        self._bag.close()
+        with self._bag:  # finishes the bag even where the disk takes nothing more of these
+            if not self._attached:
+                self._attach()
+            counts = {"received": self._received, "written": self._written, "dropped": self._intake.dropped}
+            self._bag.add_metadata("logger", {name: str(count) for name, count in counts.items()})
+            self._bag.add_metadata("losses", {topic: str(count) for topic, count in self._losses.by_topic().items()})
 
 
 def _pattern(text: str) -> re.Pattern[str]:
