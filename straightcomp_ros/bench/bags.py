@@ -27,9 +27,11 @@ from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cdr import read_by_names
+from straightcomp_ros.configuration import read_parameter_file
 from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.launcher import Graph, ros_available
 from straightcomp_ros.replay.audit import audit
+from straightcomp_ros.share import share_path
 from straightcomp_ros.simulation import Simulation
 
 _LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
@@ -65,8 +67,9 @@ def run(
         if bag is None:
             progress("simulating a stroke")
             bag = work / "run"
-            simulation = Simulation({})
-            with SimulatedRun(bag, {}, simulation.delay) as recording:
+            values = read_parameter_file(share_path("config/straightcomp.yaml"))
+            simulation = Simulation(values)
+            with SimulatedRun(bag, values, simulation.delay) as recording:
                 simulation.run(observe=recording.add)
         bag = Path(bag)
         progress("recording")

@@ -17,7 +17,10 @@ from straightcomp_ros.simulation import Simulation
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     path = tmp_path_factory.mktemp("bags") / "run"
-    values = {"cell": {"motion.stroke": 0.03, "motion.settle": 0.05, "motion.pause": 0.05}}
+    values = {
+        "controller": {"control.law": "smc"},
+        "cell": {"motion.stroke": 0.03, "motion.settle": 0.05, "motion.pause": 0.05},
+    }
     simulation = Simulation(values)
     with SimulatedRun(path, values, simulation.delay) as run:
         simulation.run(observe=run.add)
