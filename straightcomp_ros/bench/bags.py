@@ -37,6 +37,8 @@ from straightcomp_ros.simulation import Simulation
 _LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 _PATIENT = {"simulated.sample_memory": 20_000, "simulated.command_timeout": 1.0}
 """A machine that loses no samples itself while this one is busy: what is missing then is the recording's loss."""
+_SOME_CHUNKS = 20_000
+"""Bytes of some chunks."""
 _RECORDED = ("driver", "feedforward", "controller", "logger")
 
 
@@ -123,7 +125,7 @@ def _live_recording(work: Path, seconds: float) -> dict[str, float | None]:
     with Graph(work / "logs") as graph:
         for name in _RECORDED:
             process = graph.start(name, {"driver": _PATIENT, "logger": {"output": str(bag)}}.get(name, {}))
-        _wait_for(bag)
+        _wait_for(bag, 20 * _SOME_CHUNKS)
         time.sleep(2.0)
         before, started = _cpu_seconds(process.pid), time.monotonic()
         time.sleep(seconds)
@@ -141,12 +143,13 @@ def _cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _wait_for(bag: Path, timeout: float = 30.0) -> Path:
+def _wait_for(bag: Path, size: int = 1, timeout: float = 30.0) -> int:
+    """Wait until the bag's file has ``size`` bytes; returns how many it has."""
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
-        files = list(bag.glob("*.mcap"))
-        if files and files[0].stat().st_size > 20_000:
-            return files[0]
+        found = max((file.stat().st_size for file in bag.glob("*.mcap")), default=0)
+        if found >= size:
+            return found
         time.sleep(0.05)
     raise BagError(f"bag {bag}: nothing was recorded within {timeout:g} s")
 
@@ -219,8 +222,10 @@ def _killing(bag: Path, work: Path, runs: int) -> dict[str, Any]:
         killed = work / f"killed{number}"
         with Graph(work / f"logs{number}") as graph:
             logger = graph.start("logger", {"output": str(killed), "nodes": "player"})
+            # Topics are described before messages come.
+            described = _wait_for(killed)
             graph.start("player", {"bag": str(bag.absolute()), "subscribers": 1})
-            _wait_for(killed)
+            _wait_for(killed, described + _SOME_CHUNKS)
             time.sleep(random.uniform(0.2, 1.2))
             logger.send_signal(signal.SIGKILL)
             at_ns = time.time_ns()
@@ -228,7 +233,9 @@ def _killing(bag: Path, work: Path, runs: int) -> dict[str, Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             result = recover(killed, work / f"recovered{number}")
-        worst = max(worst, (at_ns - (result.last_ns or 0)) * 1e-9)
+        if result.last_ns is None:
+            raise BagError(f"bag {killed}: was killed before a message was recorded; measure again")
+        worst = max(worst, (at_ns - result.last_ns) * 1e-9)
     return {"runs": runs, "max_lost_s": worst}
 
 
