@@ -42,6 +42,7 @@ setup(
         "mcap>=1.2",
         "numba",
         "numpy",
+        "plotly>=6",
         "pyyaml",
         "rich",
         "rosbags>=0.11",
@@ -75,7 +76,7 @@ setup(
         "console_scripts": [
             *(
                 f"{node}_node = {NAME}.nodes.{node}_node:main"
-                for node in ("driver", "feedforward", "controller", "logger", "cell")
+                for node in ("driver", "feedforward", "controller", "logger", "cell", "player")
             ),
             f"straightcomp = {NAME}.cli.main:main",
         ],

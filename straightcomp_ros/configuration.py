@@ -107,6 +107,19 @@ class LoggerNodeParameters:
     queue_limit: int = parameter(
         200_000, "Messages in memory that wait for the disk; beyond it they are dropped and counted", minimum=1000
     )
+    topics: str = parameter(
+        ".*", "Regular expression that a topic's name must match as a whole to be recorded, e.g. 'encoder|command'"
+    )
+    snapshot: float = parameter(
+        0.0,
+        "0 records all; otherwise the last so many seconds stay in memory until ~/snapshot is called",
+        unit="s",
+        minimum=0.0,
+        maximum=600.0,
+    )
+    min_free_bytes: int = parameter(
+        200_000_000, "Free space on the disk below which the recording is finished and the node fails", minimum=0
+    )
     nodes: str = parameter(
         "driver feedforward controller", "Nodes whose parameters are attached to the bag, separated by blanks"
     )
@@ -125,12 +138,32 @@ class CellNodeParameters:
     realtime: RealtimeParameters = group(RealtimeParameters)
 
 
+@dataclass(frozen=True)
+class PlayerNodeParameters:
+    """Parameters of the node `player`."""
+
+    bag: str = parameter("", "Bag whose samples are published: a rosbag2 folder or MCAP file")
+    topic: str = parameter("encoder", "The bag's name for the topic of the samples")
+    speed: float = parameter(1.0, "Speed of the play, 1 as recorded", above=0.0, maximum=100.0)
+    subscribers: int = parameter(2, "Subscribers of the samples that the play waits for", minimum=0, maximum=100)
+    start_timeout: float = parameter(30.0, "Longest wait for them", unit="s", above=0.0)
+    ahead: int = parameter(
+        0,
+        "Samples without a command beyond which the play waits, so that slow nodes lose none; 0 keeps the pace",
+        unit="samples",
+        minimum=0,
+        maximum=500,
+    )
+    realtime: RealtimeParameters = group(RealtimeParameters)
+
+
 NODE_PARAMETERS: Mapping[str, type] = {
     "driver": DriverNodeParameters,
     "feedforward": FeedforwardNodeParameters,
     "controller": ControllerNodeParameters,
     "logger": LoggerNodeParameters,
     "cell": CellNodeParameters,
+    "player": PlayerNodeParameters,
 }
 """Parameter set of each node, by the node's name."""
 

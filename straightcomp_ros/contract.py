@@ -51,12 +51,14 @@ _CONTROLLER_VARIABLES = (
     "switching_current",
     "velocity_estimate",
     "disturbance_estimate",
+    "reference_age",
 )
 CONTROLLER_STATE = Stream(
     "controller_state",
     joint_state(_CONTROLLER_VARIABLES, position=_CONTROLLER_VARIABLES),
     "Inner variables of the control law: error in m, sliding variable in m/s, the two parts of the control current "
-    "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN where the law has none).",
+    "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN where the law has none), age of the reference "
+    "that served the sample in s: its stamp is the sample's less this.",
 )
 _DRIVER_VARIABLES = ("command_latency", "lateness", "applied_current", "enabled")
 DRIVER_STATE = Stream(

@@ -173,3 +173,11 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{key}"] = value
     return flat
+
+
+_ROS_OWN = ("use_sim_time", "start_type_description_service")
+
+
+def belongs_to_ros(name: str) -> bool:
+    """Whether ROS itself declares a parameter of this name on every node."""
+    return name in _ROS_OWN or name.startswith("qos_overrides.")

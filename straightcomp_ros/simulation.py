@@ -41,6 +41,7 @@ class Simulation:
     Args:
         values: parameters by node and dotted name, as `read_parameter_file` gives them.
         law: steps in place of the one that the parameters name.
+        motion: of the stage, and its start in ns; the cell's cycle from 0 if None.
 
     Raises:
         ParameterError: a parameter is refused, or controller and machine disagree about the rate.
@@ -54,7 +55,12 @@ class Simulation:
     map: StraightnessMap
     delay: float
 
-    def __init__(self, values: Mapping[str, Mapping[str, Any]], law: Law | None = None) -> None:
+    def __init__(
+        self,
+        values: Mapping[str, Mapping[str, Any]],
+        law: Law | None = None,
+        motion: tuple[Trajectory, int] | None = None,
+    ) -> None:
         self._driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
         feedforward: FeedforwardNodeParameters = node_parameters("feedforward", values.get("feedforward", {}))
         self._controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
@@ -73,44 +79,45 @@ class Simulation:
         self._learning = make_learning(self._controller.learning, control.law, rate)
         self._servo = Servo(law or make_law(control, 1.0 / rate), learning=self._learning)
         self._begin_ns = 0
-        self._trajectory = Trajectory(forward_and_back(cell.motion))
+        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.motion)), 0)
 
     def run(
         self,
         progress: Callable[[float], None] = lambda fraction: None,
-        observe: Callable[[Sample, Truth, Sequence[float], Command], None] | None = None,
+        observe: Callable[[Sample, Truth, Sequence[float], Command, float], None] | None = None,
     ) -> StrokeRecord:
         """Run the cycle once, from where the last one ended.
 
         Args:
             progress: called now and then with the fraction that is done.
-            observe: called with each sample, its truth, its reference and the answer.
+            observe: called with each sample, its truth, its reference, the answer, and the age in s of the reference
+                that the answer was computed from.
         """
         hardware, pairing = self._hardware, self._pairing
         step, reference_at = self._servo.step, self._feedforward.step
         period_ns = hardware.period_ns
         delay_ns = round(self.delay * period_ns)
-        count = -(-self._trajectory.end_ns // period_ns)
+        count = -(-(self._trajectory.end_ns + self._start_ns) // period_ns)
         rows = array("d")
         begin_ns = self._begin_ns
         if begin_ns == 0:
             hardware.enable()
             hardware.start(0)
-        hardware.move(self._trajectory, begin_ns)
+        hardware.move(self._trajectory, begin_ns + self._start_ns)
         self._begin_ns += count * period_ns
         for index in range(count):
             sample, truth = hardware.read(begin_ns + index * period_ns)[-1]
             reference = reference_at(sample.stamp_ns, sample.x)
             pairing.add_reference(sample.stamp_ns, reference)
             pairing.add_sample(sample.stamp_ns, (sample.x, sample.y, sample.current))
-            ((stamp_ns, (x, y, coil_current), served),) = pairing.take()
+            ((stamp_ns, (x, y, coil_current), served, age_ns),) = pairing.take()
             command = step(stamp_ns, y, coil_current, served, x)
             # A sample of the simulated machine is finite and newer than the last.
             assert command is not None
             hardware.write(command.current, sample.stamp_ns + delay_ns)
             rows.extend((sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation))
             if observe is not None:
-                observe(sample, truth, reference, command)
+                observe(sample, truth, reference, command, age_ns * 1e-9)
             if index % _PROGRESS_EVERY == 0:
                 progress(index / count)
         progress(1.0)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.parameters import recorded_parameters
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.configuration import read_parameter_tree
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
+
+_EVALUATED = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,10 @@ class BagEvaluation:
         lost_references: samples of the run without a reference, up to the last that has one.
         lost_commands: samples of the run without a command, likewise.
         latency: time in s from each sample to the arrival of its command at the driver, as far as recorded.
+        lateness: time in s from each sample until the driver published it, as far as recorded.
+        stamps: (n,) ns, the run's different samples in the bag, in order; those of ``record`` are among them.
+        amplifier_on: (n,) for the same samples.
+        parameters: of the recorded nodes, by node and dotted name; empty when none are attached.
     """
 
     record: StrokeRecord
@@ -38,6 +45,10 @@ class BagEvaluation:
     lost_references: int
     lost_commands: int
     latency: NDArray[np.float64]
+    lateness: NDArray[np.float64]
+    stamps: NDArray[np.int64]
+    amplifier_on: NDArray[np.bool_]
+    parameters: Mapping[str, Mapping[str, Any]]
 
     @property
     def lost_samples(self) -> int:
@@ -49,13 +60,18 @@ class BagEvaluation:
         return float(np.percentile(self.latency, percentile)) * 1e6 if len(self.latency) else math.nan
 
 
-def evaluate_bag(bag: Path) -> BagEvaluation:
+def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvaluation:
     """Read a bag of the graph and put the streams together by their stamps.
+
+    Args:
+        bag: rosbag2 folder or MCAP file.
+        remap: the bag's topic for each of ours that is named otherwise there.
 
     Raises:
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in STREAMS})
+    streams = read_streams(bag, {stream.topic: stream.layout for stream in _EVALUATED}, remap)
+    parameters = recorded_parameters(bag, read_attachments(bag))
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
@@ -90,10 +106,11 @@ def evaluate_bag(bag: Path) -> BagEvaluation:
         true_x=true_x,
         true_y=true_y,
         guide=guide,
-        law=recorded_law(bag),
+        law=str(parameters.get("controller", {}).get("control.law", "unknown")),
     )
     period_ns = float(np.median(np.diff(encoder)))
-    latency = streams[DRIVER_STATE.topic].columns["command_latency"] if DRIVER_STATE.topic in streams else np.empty(0)
+    driver = streams[DRIVER_STATE.topic].columns if DRIVER_STATE.topic in streams else {}
+    latency, lateness = (driver.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
     return BagEvaluation(
         record=record,
         expected_samples=round((encoder[-1] - encoder[0]) / period_ns) + 1,
@@ -101,14 +118,11 @@ def evaluate_bag(bag: Path) -> BagEvaluation:
         lost_references=_missing(encoder, reference),
         lost_commands=_missing(encoder, command),
         latency=latency[np.isfinite(latency)],
+        lateness=lateness[np.isfinite(lateness)],
+        stamps=encoder,
+        amplifier_on=np.isfinite(streams[ENCODER.topic].columns["coil_current"][encoder_rows]),
+        parameters=parameters,
     )
-
-
-def recorded_law(bag: Path) -> str:
-    """Name of the control law in the bag's parameters, or ``unknown``."""
-    attachment = read_attachments(bag).get(PARAMETERS_ATTACHMENT, b"")
-    values = read_parameter_tree(yaml.safe_load(attachment) or {}, f"bag {bag}: {PARAMETERS_ATTACHMENT}")
-    return str(values["controller"].get("control.law", "unknown"))
 
 
 def _unique(stream: StreamColumns) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

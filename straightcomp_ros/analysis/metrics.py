@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from straightcomp_ros.analysis.record import MetricsError, Motion, StrokeRecord, check_finite, find_motion
-from straightcomp_ros.straightness.map import StraightnessMap
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
 from straightcomp_ros.straightness.run import Direction
 
 __all__ = ["Metrics", "MetricsError", "evaluate", "residual_over"]
+
+
+class ReferenceMap(Protocol):
+    """What the figures need of a map: a `StraightnessMap`, or the reference as it was recorded."""
+
+    def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64], ...]:
+        """r in m (and more) at x in m."""
+
+    def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
+        """δ in m at x in m."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +82,7 @@ class Metrics:
         return shown
 
 
-def evaluate(record: StrokeRecord, straightness: StraightnessMap) -> Metrics:
+def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
     """The figures of ``record``, with the map that its reference was made from.
 
     Raises:
@@ -111,7 +121,7 @@ def evaluate(record: StrokeRecord, straightness: StraightnessMap) -> Metrics:
     )
 
 
-def true_error(record: StrokeRecord, straightness: StraightnessMap) -> NDArray[np.float64] | None:
+def true_error(record: StrokeRecord, straightness: ReferenceMap) -> NDArray[np.float64] | None:
     """r(true x) − true y, (n,) in m; None without truth."""
     if record.true_x is None or record.true_y is None:
         return None

@@ -7,3 +7,5 @@ class BagError(ValueError):
 
 PARAMETERS_ATTACHMENT = "parameters.yaml"
 """Name of a bag's attachment with the parameters of the recorded nodes, as a ROS 2 parameter file."""
+MAP_ATTACHMENT = "map.csv"
+"""Name of a bag's attachment with the survey that the reference was made from."""

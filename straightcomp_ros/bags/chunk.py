@@ -40,15 +40,11 @@ class FullChunk:
 
 
 class OpenChunk:
-    """Records of one chunk. An interrupt (Ctrl-C) between any two steps leaves whole records only."""
+    """Messages of one chunk. An interrupt (Ctrl-C) between any two steps leaves whole records only."""
 
     def __init__(self) -> None:
         self.records = bytearray()
         self._entries: dict[int, list[int]] = {}
-
-    def add_record(self, record: bytes) -> None:
-        """Append a schema or channel record."""
-        self.records += record
 
     def add_message(self, channel_id: int, log_time_ns: int, publish_time_ns: int, data: bytes) -> None:
         """Append one message; times in ns, not negative."""
@@ -63,7 +59,7 @@ class OpenChunk:
 
     @property
     def has_messages(self) -> bool:
-        """False with schemas and channels at most: MCAP has no use for such a chunk."""
+        """False for an empty chunk: MCAP has no use for one."""
         return any(self._entries.values())
 
     def full(self, position: int, compression: str) -> FullChunk:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
+from typing import TYPE_CHECKING
 
 from straightcomp_ros.bags import BagError
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 ROS_DISTRO = "jazzy"
 """The ROS 2 release whose message definitions are used."""
@@ -32,6 +33,9 @@ class Definition:
 @cache
 def typestore() -> Typestore:
     """The message types of ROS 2 Jazzy."""
+    # Half a second, which a bag of our own layouts never needs.
+    from rosbags.typesys import Stores, get_typestore
+
     return get_typestore(Stores.ROS2_JAZZY)
 
 

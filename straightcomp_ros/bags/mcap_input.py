@@ -16,16 +16,16 @@ import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Footer, Schema
+from mcap.records import Attachment, Channel, Chunk, Footer, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.summary import FRAME, UNREADABLE, Summary, frames, gather, parsed_summary
 
 _FOOTER_SIZE = FRAME.size + 20
-_PRIVATE = 0x80
+PRIVATE = 0x80
 """Opcodes from here on are an application's own and are passed over; those between MCAP's last and this are free."""
-_RECOVER = "copy the bag again from where it was recorded, or save what is left with `mcap recover`"
+_RECOVER = "copy the bag again from where it was recorded, or save what is left with `straightcomp recover`"
 
 
 class Record(NamedTuple):
@@ -52,8 +52,8 @@ class McapInput:
             self._file = open(path, "rb")  # noqa: SIM115 - closed by __exit__
         except OSError as error:
             raise BagError(f"bag {path} cannot be read: {error.strerror}; check the path") from error
-        self._size = self._file.seek(0, 2)
-        start = self._read(0, len(MAGIC))
+        self.size = self._file.seek(0, 2)
+        start = self.read(0, len(MAGIC))
         if not start:
             self._file.close()
             raise BagError(f"bag {path} is empty: the recording was never started; record again")
@@ -77,16 +77,16 @@ class McapInput:
             BagError: a finished file whose records do not follow each other up to its end.
         """
         position = len(MAGIC)
-        while position < self._size:
-            frame = self._read(position, FRAME.size)
+        while position < self.size:
+            frame = self.read(position, FRAME.size)
             opcode, length = FRAME.unpack(frame) if len(frame) == FRAME.size else (0, 0)
-            whole = position + FRAME.size + length <= self._size
-            if not whole or not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
+            whole = position + FRAME.size + length <= self.size
+            if not whole or not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= PRIVATE):
                 if self.summary:
                     raise self.damaged(position, "no record starts here, or it is longer than the file")
                 return
             if opcode in opcodes:
-                record = Record(opcode, position, self._read(position + FRAME.size, length))
+                record = Record(opcode, position, self.read(position + FRAME.size, length))
                 if opcode == Opcode.CHUNK and not self.summary and not self._is_whole(record):
                     return
                 yield record
@@ -144,7 +144,7 @@ class McapInput:
         for end in self.records(Opcode.DATA_END):
             position = crc = 0
             while position < end.offset:
-                block = self._read(position, min(1 << 20, end.offset - position))
+                block = self.read(position, min(1 << 20, end.offset - position))
                 position, crc = position + len(block), zlib.crc32(block, crc)
             if any(end.content) and crc.to_bytes(4, "little") != end.content[:4]:
                 raise self.damaged(0, "the checksum of the whole file is wrong")
@@ -157,16 +157,16 @@ class McapInput:
         return True
 
     def _summary(self) -> Summary | None:
-        end = self._read(max(self._size - len(MAGIC) - _FOOTER_SIZE, 0), _FOOTER_SIZE + len(MAGIC))
+        end = self.read(max(self.size - len(MAGIC) - _FOOTER_SIZE, 0), _FOOTER_SIZE + len(MAGIC))
         if not end.endswith(MAGIC) or end[: FRAME.size] != FRAME.pack(Opcode.FOOTER, 20):
             return None
         footer = Footer.read(ReadDataStream(BytesIO(end[FRAME.size :])))
-        length = self._size - len(MAGIC) - _FOOTER_SIZE - footer.summary_start
+        length = self.size - len(MAGIC) - _FOOTER_SIZE - footer.summary_start
         if not footer.summary_start:
             return Summary(None, {}, {})
         if length < 0:
             return None
-        data = self._read(footer.summary_start, length)
+        data = self.read(footer.summary_start, length)
         crc = zlib.crc32(end[: _FOOTER_SIZE - 4], zlib.crc32(data))
         if footer.summary_crc and crc != footer.summary_crc:
             return None
@@ -175,7 +175,8 @@ class McapInput:
         except UNREADABLE:
             return None
 
-    def _read(self, position: int, length: int) -> bytes:
+    def read(self, position: int, length: int) -> bytes:
+        """Bytes from ``position`` on, fewer at the end of the file."""
         try:
             self._file.seek(position)
             return self._file.read(length)
@@ -189,6 +190,21 @@ class McapInput:
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
+
+
+def attachment_of(file: McapInput, record: Record) -> Attachment:
+    """The attachment in a record.
+
+    Raises:
+        BagError: its checksum is wrong, or it cannot be read.
+    """
+    crc = int.from_bytes(record.content[-4:], "little")
+    if crc and zlib.crc32(record.content[:-4]) != crc:
+        raise file.damaged(record.offset, "the checksum of an attachment is wrong")
+    try:
+        return Attachment.read(ReadDataStream(BytesIO(record.content)))
+    except UNREADABLE as error:
+        raise file.damaged(record.offset, f"an attachment cannot be read ({error})") from error
 
 
 def _decompressed(chunk: Chunk) -> bytes:

@@ -55,6 +55,7 @@ class McapOutput:
         self._compression, self._chunk_size = compression, chunk_size
         self._chunk = OpenChunk()
         self._position = self._crc = 0
+        self._chunk_started = 0.0
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
         self._chunk_indexes: list[ChunkIndex] = []
@@ -66,22 +67,36 @@ class McapOutput:
         self._position, self._crc = self._put(MAGIC + _packed(Header("ros2", LIBRARY)))
 
     def add_channel(self, topic: str, type_name: str, definition: str, metadata: dict[str, str]) -> int:
-        """Add a topic; returns its channel id."""
-        schema = self._schemas.get(type_name)
-        if schema is None:
-            schema = Schema(len(self._schemas) + 1, definition.encode(), "ros2msg", type_name)
-            self._chunk.add_record(_packed(schema))
-            self._schemas[type_name] = schema
+        """Add a topic; returns its channel id.
+
+        It is written beside the chunks, not into one: a damaged chunk then takes its own messages only.
+        """
+        known = self._schemas.get(type_name)
+        schema = known or Schema(len(self._schemas) + 1, definition.encode(), "ros2msg", type_name)
         channel = Channel(len(self._channels) + 1, topic, "cdr", metadata, schema.id)
-        self._chunk.add_record(_packed(channel))
-        self._channels.append(channel)
+        end, crc = self._put((b"" if known else _packed(schema)) + _packed(channel))
+        # No call from here on: Python serves an interrupt at calls only, so these happen together.
+        self._position, self._crc, self._schemas[type_name] = end, crc, schema
+        self._channels += [channel]
         return channel.id
 
     def add_message(self, channel_id: int, log_time_ns: int, publish_time_ns: int, data: bytes) -> None:
         """Add a message to the open chunk, and write the chunk when it is full."""
+        if not self._chunk.records:
+            self._chunk_started = time.monotonic()
         self._chunk.add_message(channel_id, log_time_ns, publish_time_ns, data)
         if len(self._chunk.records) >= self._chunk_size:
             self.flush()
+
+    @property
+    def chunk_age(self) -> float:
+        """Time in s since the first message of the open chunk; 0 without one."""
+        return time.monotonic() - self._chunk_started if self._chunk.records else 0.0
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file, the open chunk not counted."""
+        return self._position
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment, stamped with the present time."""

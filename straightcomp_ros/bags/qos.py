@@ -42,6 +42,17 @@ class TopicQos:
         if self.depth < 0:
             raise BagError(f"QoS depth is {self.depth}: allowed is 0 or more")
 
+    @classmethod
+    def from_yaml(cls, text: str) -> TopicQos:
+        """The first profile of a list as rosbag2 stores it, with names or (before Jazzy) numbers; what it does not
+        say, or says in another way, is the default."""
+        try:
+            profile = (yaml.safe_load(text) or [{}])[0]
+            named = {name: _named(name, profile[name]) for name in _CHOICES if name in profile}
+            return cls(**named, depth=int(profile.get("depth", cls.depth)))
+        except (yaml.YAMLError, BagError, AttributeError, LookupError, TypeError, ValueError):
+            return cls()
+
     def as_profiles(self) -> list[dict[str, object]]:
         """The list of one profile that stands in metadata.yaml as ``offered_qos_profiles``."""
         return [
@@ -62,3 +73,15 @@ class TopicQos:
     def as_yaml(self) -> str:
         """The same list as text, as it stands in the MCAP channel's metadata."""
         return str(yaml.safe_dump(self.as_profiles(), sort_keys=False)).rstrip()
+
+
+_NUMBERS = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+}
+"""The same names in the order of rmw/types.h, whose numbers metadata before version 9 stores."""
+
+
+def _named(policy: str, value: object) -> str:
+    return _NUMBERS[policy][value] if isinstance(value, int) else str(value)

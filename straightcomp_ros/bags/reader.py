@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from io import BytesIO
@@ -11,41 +10,47 @@ from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Metadata
+from mcap.records import Metadata
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.blocks import blocks
 from straightcomp_ros.bags.columns import StreamColumns, StreamDecoder
 from straightcomp_ros.bags.folder import mcap_files
-from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.mcap_input import McapInput, attachment_of
+from straightcomp_ros.bags.sqlite_input import sqlite_blocks, sqlite_files, sqlite_topics
 from straightcomp_ros.bags.summary import UNREADABLE
-from straightcomp_ros.bags.topics import resolved
+from straightcomp_ros.bags.topics import chosen_topics
 from straightcomp_ros.cdr import Layout
 
 __all__ = ["StreamColumns", "opened", "read_attachments", "read_metadata", "read_streams"]
 
 
-def read_streams(bag: Path, layouts: Mapping[str, Layout]) -> dict[str, StreamColumns]:
+def read_streams(
+    bag: Path, layouts: Mapping[str, Layout], remap: Mapping[str, str] | None = None
+) -> dict[str, StreamColumns]:
     """Read streams as columns, fast where the messages have the layout, otherwise by the names in them.
 
     Args:
         bag: rosbag2 folder, or one MCAP file.
         layouts: by topic, relative (``encoder``: ``/encoder``, or else the only ``/…/encoder``) or full.
+        remap: for topics of ``layouts`` that are named otherwise in the bag, their names there.
 
     Returns:
         By the same topic names; a topic that the bag lacks, or that has no messages, is left out.
 
     Raises:
         BagError: the bag is absent, empty, damaged, without any message, or its messages are of another kind; a
-            relative name fits several topics.
+            relative name fits several topics, or ``remap`` names a topic that the bag lacks.
 
     Warns:
         UserWarning: the bag was not finished; what is whole is read.
     """
+    if sqlite_files(bag):
+        return _read_sqlite(bag, layouts, remap or {})
     with opened(bag) as files:
         topics = [file.topics() for file in files]
         names = {channel.topic for channels, _ in topics for channel in channels.values()}
-        wanted = {full: key for key in layouts if (full := resolved(key, names, str(bag)))}
+        wanted = chosen_topics(layouts, names, str(bag), remap or {})
         decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
         count = 0
         for file, (channels, schemas) in zip(files, topics, strict=True):
@@ -68,23 +73,37 @@ def read_streams(bag: Path, layouts: Mapping[str, Layout]) -> dict[str, StreamCo
     return {key: columns for key, columns in finished if columns is not None}
 
 
+def _read_sqlite(bag: Path, layouts: Mapping[str, Layout], remap: Mapping[str, str]) -> dict[str, StreamColumns]:
+    files = [(path, sqlite_topics(path)) for path in sqlite_files(bag)]
+    names = {topic.name for _, topics in files for topic in topics.values()}
+    wanted = chosen_topics(layouts, names, str(bag), remap)
+    decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
+    for path, topics in files:
+        for topic_id, topic in topics.items():
+            if topic.name in wanted:
+                kind = (topic.type_name, topic.encoding)
+                _check_kind(f"bag {path}: topic '{topic.name}'", kind, layouts[wanted[topic.name]])
+                for data, places in sqlite_blocks(path, topic_id):
+                    decoders[topic.name].add(data, places)
+    finished = {key: decoders[full].finished() for full, key in wanted.items()}
+    if not any(columns is not None for columns in finished.values()):
+        raise BagError(f"bag {bag} has no messages on {', '.join(layouts)}; its topics are {', '.join(sorted(names))}")
+    return {key: columns for key, columns in finished.items() if columns is not None}
+
+
 def read_attachments(bag: Path) -> dict[str, bytes]:
     """The files attached to a bag, by name; of two with one name the later.
 
     Raises:
         BagError: the bag is absent or damaged.
     """
-    found = {}
+    found: dict[str, bytes] = {}
+    if sqlite_files(bag):
+        return found  # SQLite bags have none
     with opened(bag) as files:
         for file in files:
             for record in file.records(Opcode.ATTACHMENT):
-                crc = int.from_bytes(record.content[-4:], "little")
-                if crc and zlib.crc32(record.content[:-4]) != crc:
-                    raise file.damaged(record.offset, "the checksum of an attachment is wrong")
-                try:
-                    attachment = Attachment.read(ReadDataStream(BytesIO(record.content)))
-                except UNREADABLE as error:
-                    raise file.damaged(record.offset, f"an attachment cannot be read ({error})") from error
+                attachment = attachment_of(file, record)
                 found[attachment.name] = attachment.data
     return found
 

@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
+from straightcomp_ros.bags.parameters import attach_map
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
@@ -26,7 +27,7 @@ class SimulatedRun:
 
     Args:
         directory: the bag's folder; must be empty or absent.
-        parameters: by node and dotted name, attached as the logger attaches them.
+        parameters: by node and dotted name, attached as the logger attaches them, with the survey that they name.
         delay: from each sample to the arrival of its command, in sampling periods.
 
     Raises:
@@ -41,10 +42,12 @@ class SimulatedRun:
             self._bag.add_topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000))
         tree = {f"/{node}": {"ros__parameters": dict(section)} for node, section in parameters.items() if section}
         self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", yaml.safe_dump(tree, sort_keys=False).encode())
+        attach_map(self._bag, parameters)
         self._bag.add_metadata("simulation", {"delay_samples": str(delay)})
 
-    def add(self, sample: Any, truth: Any, reference: Any, command: Any) -> None:
-        """Write one sample: `Sample` and `Truth` of the hardware, (r, ṙ, r̈), and the law's `Command`."""
+    def add(self, sample: Any, truth: Any, reference: Any, command: Any, reference_age: float) -> None:
+        """Write one sample: `Sample` and `Truth` of the hardware, (r, ṙ, r̈), the law's `Command`, and the age in s of
+        the reference that it was computed from."""
         stamp = START_NS + sample.stamp_ns
         # The command before this one has come in since its sample.
         latency = math.nan if self._last_ns is None else self._delay * (stamp - self._last_ns) * 1e-9
@@ -55,7 +58,7 @@ class SimulatedRun:
             (DRIVER_STATE, (latency, 0.0, self._applied, on)),
             (REFERENCE, reference),
             (COMMAND, command[:1]),
-            (CONTROLLER_STATE, command[1:]),
+            (CONTROLLER_STATE, (*command[1:], reference_age)),
         ):
             self._bag.write(f"/{stream.topic}", stream.layout.pack(stamp, *numbers), stamp, stamp)
         self._last_ns, self._applied = stamp, command.current

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from straightcomp_ros.bags import BagError
 
@@ -30,3 +30,25 @@ def resolved(name: str, topics: Iterable[str], bag: str) -> str | None:
     if len(found) > 1:
         raise BagError(f"bag {bag}: topic '{name}' is {' and '.join(found)}; ask for one by its full name")
     return found[0] if found else None
+
+
+def chosen_topics(wanted: Iterable[str], topics: Iterable[str], bag: str, remap: Mapping[str, str]) -> dict[str, str]:
+    """Each wanted name that the bag has, by the bag's full name for it.
+
+    Args:
+        wanted: names as :func:`resolved` takes them.
+        topics: full names of the topics in the bag.
+        bag: named in the error.
+        remap: for some of the wanted names, the bag's own.
+
+    Raises:
+        BagError: several namespaces have a topic, or the bag lacks one that ``remap`` names.
+    """
+    topics, chosen = set(topics), {}
+    for name in wanted:
+        full = resolved(remap.get(name, name), topics, bag)
+        if full:
+            chosen[full] = name
+        elif name in remap:
+            raise BagError(f"bag {bag}: has no topic '{remap[name]}' for '{name}'; it has {', '.join(sorted(topics))}")
+    return chosen

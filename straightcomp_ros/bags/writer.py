@@ -10,13 +10,16 @@ from types import TracebackType
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.chunk import COMPRESSORS
-from straightcomp_ros.bags.definitions import definition
+from straightcomp_ros.bags.definitions import Definition, definition
 from straightcomp_ros.bags.information import Topic, as_yaml, bag_information
 from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.qos import TopicQos
 
 CHUNK_SIZE = 512 * 1024
-"""Bytes of messages in a chunk: about a quarter of a second of all streams at 2 kHz, what a SIGKILL may take."""
+"""Bytes of messages in a chunk: about a fifth of a second of all streams at 2 kHz."""
+FLUSH_AGE = 0.15
+"""Age in s at which a recording writes its open chunk, full or not. With the delays of fetching and writing on a busy
+machine, a SIGKILL takes less than half a second."""
 
 
 class BagWriter:
@@ -52,24 +55,33 @@ class BagWriter:
                 raise BagError(f"bag {directory}: the folder is not empty; name a new one, bags are never overwritten")
             self._output = McapOutput(self.path, compression, chunk_size)
 
-    def add_topic(self, name: str, type_name: str, qos: TopicQos | None = None) -> None:
+    def add_topic(
+        self, name: str, type_name: str, qos: TopicQos | None = None, described: Definition | None = None
+    ) -> None:
         """Announce a topic; without messages it is listed with a count of 0.
 
         Args:
             name: full name, such as ``/encoder``.
             type_name: such as ``sensor_msgs/msg/JointState``.
             qos: what the publishers offer.
+            described: definition of a type that ROS 2's own packages do not have, or as another bag had it.
         """
         self._check_open()
         if not name.startswith("/"):
             raise BagError(f"bag {self.directory}: topic '{name}' is not a full name; it starts with '/'")
         if name in self._topics:
             raise BagError(f"bag {self.directory}: topic '{name}' is already in the bag; add it once")
-        described = definition(type_name)
+        described = described or definition(type_name)
         topic = Topic(name, type_name, qos or TopicQos(), described.type_hash)
         metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": described.type_hash}
-        self._channel_ids[name] = self._output.add_channel(name, type_name, described.text, metadata)
+        with self._disk(f"bag {self.path}: topic '{name}' cannot be added"):
+            self._channel_ids[name] = self._output.add_channel(name, type_name, described.text, metadata)
         self._topics[name] = topic
+
+    @property
+    def topics(self) -> Mapping[str, Topic]:
+        """The topics that were added, by full name."""
+        return self._topics
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Add a message to the open chunk.
@@ -110,6 +122,11 @@ class BagWriter:
         self._check_open()
         with self._disk(f"bag {self.path} cannot be written"):
             self._output.flush()
+
+    def flush_older(self, age: float) -> None:
+        """Write the open chunk when its first message is ``age`` seconds old; call it often."""
+        if not self._closed and self._output.chunk_age >= age:
+            self.flush()
 
     def close(self) -> None:
         """Finish the bag; a second call does nothing.

@@ -40,7 +40,7 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     try:
         values = read_parameter_file(options.params_file or share_path(DEFAULT_FILE))
         for assignment in options.set:
-            node, name, value = _parsed(assignment)
+            node, name, value = parsed_assignment(assignment)
             values[node][name] = value
         if options.law:
             values["controller"]["control.law"] = options.law
@@ -51,7 +51,8 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     return values
 
 
-def _parsed(assignment: str) -> tuple[str, str, Any]:
+def parsed_assignment(assignment: str) -> tuple[str, str, Any]:
+    """Node, dotted name and value of NODE.NAME=VALUE; raises ParameterError."""
     target, equals, text = assignment.partition("=")
     node, dot, name = target.partition(".")
     if not (equals and dot) or node not in NODE_PARAMETERS:

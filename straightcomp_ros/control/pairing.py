@@ -21,7 +21,7 @@ _WAITING = 1000
 _LONGEST_EXTRAPOLATION_NS = 20_000_000
 
 Reference = tuple[float, float, float]
-Paired = tuple[int, Sequence[float], Reference]
+Paired = tuple[int, Sequence[float], Reference, int]
 
 
 def extrapolated(r: T, r_dot: T, r_ddot: T, ahead: T) -> tuple[T, T, T]:
@@ -72,15 +72,16 @@ class Pairing:
             references.popleft()
 
     def take(self) -> Iterator[Paired]:
-        """Samples that can be served now: (stamp in ns, sample, reference at that stamp)."""
+        """Samples that can be served now: (stamp in ns, sample, reference at that stamp, its age in ns)."""
         samples, references = self._samples, self._references
         while samples and references:
             stamp_ns, sample = samples[0]
             wanted_ns = max(stamp_ns - self._lead_ns, self._first_ns)
             while len(references) > 1 and references[1][0] <= wanted_ns:
                 references.popleft()
-            given_ns, (r, r_dot, r_ddot) = references[0]
+            given_ns, reference = references[0]
             if references[-1][0] < wanted_ns and (self._wait or stamp_ns - given_ns > _LONGEST_EXTRAPOLATION_NS):
                 return
             samples.popleft()
-            yield stamp_ns, sample, extrapolated(r, r_dot, r_ddot, (stamp_ns - given_ns) * 1e-9)
+            age_ns = stamp_ns - given_ns
+            yield stamp_ns, sample, extrapolated(*reference, age_ns * 1e-9), age_ns

@@ -103,13 +103,13 @@ class ControllerNode:
             self.loop.shift(self._phase.shift_ns(fetched_ns - samples[-1][2]))
 
     def _answer(self) -> None:
-        for stamp_ns, sample, reference in self._pairing.take():
+        for stamp_ns, sample, reference, age_ns in self._pairing.take():
             command = self._servo.step(stamp_ns, sample[1], sample[3], reference, sample[0])
             if command is None:
                 self._refused += 1
                 continue
             self._publish_command(stamp_ns, command.current)
-            self._publish_state(stamp_ns, *command[1:])
+            self._publish_state(stamp_ns, *command[1:], age_ns * 1e-9)
             self._commands += 1
 
     def _counters(self) -> dict[str, object]:

@@ -8,11 +8,9 @@ from typing import TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from straightcomp_ros.parameters import Declaration, declarations, from_mapping
+from straightcomp_ros.parameters import Declaration, belongs_to_ros, declarations, from_mapping
 
 T = TypeVar("T")
-
-_ROS_OWN = ("use_sim_time", "start_type_description_service")
 
 
 def declare(node: Node, parameter_set: type[T]) -> T:
@@ -24,11 +22,7 @@ def declare(node: Node, parameter_set: type[T]) -> T:
     Raises:
         ParameterError: unknown name, wrong type or value out of range.
     """
-    given = {
-        name: value.value
-        for name, value in node.get_parameters_by_prefix("").items()
-        if name not in _ROS_OWN and not name.startswith("qos_overrides.")
-    }
+    given = {name: value.value for name, value in node.get_parameters_by_prefix("").items() if not belongs_to_ros(name)}
     parameters = from_mapping(parameter_set, given)
     for declaration in declarations(parameter_set):
         value = declaration.check(given.get(declaration.name, declaration.default))

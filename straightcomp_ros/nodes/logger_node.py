@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 import time
-from collections import deque
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,17 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.bags.disk import DiskGuard
+from straightcomp_ros.bags.intake import Intake
+from straightcomp_ros.bags.losses import Losses
+from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
+from straightcomp_ros.bags.parameters import attach_map
 from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
 from straightcomp_ros.cdr import header_stamp_ns
 from straightcomp_ros.configuration import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
@@ -28,6 +34,7 @@ from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
 from straightcomp_ros.nodes.streams import RawQueue, message_type, stream_qos, unspun_node
+from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
@@ -45,20 +52,26 @@ class LoggerNode:
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         folder = Path(parameters.output or datetime.now().strftime("straightcomp_%Y_%m_%d-%H_%M_%S"))
         self._bag = BagWriter(folder, compression=parameters.compression)
-        self._queue: deque[tuple[str, bytes, int, int]] = deque()
-        self._queue_limit = parameters.queue_limit
-        self._dropped = self._received = self._written = 0
         self._encoder = node.resolve_topic_name(ENCODER.topic)
         self._samples = self._overruns = self._fetched_ns = 0
         self._gaps, self._timer_errors = StampGaps(), Histogram()
+        self._bag.add_metadata(ORIGIN_METADATA, origin())
+        self._intake = Intake(parameters.queue_limit, parameters.snapshot)
+        self._losses, self._disk = Losses(), DiskGuard(folder, parameters.min_free_bytes)
+        self._received = self._written = 0
+        self._chosen = _pattern(parameters.topics)
         self._topics: dict[str, RawQueue] = {}
         self._unspun = unspun_node(node)
         self._failure: Exception | None = None
+        self._attached = False
         self._stopping = threading.Event()
         for stream in STREAMS:
             self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(parameters.queue_depth))
         self._record(JointTrajectory, STAGE_TRAJECTORY, QoSProfile(depth=10))
         self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
+        self._stamped = {node.resolve_topic_name(stream.topic) for stream in STREAMS}
+        for name, action in (("pause", self._pause), ("resume", self._resume), ("snapshot", self._snapshot)):
+            node.create_service(Trigger, f"~/{name}", action)
         self._remote = RemoteParameters(node, parameters.nodes.split())
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
@@ -68,6 +81,8 @@ class LoggerNode:
         node.get_logger().info(f"recording to {folder}")
 
     def _record(self, kind: Any, topic: str, qos: QoSProfile) -> None:
+        if not self._chosen.fullmatch(topic):
+            return
         full_name = self.node.resolve_topic_name(topic)
         self._bag.add_topic(
             full_name,
@@ -76,9 +91,27 @@ class LoggerNode:
         )
         self._topics[full_name] = RawQueue(self._unspun, kind, full_name, qos)
 
+    def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._fetch()
+        self._intake.paused = True
+        response.success, response.message = True, "paused: what comes now is not recorded"
+        return response
+
+    def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._fetch()
+        self._intake.paused = False
+        response.success, response.message = True, "recording"
+        return response
+
+    def _snapshot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._fetch()
+        response.message = f"{self._intake.snapshot()} messages go to the bag"
+        response.success = True
+        return response
+
     def _fetch(self) -> None:
         self._note_time()
-        queue, limit = self._queue, self._queue_limit
+        add = self._intake.add
         for topic, messages in self._topics.items():
             for data, info in messages.fetch():
                 self._received += 1
@@ -88,10 +121,7 @@ class LoggerNode:
                 if not self._received % _YIELD_EVERY:
                     # With real-time scheduling nodes of the same priority would have to wait for the end of this.
                     os.sched_yield()
-                if len(queue) < limit:
-                    queue.append((topic, data, info["received_timestamp"], info["source_timestamp"]))
-                else:
-                    self._dropped += 1
+                add(topic, data, info["received_timestamp"], info["source_timestamp"])
 
     def _note_time(self) -> None:
         # The executor's timer tells nothing of its own lateness: what counts is how long messages had to wait.
@@ -106,15 +136,30 @@ class LoggerNode:
         try:
             while not self._stopping.wait(_WRITE_INTERVAL_S):
                 self._write_queue()
+                self._disk.check()
+                if self._remote.complete and not self._attached:
+                    # Now, not at the end: after a SIGKILL the bag still says what it is of.
+                    self._attach()
+                self._bag.flush_older(FLUSH_AGE)
             self._write_queue()
         except (OSError, BagError) as error:
             self._failure = error
 
+    def _attach(self) -> None:
+        self._attached = True
+        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
+        refusal = attach_map(self._bag, self._remote.values)
+        if refusal:
+            self.node.get_logger().warning(refusal)
+
     def _write_queue(self) -> None:
-        queue = self._queue
+        queue = self._intake.queue
         for _ in range(len(queue)):
-            self._bag.write(*queue.popleft())
+            message = queue.popleft()
+            self._bag.write(*message)
             self._written += 1
+            if message[0] in self._stamped:
+                self._losses.add(*message[:2])
 
     def _watch(self) -> None:
         if self._failure and not self.done.done():
@@ -128,8 +173,8 @@ class LoggerNode:
             OVERRUNS: self._overruns,
             "received": self._received,
             "written": self._written,
-            "dropped": self._dropped,
-            "queued": len(self._queue),
+            "dropped": self._intake.dropped,
+            "queued": len(self._intake.queue),
             UNCONNECTED: " ".join(topic for topic, queue in self._topics.items() if not queue.connected),
             **written(TIMER_ERROR, self._timer_errors.take()),
         }
@@ -142,9 +187,19 @@ class LoggerNode:
         self._fetch()
         self._stopping.set()
         self._thread.join()
-        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
-        self._bag.add_metadata("logger", {"received": str(self._received), "dropped": str(self._dropped)})
-        self._bag.close()
+        with self._bag:  # finishes the bag even where the disk takes nothing more of these
+            if not self._attached:
+                self._attach()
+            counts = {"received": self._received, "written": self._written, "dropped": self._intake.dropped}
+            self._bag.add_metadata("logger", {name: str(count) for name, count in counts.items()})
+            self._bag.add_metadata("losses", {topic: str(count) for topic, count in self._losses.by_topic().items()})
+
+
+def _pattern(text: str) -> re.Pattern[str]:
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise ParameterError(f"parameter 'topics': {text!r}: {error}; allowed: a regular expression") from error
 
 
 def main() -> int:

@@ -43,6 +43,16 @@ class RemoteParameters:
             )
         )
 
+    @property
+    def complete(self) -> bool:
+        """Whether all nodes have answered."""
+        return len(self._values) == len(self._clients)
+
+    @property
+    def values(self) -> dict[str, dict[str, object]]:
+        """What was collected, by node and dotted name."""
+        return dict(self._values)
+
     def as_yaml(self) -> str:
         """What was collected, in the form of a ROS 2 parameter file."""
         return yaml.safe_dump(

@@ -23,8 +23,9 @@ def test_the_reference_of_an_earlier_sample_serves_at_the_sample_s_own_time():
     for k in range(40):
         pairing.add_sample(at(k), (k,))
         pairing.add_reference(at(k), quadratic(at(k)))
-        ((stamp_ns, sample, reference),) = pairing.take()
+        ((stamp_ns, sample, reference, age_ns),) = pairing.take()
         assert stamp_ns == at(k) and sample == (k,)
+        assert age_ns == min(k, 8) * PERIOD
         assert reference == pytest.approx(quadratic(at(k)), rel=1e-12)
 
 
@@ -78,7 +79,7 @@ def test_after_a_gap_old_references_serve_no_more():
     pairing.add_sample(at(1000), (1000,))
     assert not list(pairing.take())
     pairing.add_reference(at(1000), (2.0, 0.0, 0.0))
-    assert list(pairing.take()) == [(at(1000), (1000,), (2.0, 0.0, 0.0))]
+    assert list(pairing.take()) == [(at(1000), (1000,), (2.0, 0.0, 0.0), 0)]
 
 
 def test_a_machine_whose_clock_was_set_back_is_served_again():
@@ -87,7 +88,7 @@ def test_a_machine_whose_clock_was_set_back_is_served_again():
         for k in range(first, first + 5):
             pairing.add_reference(at(k), (float(first), 0.0, 0.0))
             pairing.add_sample(at(k), (k,))
-            ((stamp_ns, _, reference),) = pairing.take()
+            ((stamp_ns, _, reference, _),) = pairing.take()
             assert (stamp_ns, reference[0]) == (at(k), first)
 
 

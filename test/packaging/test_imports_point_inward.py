@@ -16,7 +16,7 @@ OUTER = ("nodes", "cli")
 FORBIDDEN = {
     **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),
     **dict.fromkeys(MIDDLE, ("sweep", *OUTER)),
-    **dict.fromkeys(("sweep", "paper", "identification", "bench"), OUTER),
+    **dict.fromkeys(("sweep", "paper", "identification", "replay", "bench"), OUTER),
     "nodes": ("cli",),
     "cli": (),
 }

@@ -1,0 +1,173 @@
+"""All that is said of one recorded run: figures by name, and the strokes, gaps and intervals behind them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
+from straightcomp_ros.analysis.record import Motion, find_motion
+from straightcomp_ros.analysis.recorded_reference import RecordedReference
+from straightcomp_ros.analysis.spectrum import BANDS, Spectrum, error_spectrum
+from straightcomp_ros.analysis.stick_slip import StickSlip, stick_slips
+from straightcomp_ros.analysis.strokes import StrokeFigures, stroke_figures
+
+_AT_LIMIT = 1.0 - 1e-9
+"""Part of the current limit from which the law counts as limited."""
+
+
+class Interval(NamedTuple):
+    """A stretch of the run: s from its first sample to its last, and how many samples it covers or lacks."""
+
+    start: float
+    end: float
+    samples: int
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """A run, judged.
+
+    Attributes:
+        bag: what was read.
+        evaluation, motion, reference, metrics: the run, when it moved, its reference over x, the demo's figures.
+        strokes: figures of each stroke, in order.
+        spectrum: of the compensation error as the encoder sees it, while the stage moves.
+        gaps: samples that the clock took and the bag lacks.
+        saturated: where the command stood at the law's current limit.
+        amplifier_off: where the amplifier was off between the run's first motion and its last: a fault, or a stop.
+        stick_slips: events of all strokes.
+        warnings: what the reader had to say about the bag.
+    """
+
+    bag: Path
+    evaluation: BagEvaluation
+    motion: Motion
+    reference: RecordedReference
+    metrics: Metrics
+    strokes: list[StrokeFigures]
+    spectrum: Spectrum
+    gaps: list[Interval]
+    saturated: list[Interval]
+    amplifier_off: list[Interval]
+    stick_slips: list[StickSlip]
+    warnings: tuple[str, ...] = ()
+
+    def figures(self) -> dict[str, Any]:
+        """Numbers by name, the unit in each name: what limits can be set for. NaN or None: not recorded."""
+        evaluation = self.evaluation
+        figures: dict[str, Any] = {
+            "expected_samples": evaluation.expected_samples,
+            "received_samples": evaluation.received_samples,
+            "lost_samples": evaluation.lost_samples,
+            "lost_references": evaluation.lost_references,
+            "lost_commands": evaluation.lost_commands,
+            "gaps": len(self.gaps),
+            "longest_gap_s": max((gap.end - gap.start for gap in self.gaps), default=0.0),
+            **self.metrics.to_display(),
+        }
+        for way in ("forward", "backward"):
+            ours = [stroke for stroke in self.strokes if stroke.direction == way]
+            for name in ("before_least_squares", "before_end_points", "after_least_squares", "after_end_points"):
+                worst = max((getattr(stroke, name) for stroke in ours), default=None)
+                figures[f"straightness_{name}_{way}_um"] = None if worst is None else worst * 1e6
+        for low, high in BANDS:
+            rms = self.spectrum.band_rms(low, high) * 1e6 if len(self.spectrum.density) else math.nan
+            figures[f"error_rms_{low:g}_{high:g}_Hz_um"] = rms
+        for name, values in (("latency", evaluation.latency), ("lateness", evaluation.lateness)):
+            for percentile in (50, 90, 99, 100):
+                label = "max" if percentile == 100 else f"p{percentile}"
+                value = float(np.percentile(values, percentile)) * 1e6 if len(values) else math.nan
+                figures[f"{name}_{label}_us"] = value
+        figures["latency_jitter_us"] = float(np.std(evaluation.latency)) * 1e6 if len(evaluation.latency) else math.nan
+        figures["stick_slip_events"] = len(self.stick_slips)
+        figures["saturated_samples"] = sum(interval.samples for interval in self.saturated)
+        figures["saturations"] = len(self.saturated)
+        figures["amplifier_off_in_motion"] = len(self.amplifier_off)
+        return figures
+
+    def as_json(self) -> dict[str, Any]:
+        """The figures, and all lists behind them."""
+        return {
+            "bag": str(self.bag),
+            "law": self.evaluation.record.law,
+            **self.figures(),
+            "strokes": [stroke.to_display() for stroke in self.strokes],
+            "spectrum_peaks": [
+                {"frequency_Hz": frequency, "amplitude_density_um_per_sqrt_Hz": math.sqrt(density) * 1e6}
+                for frequency, density in (self.spectrum.peaks() if len(self.spectrum.density) else [])
+            ],
+            "gap_intervals": [interval._asdict() for interval in self.gaps],
+            "saturation_intervals": [interval._asdict() for interval in self.saturated],
+            "amplifier_off_intervals": [interval._asdict() for interval in self.amplifier_off],
+            "stick_slip": [asdict(event) for event in self.stick_slips],
+            "warnings": list(self.warnings),
+        }
+
+
+def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ()) -> Assessment:
+    """Judge a recorded run.
+
+    Raises:
+        MetricsError: the stage does not move, or a number within the motion is not finite.
+    """
+    record = evaluation.record
+    motion, reference = find_motion(record), RecordedReference(record)
+    window = motion.window
+    error = record.r - record.y
+    time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9
+    limit = evaluation.parameters.get("controller", {}).get("control.current_limit", math.inf)
+    first, last = record.time[window.start], record.time[window.stop - 1]
+    truth = true_error(record, reference)
+    return Assessment(
+        bag=bag,
+        evaluation=evaluation,
+        motion=motion,
+        reference=reference,
+        metrics=evaluate(record, reference),
+        strokes=[stroke_figures(record, reference, truth, stroke) for stroke in motion.strokes],
+        spectrum=error_spectrum(record.time[window], error[window]),
+        gaps=_gaps(time),
+        saturated=_intervals(record.time, np.abs(record.current) >= _AT_LIMIT * float(limit)),
+        amplifier_off=[
+            interval for interval in _intervals(time, ~evaluation.amplifier_on) if first <= interval.end <= last
+        ]
+        if evaluation.amplifier_on.any()
+        else [],
+        stick_slips=[
+            event
+            for stroke in motion.strokes
+            for part in [slice(stroke.start, stroke.stop)]
+            for event in stick_slips(record.time[part], record.x[part], record.y[part], record.r[part])
+        ],
+        warnings=warnings,
+    )
+
+
+def displayed_error(assessment: Assessment) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Compensation error in m as the encoder sees it and, where it is known, the true one."""
+    record = assessment.evaluation.record
+    return record.r - record.y, true_error(record, assessment.reference)
+
+
+def _gaps(time: NDArray[np.float64]) -> list[Interval]:
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    return [
+        Interval(float(time[place]), float(time[place + 1]), round(float(steps[place]) / period) - 1)
+        for place in np.flatnonzero(steps > 1.5 * period)
+    ]
+
+
+def _intervals(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[Interval]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [
+        Interval(float(time[start]), float(time[stop - 1]), int(stop - start))
+        for start, stop in edges.reshape(-1, 2).tolist()
+    ]

@@ -1,0 +1,36 @@
+"""Which program made a bag: version of the package, and the revision of its sources where git knows one."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import subprocess
+from pathlib import Path
+
+from straightcomp_ros.contract import PACKAGE
+
+ORIGIN_METADATA = "origin"
+"""Metadata record of a bag with what :func:`origin` gives."""
+
+
+def origin() -> dict[str, str]:
+    """Package, version, and ``revision`` (with ``-dirty`` after changes) or ``unknown``."""
+    try:
+        version = importlib.metadata.version(PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        version = "unknown"
+    return {"package": PACKAGE, "version": version, "revision": _revision()}
+
+
+def _revision() -> str:
+    folder = Path(__file__).resolve().parent
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        # Installed below somebody else's repository, git would tell that one's revision.
+        tracked = subprocess.run(
+            [*command[:3], "ls-files", "--error-unmatch", __file__], capture_output=True, timeout=5
+        )
+        if tracked.returncode:
+            return "unknown"
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"

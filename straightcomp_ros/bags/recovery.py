@@ -1,0 +1,190 @@
+"""Makes a finished bag from a cut-off or damaged one."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.definitions import Definition
+from straightcomp_ros.bags.folder import mcap_files
+from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.salvage import Gap, Sound, salvaged
+from straightcomp_ros.bags.summary import UNREADABLE, Summary, frames, gather
+from straightcomp_ros.bags.writer import BagWriter
+
+RECOVERY_METADATA = "recovery"
+"""Metadata record of a recovered bag: what it was made from, and what was lost."""
+_MESSAGE = struct.Struct("<HIQQ")
+_OWN_METADATA = "rosbag2"
+
+
+@dataclass
+class Recovery:
+    """What was saved of a bag, and what was lost.
+
+    Attributes:
+        output: folder of the new bag.
+        saved: messages in the new bag, by topic.
+        lost: messages that are missing from it, by topic; None where the damaged bag did not say how many it had.
+        gaps: (file name, offset, bytes, reason) of what could not be read.
+        unfinished: names of the files that the recording did not finish, or whose end is damaged.
+        foreign: topics that are not copied, since their messages are of no ROS 2 type.
+        first_ns, last_ns: first and last log time in the new bag, ns since the epoch; None without messages.
+    """
+
+    output: Path
+    saved: Counter[str] = field(default_factory=Counter)
+    lost: dict[str, int] | None = field(default_factory=dict)
+    gaps: list[tuple[str, int, int, str]] = field(default_factory=list)
+    unfinished: list[str] = field(default_factory=list)
+    foreign: list[str] = field(default_factory=list)
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+    @property
+    def whole(self) -> bool:
+        """True when nothing was wrong with the bag."""
+        return not self.gaps and not self.unfinished and self.lost is not None and not any(self.lost.values())
+
+
+def recover(bag: Path, output: Path) -> Recovery:
+    """Copy all that is sound in ``bag`` to a new bag ``output``; the original is only read.
+
+    Messages, attachments and metadata are taken from records that are whole and whose checksum is right. A bag of
+    several files becomes one of one file.
+
+    Raises:
+        BagError: there is no MCAP file, nothing in it can be saved, or the new bag cannot be written.
+    """
+    bag, output = Path(bag), Path(output)
+    paths = mcap_files(bag)
+    with McapInput(paths[0]):  # refuses what is no MCAP file before a folder is made
+        pass
+    result = Recovery(output)
+    with BagWriter(output) as writer:
+        for path in paths:
+            _copy_file(path, writer, result)
+        missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
+        facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
+        writer.add_metadata(RECOVERY_METADATA, {**facts, "gaps": str(len(result.gaps))})
+    return result
+
+
+def _copy_file(path: Path, writer: BagWriter, result: Recovery) -> None:
+    with McapInput(path) as file:
+        copy = _Copy(file, writer, result)
+        for piece in salvaged(file):
+            if isinstance(piece, Gap):
+                result.gaps.append((path.name, piece.offset, piece.length, piece.reason))
+            else:
+                copy.add(piece)
+        copy.finish()
+
+
+class _Copy:
+    """Copies the sound records of one file."""
+
+    def __init__(self, file: McapInput, writer: BagWriter, result: Recovery) -> None:
+        self._file, self._writer, self._result = file, writer, result
+        self._saved: Counter[str] = Counter()
+        self._topics: dict[int, str] = {}
+        self._known = Summary(None, {}, {})
+        if file.summary:
+            # The end of a finished file names all topics, also those whose own records are damaged.
+            self._known.schemas.update(file.summary.schemas)
+            self._known.channels.update(file.summary.channels)
+            for channel_id in file.summary.channels:
+                self._add_topic(channel_id)
+
+    def add(self, record: Sound) -> None:
+        if record.opcode == Opcode.CHUNK:
+            try:
+                for opcode, content in frames(record.data, (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)):
+                    self._add_small(opcode, content)
+            except UNREADABLE as error:
+                self._gap(record, f"the rest of a chunk cannot be read ({error})")
+        elif record.opcode == Opcode.ATTACHMENT:
+            attachment = Attachment.read(ReadDataStream(BytesIO(record.data)))
+            if attachment.name != "metadata.yaml":
+                self._writer.attach(attachment.name, attachment.media_type, attachment.data)
+        elif record.opcode == Opcode.METADATA:
+            metadata = Metadata.read(ReadDataStream(BytesIO(record.data)))
+            if metadata.name != _OWN_METADATA:
+                self._writer.add_metadata(metadata.name, metadata.metadata)
+        elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            try:
+                self._add_small(record.opcode, record.data)
+            except UNREADABLE as error:
+                self._gap(record, f"a record cannot be read ({error})")
+
+    def _gap(self, record: Sound, reason: str) -> None:
+        self._result.gaps.append((self._file.path.name, record.offset, len(record.data), reason))
+
+    def _add_small(self, opcode: int, content: bytes) -> None:
+        if opcode == Opcode.MESSAGE:
+            self._add_message(content)
+            return
+        gather(self._known, [(opcode, content)])
+        for channel_id in self._known.channels.keys() - self._topics.keys():
+            self._add_topic(channel_id)
+
+    def _add_topic(self, channel_id: int) -> None:
+        channel = self._known.channels[channel_id]
+        schema = self._known.schemas.get(channel.schema_id)
+        if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
+            if channel.topic not in self._result.foreign:
+                self._result.foreign.append(channel.topic)
+            return
+        if channel.topic not in self._writer.topics:
+            described = Definition(schema.data.decode(), channel.metadata.get("topic_type_hash", ""))
+            qos = TopicQos.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
+            self._writer.add_topic(channel.topic, schema.name, qos, described)
+        self._topics[channel_id] = channel.topic
+
+    def _add_message(self, content: bytes) -> None:
+        channel_id, _, log_time, publish_time = _MESSAGE.unpack_from(content)
+        topic = self._topics.get(channel_id)
+        if topic is None:
+            if channel_id in self._known.channels:
+                return
+            raise ValueError(f"a message of channel {channel_id}, which the file does not describe")
+        self._writer.write(topic, content[_MESSAGE.size :], log_time, publish_time)
+        self._saved[topic] += 1
+        result = self._result
+        result.first_ns = log_time if result.first_ns is None else min(result.first_ns, log_time)
+        result.last_ns = log_time if result.last_ns is None else max(result.last_ns, log_time)
+
+    def finish(self) -> None:
+        result, summary = self._result, self._file.summary
+        result.saved.update(self._saved)
+        if summary is None:
+            result.unfinished.append(self._file.path.name)
+        if summary is None or summary.statistics is None or result.lost is None:
+            result.lost = None
+            return
+        for channel_id, expected in summary.statistics.channel_message_counts.items():
+            topic = self._topics.get(channel_id)
+            if topic is not None:
+                result.lost[topic] = result.lost.get(topic, 0) + expected - self._saved[topic]
+
+
+def default_output(bag: Path) -> Path:
+    """Where the recovered bag goes when no folder is named: beside the original.
+
+    Raises:
+        BagError: the place is taken.
+    """
+    bag = Path(bag).absolute()
+    output = bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_recovered")
+    if output.exists():
+        raise BagError(f"bag {output} is there already; name another folder with -o")
+    return output

@@ -1,0 +1,48 @@
+"""What recording, reading and judging bags costs, what a SIGKILL takes, and whether an audit finds all commands equal."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from straightcomp_ros.cli.evaluate import shown
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+
+SUMMARY = "recording, reading, evaluation, SIGKILL, audit"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--bag", metavar="BAG", help="a recorded stroke (default: a full stroke is simulated)")
+    parser.add_argument(
+        "--kill-runs", type=int, default=3, metavar="N", help="recordings to kill (default: %(default)s)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and print."""
+    from rich.table import Table
+
+    from straightcomp_ros.bags import BagError
+    from straightcomp_ros.bench.bags import flattened, run
+    from straightcomp_ros.launcher import LaunchError
+
+    try:
+        figures = run(
+            Path(options.bag) if options.bag else None,
+            options.kill_runs,
+            progress=lambda text: notes.print(f"{text} …"),
+        )
+    except (BagError, LaunchError) as error:
+        raise CommandFailed(str(error)) from error
+    if options.json:
+        print_json(figures)
+        return 0
+    table = Table(title="Bags", title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    for name, value in flattened(figures).items():
+        table.add_row(name, shown(value))
+    console.print(table)
+    return 0

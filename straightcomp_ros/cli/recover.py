@@ -1,0 +1,75 @@
+"""Make a finished bag from a cut-off or damaged one, and tell what was saved and what was lost.
+
+After a SIGKILL or a power failure a bag lacks its index and metadata.yaml; no tool opens it then. This copies all that
+is sound into a new bag. The original is never changed."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+
+SUMMARY = "make a finished bag from a cut-off or damaged one"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file")
+    parser.add_argument("--output", "-o", metavar="DIR", help="folder of the new bag (default: BAG_recovered)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Recover and print."""
+    from straightcomp_ros.bags.recovery import default_output, recover
+
+    try:
+        bag = Path(options.bag)
+        result = recover(bag, Path(options.output) if options.output else default_output(bag))
+    except BagError as error:
+        raise CommandFailed(str(error)) from error
+    lost = None if result.lost is None else sum(result.lost.values())
+    if options.json:
+        print_json(
+            {
+                "output": str(result.output),
+                "saved": dict(result.saved),
+                "saved_messages": result.saved.total(),
+                "lost_messages": lost,
+                "lost": result.lost,
+                "unfinished": result.unfinished,
+                "gaps": [dict(zip(("file", "offset", "bytes", "reason"), gap, strict=True)) for gap in result.gaps],
+                "not_copied": result.foreign,
+                "duration_s": None if result.last_ns is None else (result.last_ns - result.first_ns) * 1e-9,
+            }
+        )
+    else:
+        _print(result, lost)
+    if not result.saved:
+        raise CommandFailed(f"bag {bag}: no message could be saved; {result.output} has none")
+    return 0
+
+
+def _print(result: Any, lost: int | None) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"Saved to {result.output}", title_justify="left")
+    table.add_column("topic")
+    table.add_column("saved", justify="right")
+    table.add_column("lost", justify="right")
+    for topic in sorted({*result.saved, *(result.lost or {})}):
+        table.add_row(topic, str(result.saved[topic]), "?" if result.lost is None else str(result.lost.get(topic, 0)))
+    console.print(table)
+    for name in result.unfinished:
+        notes.print(f"{name} was not finished: what was not in it yet when the recording ended is lost")
+    for name, offset, length, reason in result.gaps:
+        notes.print(f"{name}: {length} bytes at {offset} are lost: {reason}")
+    for topic in result.foreign:
+        notes.print(f"topic '{topic}' is not copied: its messages are of no ROS 2 type")
+    if result.whole:
+        notes.print("nothing was wrong with the bag: the copy has all of it")
+    elif lost is not None:
+        notes.print(f"{lost} messages are lost")

@@ -1,0 +1,146 @@
+"""Run a recorded run again.
+
+Without options an audit: every command is computed again from the recorded samples and references, and must come out
+the same to the last bit. With --law or --set, what would have been: the loop is simulated on the recorded motion and
+map. With --graph the real nodes get the recorded samples, without a driver, and a new bag records what they answer."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.cli.evaluate import parsed_remap, shown
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+
+SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file, finished or not")
+    parser.add_argument("--law", help="what if this law had run")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NODE.NAME=VALUE",
+        help="what if this parameter had been so, e.g. controller.control.observer.bandwidth=300; may be repeated",
+    )
+    parser.add_argument("--graph", action="store_true", help="play the samples to feedforward, controller and logger")
+    parser.add_argument(
+        "--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--remap",
+        action="append",
+        default=[],
+        metavar="OURS:=THEIRS",
+        help="the bag's topic for one of ours, e.g. encoder:=/machine/axes; may be repeated",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Audit, or simulate, or play."""
+    from straightcomp_ros.analysis.record import MetricsError
+    from straightcomp_ros.bags import BagError
+    from straightcomp_ros.parameters import ParameterError
+    from straightcomp_ros.straightness.survey import SurveyError
+
+    changes = bool(options.law or options.set)
+    if options.graph and changes:
+        raise CommandFailed("allowed: either --graph, or --law and --set", exit_code=2)
+    action = _graph if options.graph else _what_if if changes else _audit
+    try:
+        return action(options, Path(options.bag), parsed_remap(options.remap))
+    except (BagError, MetricsError) as error:
+        raise CommandFailed(str(error)) from error
+    except (ParameterError, SurveyError) as error:
+        raise CommandFailed(str(error), exit_code=2) from error
+
+
+def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
+    from straightcomp_ros.replay.audit import audit
+
+    found = audit(bag, remap)
+    if options.json:
+        print_json(dataclasses.asdict(found))
+    else:
+        console.print(
+            f"law '{found.law}': {found.commands} commands computed again, {found.different} different, "
+            f"{found.unverified} not verifiable",
+            soft_wrap=True,
+        )
+    if found.missing:
+        notes.print(
+            f"{found.missing} samples, references or states are not in the bag: commands after them cannot be computed "
+            "until the law starts anew",
+            soft_wrap=True,
+        )
+    if found.began_running:
+        notes.print("the recording began while the law was running: it is verified from the law's next start")
+    if found.first:
+        first = found.first
+        raise CommandFailed(
+            f"bag {bag}: the first difference is in step {first.step} (stamp {first.stamp_ns} ns), {first.column}: "
+            f"recorded {first.recorded!r} ({first.recorded.hex()}), "
+            f"computed {first.computed!r} ({first.computed.hex()})"
+        )
+    if not found.passed:
+        raise CommandFailed(f"bag {bag}: no command can be verified")
+    return 0
+
+
+def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
+    from rich.table import Table
+
+    from straightcomp_ros.cli.parameters import parsed_assignment
+    from straightcomp_ros.replay.what_if import what_if
+
+    changes: dict[str, dict[str, Any]] = {}
+    for assignment in options.set:
+        node, name, value = parsed_assignment(assignment)
+        changes.setdefault(node, {})[name] = value
+    if options.law:
+        changes.setdefault("controller", {})["control.law"] = options.law
+    result = what_if(bag, changes, remap)
+    columns = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
+    if options.json:
+        names = ("recorded", "simulated_as_recorded", "what_if")
+        print_json({name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)})
+        return 0
+    table = Table(title=f"What if: {bag}", title_justify="left")
+    table.add_column("figure", no_wrap=True)
+    for heading, law in zip(("recorded", "simulated\nas recorded", "what if"), result.laws, strict=False):
+        table.add_column(f"{heading}\n{law}", justify="right")
+    for name in columns[0]:
+        table.add_row(name, *(shown(one[name]) for one in columns))
+    console.print(table)
+    return 0
+
+
+def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
+    from straightcomp_ros.launcher import LaunchError, ros_available
+    from straightcomp_ros.replay.graph import replay_through_graph
+
+    if not ros_available():
+        raise CommandFailed(
+            "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
+            exit_code=2,
+        )
+    try:
+        found = replay_through_graph(bag, Path(options.output), remap)
+    except LaunchError as error:
+        raise CommandFailed(f"{error} (logs in {options.output}/logs)") from error
+    if options.json:
+        print_json({"bag": str(found.bag), **{key: value for key, value in vars(found).items() if key != "bag"}})
+    else:
+        console.print(
+            f"{found.samples} samples played; {found.commands} commands came back: "
+            f"{found.equal} as recorded to the bit, {found.different} otherwise",
+            soft_wrap=True,
+        )
+        notes.print(f"bag: {found.bag}")
+    return 0

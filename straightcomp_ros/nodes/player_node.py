@@ -1,0 +1,118 @@
+"""player: publishes the samples of a bag as a driver would, at their pace, stamped as recorded."""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+from pathlib import Path
+
+from rclpy.node import Node
+from rclpy.task import Future
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.configuration import PlayerNodeParameters
+from straightcomp_ros.contract import COMMAND, ENCODER
+from straightcomp_ros.nodes.declare import declare
+from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.periodic import PeriodicLoop
+from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
+from straightcomp_ros.nodes.streams import Inbox, message_type, stream_qos, unspun_node
+
+_AFTERPLAY_S = 0.5
+"""Time for the others to answer the last samples."""
+_SILENCE_NS = 1_000_000_000
+"""Silence after which the play goes on without answers."""
+
+
+class PlayerNode:
+    """The stamps stay those of the bag: they are what pairs samples, references and commands."""
+
+    def __init__(self, node: Node) -> None:
+        parameters = declare(node, PlayerNodeParameters)
+        self.node, self.done, self.realtime = node, Future(), parameters.realtime
+        if not parameters.bag:
+            raise BagError("parameter 'bag' is empty; allowed: a rosbag2 folder or an MCAP file")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            streams = read_streams(
+                Path(parameters.bag), {ENCODER.topic: ENCODER.layout}, {ENCODER.topic: parameters.topic}
+            )
+        for warning in caught:
+            node.get_logger().warning(str(warning.message))
+        if ENCODER.topic not in streams:
+            raise BagError(f"bag {parameters.bag}: has no messages on '{parameters.topic}'")
+        stream = streams[ENCODER.topic]
+        stamps = stream.stamp.tolist()
+        rows = zip(*(stream.columns[name].tolist() for name in ENCODER.layout.columns), strict=True)
+        self._messages = [ENCODER.layout.pack(stamp, *row) for stamp, row in zip(stamps, rows, strict=True)]
+        self._due_ns = [round((stamp - stamps[0]) / parameters.speed) for stamp in stamps]
+        self._publisher = node.create_publisher(
+            message_type(ENCODER.layout.type_name), node.resolve_topic_name(ENCODER.topic), stream_qos()
+        )
+        self._subscribers = parameters.subscribers
+        self._timeout = parameters.start_timeout
+        self._deadline = time.monotonic() + parameters.start_timeout
+        self._start_ns: int | None = None
+        self._end_ns = 0
+        self._next = 0
+        self._ahead = parameters.ahead or len(stamps)
+        self._places = {stamp: place for place, stamp in enumerate(stamps)}
+        self._answered, self._progress_ns = 0, 0
+        self._inbox = Inbox(node, unspun_node(node), COMMAND) if parameters.ahead else None
+        period = sorted(b - a for a, b in zip(self._due_ns, self._due_ns[1:], strict=False))
+        self.loop = PeriodicLoop(max(period[len(period) // 2] if period else 0, 50_000), self._cycle)
+        Diagnostics(node, lambda: {"samples": self._next, "overruns": self.loop.overruns})
+
+    def _cycle(self, wake_ns: int) -> None:
+        if self._start_ns is None:
+            self._wait(wake_ns)
+            return
+        now_ns = time.monotonic_ns()
+        elapsed_ns = now_ns - self._start_ns
+        due, messages, publish = self._due_ns, self._messages, self._publisher.publish
+        self._see_answers(now_ns)
+        end = min(len(due), self._answered + self._ahead)
+        while self._next < end and due[self._next] <= elapsed_ns:
+            publish(messages[self._next])
+            self._next += 1
+        if self._next < len(due):
+            self._end_ns = now_ns
+        elif now_ns > self._end_ns + _AFTERPLAY_S * 1e9 and not self.done.done():
+            self.node.get_logger().info(f"played {self._next} samples")
+            self.done.set_result(0)
+
+    def _see_answers(self, now_ns: int) -> None:
+        if self._inbox is None:
+            return
+        for stamp_ns, _, _ in self._inbox.fetch():
+            self._answered = max(self._answered, self._places.get(stamp_ns, -1) + 1)
+            self._progress_ns = now_ns
+        if now_ns - self._progress_ns > _SILENCE_NS:
+            # Whatever was lost will not come any more.
+            self._answered, self._progress_ns = self._next, now_ns
+
+    def _wait(self, wake_ns: int) -> None:
+        count = self._publisher.get_subscription_count()
+        if count >= self._subscribers:
+            # A reader that is found is connected a moment later.
+            self._start_ns = wake_ns + 1_000_000_000
+        elif time.monotonic() > self._deadline and not self.done.done():
+            self.node.get_logger().error(
+                f"{count} subscribers of '{ENCODER.topic}' after {self._timeout:g} s; "
+                f"{self._subscribers} are asked for (subscribers)"
+            )
+            self.done.set_result(EXIT_FAILURE)
+
+    def close(self) -> None:
+        """Nothing to make safe."""
+
+
+def main() -> int:
+    """Entry point of `ros2 run straightcomp_ros player_node`."""
+    return run("player", PlayerNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,163 @@
+"""The judgement of a run: figures against closed forms, limits, report."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.assessment import assess
+from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.limits import LimitsError, judged, read_limits
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.recorded_reference import RecordedReference
+from straightcomp_ros.analysis.report import report_html
+from straightcomp_ros.analysis.spectrum import error_spectrum
+from straightcomp_ros.analysis.stick_slip import stick_slips
+
+NAN = float("nan")
+
+
+def as_evaluation(record, **changes) -> BagEvaluation:
+    stamps = np.round(record.time * 1e9).astype(np.int64)
+    values = {
+        "record": record,
+        "expected_samples": len(stamps),
+        "received_samples": len(stamps),
+        "lost_references": 0,
+        "lost_commands": 0,
+        "latency": np.full(100, 250e-6),
+        "lateness": np.zeros(100),
+        "stamps": stamps,
+        "amplifier_on": np.ones(len(stamps), bool),
+        "parameters": {"controller": {"control.current_limit": 0.5}},
+    }
+    return BagEvaluation(**{**values, **changes})
+
+
+def test_the_recorded_reference_gives_the_figures_of_the_map(make_record, cosine_map, motion_profile):
+    record = make_record(0.3e-6 * np.sin(2 * np.pi * 7 * motion_profile[0]))
+    of_map = evaluate(record, cosine_map).to_display()
+    for name, value in evaluate(record, RecordedReference(record)).to_display().items():
+        assert value == pytest.approx(of_map[name], abs=1e-4), name
+
+
+@pytest.mark.parametrize("frequency", [7.0, 40.0, 333.0])
+def test_a_sine_shows_in_the_spectrum_with_its_frequency_and_power(frequency):
+    time = np.arange(8000) / 2000.0
+    spectrum = error_spectrum(time, 1e-6 * np.sin(2 * np.pi * frequency * time) + 5e-6)
+    assert spectrum.peaks()[0][0] == pytest.approx(frequency, abs=1.0)
+    assert spectrum.band_rms(frequency - 5, frequency + 5) == pytest.approx(1e-6 / math.sqrt(2), rel=1e-3)
+    assert spectrum.band_rms(0, 1001) == pytest.approx(1e-6 / math.sqrt(2), rel=1e-3)
+
+
+def test_the_density_of_white_noise_adds_up_to_its_variance():
+    noise = np.random.default_rng(1).normal(0.0, 1e-7, 60_000)
+    assert error_spectrum(np.arange(60_000) / 2000.0, noise).band_rms(0, 1001) == pytest.approx(1e-7, rel=0.02)
+
+
+def test_a_platform_that_stands_and_jumps_is_stick_slip_and_one_that_lags_is_not():
+    time = np.arange(4000) / 2000.0
+    x, r = 0.3 * time, 20e-6 * time
+    jumping = np.floor(r / 1e-6) * 1e-6
+    events = stick_slips(time, x, jumping, r)
+    # Between 0 and 2 s the reference runs over 40 µm; each µm is one stick of 50 ms and one jump.
+    assert 38 <= len(events) <= 40
+    assert events[3].slip == pytest.approx(1e-6)
+    assert events[3].duration == pytest.approx(0.05, abs=0.001)
+    quantised = np.round((r - 1.5e-6) / 1e-7) * 1e-7
+    assert stick_slips(time, x, quantised, r) == []
+
+
+def test_gaps_saturation_and_switch_off_are_told_with_time_and_count(make_record):
+    record = make_record()
+    current = record.current.copy()
+    current[5000:5011] = 0.5
+    on = np.ones(len(record.time), bool)
+    on[7000:7020] = False
+    on[-50:] = False
+    stamps = np.round(record.time * 1e9).astype(np.int64)
+    kept = np.ones(len(stamps), bool)
+    kept[9000:9004] = False
+    evaluation = as_evaluation(replace(record, current=current), stamps=stamps[kept], amplifier_on=on[kept])
+    found = assess(Path("bag"), evaluation)
+    assert [(gap.samples, gap.end - gap.start) for gap in found.gaps] == [(4, pytest.approx(2.5e-3))]
+    assert [(part.samples, part.start) for part in found.saturated] == [(11, pytest.approx(2.5))]
+    # Switched off at the end, when the stage stands, is no fault.
+    assert [(part.samples, part.start) for part in found.amplifier_off] == [(20, pytest.approx(3.5))]
+    figures = found.figures()
+    assert (figures["gaps"], figures["saturations"], figures["amplifier_off_in_motion"]) == (1, 1, 1)
+
+
+def test_each_stroke_has_its_straightness_by_both_lines(make_record):
+    found = assess(Path("bag"), as_evaluation(make_record()))
+    assert [stroke.direction for stroke in found.strokes] == ["forward", "backward"]
+    for stroke in found.strokes:
+        # Two and a half waves of 20 µm: the ends lie 20 µm apart, on a line of their own.
+        assert stroke.travel == pytest.approx(1.76, abs=1e-3)
+        assert stroke.before_end_points > stroke.before_least_squares > 15e-6
+        assert stroke.after_least_squares < 0.1e-6
+    assert found.figures()["straightness_after_least_squares_forward_um"] < 0.1
+
+
+def limits(tmp_path: Path, text: str) -> Path:
+    (tmp_path / "limits.yaml").write_text(text)
+    return tmp_path / "limits.yaml"
+
+
+FIGURES = {"true_pp_um": 0.3, "lost_samples": 2, "latency_p99_us": NAN, "residual_pp_um": None}
+
+
+@pytest.mark.parametrize(
+    ("text", "failed"),
+    [
+        ("true_pp_um: 0.3", []),
+        ("true_pp_um: 0.29", ["true_pp_um is 0.3; allowed: <= 0.29"]),
+        ("lost_samples: {min: 3, max: 5}", ["lost_samples is 2; allowed: >= 3 and <= 5"]),
+        ("latency_p99_us: 500", ["latency_p99_us was not recorded; allowed: <= 500"]),
+        ("residual_pp_um: {max: 1}\ntrue_pp_um: 1", ["residual_pp_um was not recorded; allowed: <= 1"]),
+    ],
+)
+def test_limits_judge_figures_and_what_was_not_recorded_fails(tmp_path, text, failed):
+    verdicts = judged(read_limits(limits(tmp_path, text), FIGURES), FIGURES)
+    assert [str(verdict) for verdict in verdicts if not verdict.passed] == failed
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("true_pp: 1", "'true_pp' is unknown; did you mean 'true_pp_um'"),
+        ("true_pp_um: {maximum: 1}", "allowed: a number, or {min: number, max: number}"),
+        ("true_pp_um: yes", "allowed: a number"),
+        ("true_pp_um: .nan", "allowed: a number"),
+        ("true_pp_um: {min: 2, max: 1}", "min 2 is above max 1"),
+        ("", "sets no limit"),
+        ("[", "no YAML"),
+        ("- 1", "sets no limit"),
+    ],
+)
+def test_limits_that_cannot_be_meant_are_refused(tmp_path, text, reason):
+    with pytest.raises(LimitsError, match=re.escape(reason)):
+        read_limits(limits(tmp_path, text), FIGURES)
+
+
+def test_the_report_needs_no_network_and_has_all_plots(make_record, tmp_path):
+    record = make_record()
+    found = assess(Path("bag <1>"), as_evaluation(record), warnings=("not finished",))
+    verdicts = judged(read_limits(limits(tmp_path, "encoder_pp_um: 0.0001"), found.figures()), found.figures())
+    text = report_html(found, found, verdicts)
+    assert text.count('class="plotly-graph-div"') == 5
+    assert not re.search(r"<(script|link|img)[^>]+(src|href)=", text)
+    assert "bag &lt;1&gt;" in text and "bag <1>" not in text
+    assert "not finished" in text and "FAILED" in text and "@media print" in text
+    assert len(text) < 9e6
+
+
+def test_everything_in_the_json_is_plain(make_record):
+    found = assess(Path("bag"), as_evaluation(make_record(truth=False), latency=np.empty(0)))
+    assert json.loads(json.dumps(found.as_json()))["law"] == "made up"

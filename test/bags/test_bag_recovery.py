@@ -1,0 +1,200 @@
+"""A recovered bag holds what was sound in the original, to the byte, and nothing else."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
+from recording import START_NS, add_streams
+from rosbags.rosbag2 import Reader
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.reader import read_attachments, read_metadata
+from straightcomp_ros.bags.recovery import RECOVERY_METADATA, recover
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import ENCODER
+
+
+def contents(bag: Path) -> list[tuple[str, int, bytes]]:
+    """All messages of a finished bag, as rosbags reads them."""
+    with Reader(bag) as reader:
+        return sorted((connection.topic, time_ns, bytes(data)) for connection, time_ns, data in reader.messages())
+
+
+def written(bag) -> list[tuple[str, int, bytes]]:
+    return sorted((message.topic, message.log_time, message.data) for message in bag.messages)
+
+
+def damaged(bag, tmp_path: Path, content: bytes) -> Path:
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(content)
+    return path
+
+
+def chunk_offsets(content: bytes) -> list[int]:
+    summary = make_reader(io.BytesIO(content)).get_summary()
+    return [index.chunk_start_offset for index in summary.chunk_indexes]
+
+
+def test_a_sound_bag_comes_back_whole_with_attachments_and_metadata(record, tmp_path):
+    bag = record()
+    result = recover(bag.directory, tmp_path / "new")
+    assert result.whole and sum(result.lost.values()) == 0
+    assert contents(tmp_path / "new") == written(bag)
+    assert read_attachments(tmp_path / "new") == read_attachments(bag.directory)
+    found = read_metadata(tmp_path / "new")
+    assert found["survey"] == {"guide": "synthetic", "points": "177"}
+    assert found[RECOVERY_METADATA]["lost_messages"] == "0"
+    with Reader(bag.directory) as old, Reader(tmp_path / "new") as new:
+        for before, after in zip(old.connections, new.connections, strict=True):
+            assert (before.topic, before.msgtype, before.digest) == (after.topic, after.msgtype, after.digest)
+            assert before.ext.offered_qos_profiles == after.ext.offered_qos_profiles
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_a_bag_cut_off_anywhere_is_saved_up_to_the_chunk_before_the_cut(record, tmp_path, compression):
+    bag = record(count=40, compression=compression, chunk_size=6000)
+    content, every = bag.file.read_bytes(), set(written(bag))
+    counts = []
+    for number, size in enumerate([*range(4000, len(content), 7001), len(content) - 9]):
+        output = tmp_path / f"new{number}"
+        result = recover(damaged(bag, tmp_path, content[:size]), output)
+        saved = contents(output)
+        assert set(saved) <= every and len(saved) == len(set(saved)) == result.saved.total()
+        assert result.lost is None and result.unfinished
+        counts.append(len(saved))
+    assert counts == sorted(counts)
+    assert counts[-1] == len(every)
+
+
+def test_a_damaged_chunk_costs_its_own_messages_only_and_their_number_is_told(record, tmp_path):
+    bag = record(count=60, chunk_size=6000)
+    content = bytearray(bag.file.read_bytes())
+    offsets = chunk_offsets(bytes(content))
+    # Data of the first chunk, and the length of the fourth: behind that nothing is where it is expected.
+    content[offsets[0] + 200] ^= 0xFF
+    content[offsets[3] + 2] ^= 0xFF
+    result = recover(damaged(bag, tmp_path, bytes(content)), tmp_path / "new")
+    saved = contents(tmp_path / "new")
+    assert set(saved) < set(written(bag))
+    assert sum(result.lost.values()) == len(bag.messages) - len(saved)
+    assert len(result.gaps) == 2
+    assert 0 < len(bag.messages) - len(saved) < 2.2 * len(bag.messages) / len(offsets)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "none"])
+def test_flipped_bytes_never_bring_a_message_that_was_not_recorded(record, tmp_path, compression):
+    bag = record(count=30, compression=compression, chunk_size=3000)
+    content, every = bag.file.read_bytes(), set(written(bag))
+    source = random.Random(3)
+    for number in range(40):
+        changed = bytearray(content)
+        for _ in range(5):
+            changed[source.randrange(8, len(changed))] ^= 1 << source.randrange(8)
+        output = tmp_path / f"new{number}"
+        recover(damaged(bag, tmp_path, bytes(changed)), output)
+        assert {(data, time_ns) for _, time_ns, data in contents(output)} <= {(d, t) for _, t, d in every}
+
+
+def test_the_original_is_not_changed(record, tmp_path):
+    bag = record()
+    before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.directory.iterdir()}
+    recover(bag.directory, tmp_path / "new")
+    assert before == {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.directory.iterdir()}
+    with pytest.raises(BagError, match="not empty"):
+        recover(bag.directory, bag.directory)
+
+
+def test_topics_of_other_encodings_are_named_and_left_out(tmp_path):
+    path = tmp_path / "other.mcap"
+    with open(path, "wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        schema = writer.register_schema("thing", "jsonschema", b"{}")
+        channel = writer.register_channel("/thing", "json", schema)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    assert recover(path, tmp_path / "new").foreign == ["/thing"]
+
+
+def test_a_recording_that_is_killed_loses_less_than_half_a_second_even_at_few_messages(tmp_path):
+    program = f"""
+import sys, time
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from recording import add_streams
+from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
+from straightcomp_ros.contract import ENCODER
+bag = BagWriter(Path({str(tmp_path / "bag")!r}))
+add_streams(bag)
+for number in range(100_000):
+    bag.write("/encoder", ENCODER.layout.pack(number, 1, 2, 3, 4), time.time_ns(), 0)
+    bag.flush_older(FLUSH_AGE)
+    print(time.time_ns(), flush=True)
+    time.sleep(0.01)
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, env=environment)
+    assert child.stdout is not None
+    for _ in range(90):
+        last = int(child.stdout.readline())
+    child.send_signal(signal.SIGKILL)
+    rest = child.stdout.read().split()
+    child.wait()
+    result = recover(tmp_path / "bag", tmp_path / "new")
+    # The age of the chunk is taken when a message comes: one pause of 10 ms, stretched by a busy machine, comes on top.
+    assert (int(rest[-1]) if rest and rest[-1].isdigit() and len(rest[-1]) > 18 else last) - result.last_ns < 0.5e9
+    assert result.saved["/encoder"] > 20
+
+
+def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        add_streams(bag)
+        bag.flush_older(0.0)
+        size = bag.path.stat().st_size
+        bag.write("/encoder", ENCODER.layout.pack(5, 1, 2, 3, 4), START_NS, 5)
+        bag.flush_older(3600.0)
+        assert bag.path.stat().st_size == size
+        time.sleep(0.01)
+        bag.flush_older(0.005)
+        assert bag.path.stat().st_size > size
+
+
+def test_qos_is_read_in_names_and_in_the_numbers_of_older_bags():
+    qos = TopicQos("best_effort", "transient_local", "keep_all", 7)
+    assert TopicQos.from_yaml(qos.as_yaml()) == qos
+    assert TopicQos.from_yaml("- {history: 2, depth: 7, reliability: 2, durability: 1}") == qos
+    assert TopicQos.from_yaml("- {history: 99}") == TopicQos.from_yaml("]") == TopicQos.from_yaml("") == TopicQos()
+
+
+def test_the_command_tells_what_was_saved_and_lost(record, tmp_path, capsys):
+    bag = record()
+    assert main(["recover", str(bag.directory), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["saved_messages"] == len(bag.messages) and figures["lost_messages"] == 0
+    assert Path(figures["output"]) == bag.directory.with_name("run_recovered")
+    assert main(["recover", str(bag.directory)]) == 1
+    assert "is there already; name another folder with -o" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(b"", "is empty"), (b"SQLite format 3\0", "is not an MCAP file"), (b"\x89MCAP0\r\n", "no message could be saved")],
+)
+def test_what_holds_nothing_to_save_fails_with_the_reason(tmp_path, capsys, content, reason):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    assert main(["recover", str(path)]) == 1
+    assert reason in capsys.readouterr().err

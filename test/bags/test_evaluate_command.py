@@ -1,0 +1,100 @@
+"""`straightcomp evaluate` on finished, unfinished and damaged bags."""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import sys
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+
+CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
+OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"cell.{name}={value}")]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bags") / "run"
+    assert main(["simulate", "--bag", str(path), "--json", *OPTIONS]) == 0
+    return path
+
+
+def figures(capsys, *arguments) -> dict:
+    assert main(["evaluate", *map(str, arguments), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_its_figures_are_those_of_the_simulation(bag, capsys):
+    assert main(["simulate", "--json", *OPTIONS]) == 0
+    simulated = json.loads(capsys.readouterr().out)
+    evaluated = figures(capsys, bag)
+    for name in simulated.keys() & evaluated.keys() - {"law", "samples"}:
+        assert evaluated[name] == pytest.approx(simulated[name], abs=1e-6), name
+    assert evaluated["law"] == simulated["law"] == "smc"
+    assert [stroke["direction"] for stroke in evaluated["strokes"]] == ["forward", "backward"]
+
+
+def test_an_unfinished_bag_is_evaluated_with_a_warning(bag, tmp_path, capsys):
+    content = (bag / "run_0.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(content[: int(0.8 * len(content))])
+    assert main(["evaluate", str(cut), "--json"]) == 0
+    found = capsys.readouterr()
+    assert found.err.count("was not finished") == 1
+    assert len(json.loads(found.out)["warnings"]) == 1
+
+
+def test_a_limit_that_is_not_kept_fails_the_command_with_its_name(bag, tmp_path, capsys):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("lost_samples: 0\ntrue_pp_um: 1e-6\n")
+    assert main(["evaluate", str(bag), "--limits", str(limits)]) == 1
+    assert "true_pp_um is" in capsys.readouterr().err
+    limits.write_text("lost_samples: 0\n")
+    assert main(["evaluate", str(bag), "--limits", str(limits)]) == 0
+    limits.write_text("lost_sample: 0\n")
+    assert main(["evaluate", str(bag), "--limits", str(limits)]) == 2
+
+
+def test_two_bags_are_put_side_by_side(bag, capsys):
+    found = figures(capsys, bag, "--compare", bag)
+    assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
+
+
+def test_a_topic_under_another_name_is_found_by_remap(bag, capsys):
+    assert figures(capsys, bag, "--remap", "encoder:=/encoder")["lost_samples"] == 0
+    assert main(["evaluate", str(bag), "--remap", "encoder:=/machine/axes"]) == 1
+    assert "has no topic '/machine/axes' for 'encoder'; it has /command" in capsys.readouterr().err
+    assert main(["evaluate", str(bag), "--remap", "encoder=/axes"]) == 2
+
+
+def test_nothing_heavy_is_imported():
+    program = (
+        "import sys; from straightcomp_ros.cli.main import main\n"
+        "try: main(['evaluate', '/nowhere'])\n"
+        "finally: print(sorted({'scipy', 'numba', 'matplotlib', 'plotly', 'rosbags'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]" and "does not exist" in done.stderr
+
+
+def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, capsys):
+    content = (bag / "run_0.mcap").read_bytes()
+    source = random.Random(2)
+    path = tmp_path / "bad.mcap"
+    noise = [source.randbytes(3000), b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + source.randbytes(3000)]
+    for _ in range(25):
+        changed = bytearray(content[: source.choice([len(content), source.randrange(len(content))])])
+        for _ in range(source.randrange(1, 20)):
+            changed[source.randrange(len(changed))] = source.randrange(256)
+        noise.append(bytes(changed))
+    for bad in noise:
+        path.write_bytes(bad)
+        code = main(["evaluate", str(path), "--json"])
+        found = capsys.readouterr()
+        if code:
+            assert code == 1 and not found.out and "evaluate: " in found.err
+        else:
+            assert found.err.count("was not finished") == 1 or json.loads(found.out)["lost_samples"] == 0

@@ -1,0 +1,56 @@
+"""The bench of the bags measures what it says; live parts are left out here."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bench import bags
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import COMMAND
+from straightcomp_ros.simulation import Simulation
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bags") / "run"
+    values = {
+        "controller": {"control.law": "smc"},
+        "cell": {"motion.stroke": 0.03, "motion.settle": 0.05, "motion.pause": 0.05},
+    }
+    simulation = Simulation(values)
+    with SimulatedRun(path, values, simulation.delay) as run:
+        simulation.run(observe=run.add)
+    return path
+
+
+def test_without_ros_all_but_the_live_figures_are_measured(bag, monkeypatch, capsys):
+    monkeypatch.setattr(bags, "ros_available", lambda: False)
+    assert main(["bench", "bags", "--bag", str(bag), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    commands = len(read_streams(bag, {COMMAND.topic: COMMAND.layout})[COMMAND.topic])
+    assert figures["audit"] == {"commands": commands, "different": 0}
+    assert figures["kill"] == {"runs": 0, "max_lost_s": None}
+    assert figures["record"]["lost"] is None and figures["record"]["cpu_cores"] is None
+    assert 10 < figures["record"]["bytes_per_message"] < 300
+    assert figures["read"]["equal"] is True
+    assert 0 < figures["read"]["ours_us"] < figures["read"]["rosbags_us"]
+    assert figures["evaluate_s"] > 0
+
+
+def test_one_other_bit_is_not_equal(bag):
+    stream = read_streams(bag, {COMMAND.topic: COMMAND.layout})[COMMAND.topic]
+    rows = [(stamp, [value]) for stamp, value in zip(stream.stamp.tolist(), *stream.columns.values(), strict=True)]
+    assert bags._same(stream, rows)
+    rows[7] = (rows[7][0], [rows[7][1][0] + 1e-15])
+    assert not bags._same(stream, rows)
+
+
+def test_a_bad_bag_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bags, "ros_available", lambda: False)
+    (tmp_path / "bad.mcap").write_bytes(b"nothing")
+    assert main(["bench", "bags", "--bag", str(tmp_path / "bad.mcap"), "--kill-runs", "0"]) == 1
+    assert "is not an MCAP file" in capsys.readouterr().err
