@@ -42,6 +42,7 @@ setup(
         "mcap>=1.2",
         "numba",
         "numpy",
+        "python-can>=4.2",
         "pyyaml",
         "rich",
         "rosbags>=0.11",
@@ -63,6 +64,7 @@ setup(
         "test": [
             "pytest",
             "hypothesis",
+            "cantools",
             "dask[distributed]",
             "colcon-common-extensions",
             "colcon-ros",
