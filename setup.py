@@ -79,7 +79,9 @@ setup(
                 f"{node}_node = {NAME}.nodes.{node}_node:main"
                 for node in ("driver", "feedforward", "controller", "logger", "cell")
             ),
+            f"dsp_emulator = {NAME}.cli.dsp:main",
             f"straightcomp = {NAME}.cli.main:main",
         ],
+        "can.interface": [f"straightcomp_hub = {NAME}.hardware.can.hub_bus:HubBus"],
     },
 )

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from straightcomp_ros.cli.output import CommandFailed
 
-_VERBS = ("demo", "friction", "reproduce", "robustness", "simulate")
+_VERBS = ("can", "demo", "dsp", "friction", "reproduce", "robustness", "simulate")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

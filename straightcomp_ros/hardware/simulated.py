@@ -100,7 +100,7 @@ class SimulatedHardware(Hardware):
             del samples[:surplus]
         return samples
 
-    def write(self, current: float, at_ns: int) -> None:
+    def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
         effective = max(at_ns, self._time_ns)
@@ -150,7 +150,6 @@ class SimulatedHardware(Hardware):
 
     @property
     def applied_current(self) -> float:
-        """Control current in A that is asked of the amplifier at present."""
         return self._command
 
     def _stage_position(self, time_ns: int) -> float:
