@@ -6,7 +6,7 @@ import select
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,9 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.configuration import node_parameters
-from straightcomp_ros.launcher import Graph, LaunchError, exit_words
+from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.launcher import Graph, LaunchError, exit_words, verb_command
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.straightness.map import StraightnessMap, load_map
 
@@ -76,7 +78,8 @@ def demonstrate(
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
     parameter_file.write_text(_as_parameter_file(values))
-    _run_graph(bag, parameter_file, output / "logs", duration, progress)
+    machine = _emulated_machine(values["driver"], parameter_file)
+    _run_graph(bag, parameter_file, output / "logs", duration, progress, machine)
     try:
         evaluation = evaluate_bag(bag)
         metrics = evaluate(evaluation.record, straightness)
@@ -94,14 +97,49 @@ def _as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     return yaml.safe_dump(tree, sort_keys=False)
 
 
-def _run_graph(bag: Path, parameter_file: Path, logs: Path, duration: float, progress: Callable[[float], None]) -> None:
+def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
+    """Parameters that take the driver's machine out of its process, to an emulated board on a hub at ``socket``."""
+    timeout = node_parameters("driver", driver).simulated.command_timeout
+    return {
+        "hardware": "can",
+        "can.interface": INTERFACE,
+        "can.channel": socket,
+        "can.simulated_stage": True,
+        # A board that forgives a stalled desktop needs a driver that does.
+        "can.command_timeout": timeout,
+        "can.sample_timeout": timeout,
+        "can.heartbeat_timeout": max(timeout, 3.0 * HEARTBEAT_PERIOD),
+    }
+
+
+def _emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
+    """Programs that stand for the bus and the board where the driver's bus is a hub."""
+    parameters = node_parameters("driver", driver)
+    if parameters.hardware != "can" or parameters.can.interface != INTERFACE:
+        return {}
+    return {
+        "hub": verb_command("can", "hub", "--socket", parameters.can.channel),
+        "board": verb_command("dsp", "--params-file", str(parameter_file)),
+    }
+
+
+def _run_graph(
+    bag: Path,
+    parameter_file: Path,
+    logs: Path,
+    duration: float,
+    progress: Callable[[float], None],
+    machine: Mapping[str, Sequence[str]],
+) -> None:
     try:
         with Graph(logs) as graph:
+            for name, command in machine.items():
+                graph.start_program(name, command)
             for name in _RECORDED:
                 extra = {"output": str(bag)} if name == "logger" else {}
                 graph.start(name, extra, parameter_file)
             cell = graph.start("cell", {"progress": True}, parameter_file, read_output=True)
-            _follow(graph, cell, time.monotonic() + duration + _SLACK_S, progress)
+            _follow(graph, cell, (*machine, *_RECORDED), time.monotonic() + duration + _SLACK_S, progress)
             codes = graph.stop(_RECORDED)
             if codes["logger"] != 0:
                 raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
@@ -113,10 +151,12 @@ def _run_graph(bag: Path, parameter_file: Path, logs: Path, duration: float, pro
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
 
 
-def _follow(graph: Graph, cell: Any, deadline: float, progress: Callable[[float], None]) -> None:
+def _follow(
+    graph: Graph, cell: Any, watched: Sequence[str], deadline: float, progress: Callable[[float], None]
+) -> None:
     """Pass the cell's progress on until it ends; raise LaunchError if it or another node fails."""
     while cell.poll() is None:
-        graph.check(_RECORDED)
+        graph.check(watched)
         if time.monotonic() > deadline:
             raise LaunchError("the cycle did not end in time")
         if select.select([cell.stdout], [], [], 0.2)[0]:

@@ -28,7 +28,7 @@ from straightcomp_ros.hardware.can.sequence import Sequence
 from straightcomp_ros.hardware.interface import Sample
 
 _STRIKE = 4
-_UNSETTLED = 12.0
+_UNSETTLED = 9.0
 
 
 class Receiver:

@@ -13,6 +13,8 @@ _PLACE_GAIN = 0.5
 _RATE_GAIN = 0.1
 _MOST_CORRECTION = 0.1
 """Of a place, in periods for each block: a stalled host must not drag the clock along."""
+_MOST_EARLY = 16.0
+"""Periods: still an eighth of a block, so that stamps rise while the line is drawn in."""
 _MOST_RATE = 1e-3
 _LOST_PERIODS, _LOST_BLOCKS = 4.0, 4
 
@@ -34,7 +36,7 @@ class SampleClock:
         """Forget all; the next observation begins anew."""
         self.settled = False
         self._origin_index = self._origin_ns = self._count = self._lost_blocks = 0
-        self._place = self._rate = 0.0
+        self._place = self._rate = self._bend = 0.0
         self._slope = self._nominal
         self._least = float("inf")
 
@@ -50,11 +52,14 @@ class SampleClock:
         """A sample's frame arrived; samples come in order, some may be missing."""
         if self._count == 0 and not self.settled:
             self._origin_index, self._origin_ns = index, arrival_ns
-        late = arrival_ns - self._origin_ns - self._place - (index - self._origin_index) * self._slope
+        step = index - self._origin_index
+        late = arrival_ns - self._origin_ns - self._place - step * self._slope
+        # As it will be at the end of the block, when the line has been bent.
+        late -= (BLOCK - step) * self._bend
         if late < self._least:
             self._least = late
         self._count += 1
-        if self._count >= BLOCK:
+        if step >= BLOCK - 1:
             self._end_block(index)
 
     def _end_block(self, index: int) -> None:
@@ -68,10 +73,12 @@ class SampleClock:
         if self._lost_blocks >= _LOST_BLOCKS:
             self.reset()
             return
-        most = _MOST_CORRECTION * self._nominal
-        late = min(max(late, -most), most)
-        self._rate = min(max(self._rate + _RATE_GAIN * late / BLOCK / self._nominal, -_MOST_RATE), _MOST_RATE)
+        # That frames are late proves little; one that is early proves that the line was drawn too late.
+        late = min(max(late, -_MOST_EARLY * self._nominal), _MOST_CORRECTION * self._nominal)
+        usual = max(late, -_MOST_CORRECTION * self._nominal)
+        self._rate = min(max(self._rate + _RATE_GAIN * usual / BLOCK / self._nominal, -_MOST_RATE), _MOST_RATE)
         here = self._place + (index - self._origin_index) * self._slope
         whole = round(here)
         self._origin_index, self._origin_ns, self._place = index, self._origin_ns + whole, here - whole
-        self._slope = self._nominal * (1.0 + self._rate) + _PLACE_GAIN * late / BLOCK
+        self._bend = _PLACE_GAIN * late / BLOCK
+        self._slope = self._nominal * (1.0 + self._rate) + self._bend

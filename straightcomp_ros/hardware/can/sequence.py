@@ -1,7 +1,7 @@
 """Which sample a frame carries: its number, from a counter that wraps.
 
 A frame for CAN FD has the sample counter itself. A classic one has its remainder by 15 only, which gives the number
-while fewer than about 13 samples passed since the last frame; the host's clock tells that. After a longer silence
+while fewer than ten samples passed since the last frame; the host's clock tells that. After a longer silence
 frames wait for the next frame with the full counter, at most ten samples later: they are never guessed.
 """
 
@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, COUNTER_MODULUS, Encoder
 
-_AMBIGUOUS = ALIVE_MODULUS - 2
-_EARLY = 1.0
-"""Samples by which a frame may seem to come before its time: the error of the clock."""
+_AMBIGUOUS = 10
+_EARLY = ALIVE_MODULUS - 1 - _AMBIGUOUS
+"""Samples by which a frame may seem to come before its time: the clock may have been set by frames that were late."""
 _MOST_WAITING = ALIVE_MODULUS - 1
 _KEPT_MISSING = 256
 
@@ -57,7 +57,7 @@ class Sequence:
 
     def plausible(self, ahead: int, arrival_ns: int) -> bool:
         """Whether a full counter fits the clock: not from the future, and not from before the last half second."""
-        return self.index is None or -1000 < ahead <= self._elapsed(self.index, arrival_ns) + 2 * _EARLY
+        return self.index is None or -1000 < ahead <= self._elapsed(self.index, arrival_ns) + _EARLY
 
     def accept(self, frame: Encoder, ahead: int) -> int:
         """The frame is the newest sample; returns its number, and counts what lies between."""

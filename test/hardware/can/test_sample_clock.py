@@ -59,3 +59,9 @@ def test_time_gives_the_number_of_samples_since():
     for index in range(BLOCK):
         clock.observe(index, START + index * PERIOD)
     assert clock.elapsed(BLOCK - 1, START + (BLOCK + 6) * PERIOD) == pytest.approx(7)
+
+
+def test_a_line_that_was_drawn_too_late_is_drawn_in_as_soon_as_frames_come_early():
+    errors, stamps = followed(0, lambda index, _: 5_000_000 if index < 2 * BLOCK else 0, count=20 * BLOCK)
+    assert errors[0] == 5_000_000 and np.abs(errors[12 * BLOCK :]).max() < PERIOD / 5
+    assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
