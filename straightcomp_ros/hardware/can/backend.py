@@ -37,17 +37,20 @@ class CanHardware(Hardware):
     Args:
         parameters: bus and board.
         clock: the host's time in ns, the same that is passed to :meth:`read`.
+        make_link: makes the bus, as :class:`~straightcomp_ros.hardware.can.link.Link`.
 
     Raises:
         ParameterError: python-can knows no such interface.
     """
 
-    def __init__(self, parameters: CanParameters, clock: Callable[[], int]) -> None:
+    def __init__(
+        self, parameters: CanParameters, clock: Callable[[], int], make_link: Callable[..., Link] = Link
+    ) -> None:
         self._parameters = parameters
         self._clock = clock
         self._receiver = Receiver(parameters)
         self._codec = self._receiver.codec
-        self._link = Link(parameters, self._receiver.identifiers, self._receive, clock)
+        self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = 0
         self._alive = 0
