@@ -65,7 +65,7 @@ class SimulatedHardware(Hardware):
         self._plant_state = np.array(PlantState(y=parameters.initial_y))
         # The first call compiles; it must not happen inside the loop.
         advance(self._constants, self._plant_state.copy(), 0.0, 0.0, 1, 0.0, 0)
-        self._timeout_ns = round(parameters.command_timeout * 1e9)
+        self.command_timeout_ns = round(parameters.command_timeout * 1e9)
         self._reading = parameters.plant.encoder.reading
         self._converted = parameters.plant.drive.converted
         self._commands: deque[tuple[int, float]] = deque()
@@ -90,7 +90,7 @@ class SimulatedHardware(Hardware):
         samples = []
         while self._next_sample_ns <= now_ns:
             self._integrate(self._next_sample_ns)
-            if self._time_ns - self._last_command_ns > self._timeout_ns:
+            if self._time_ns - self._last_command_ns > self.command_timeout_ns:
                 self._miss_command()
             samples.append(self._sample())
             self._next_sample_ns += self.period_ns
@@ -200,7 +200,7 @@ class SimulatedHardware(Hardware):
         if self._state is State.ON:
             age_ms = (self._time_ns - self._last_command_ns) * 1e-6
             self._state = State.FAULT
-            self._fault = f"no command for {age_ms:.1f} ms (command_timeout {self._timeout_ns * 1e-6:g} ms)"
+            self._fault = f"no command for {age_ms:.1f} ms (command_timeout {self.command_timeout_ns * 1e-6:g} ms)"
             self._currents_off()
 
     def _sample(self) -> tuple[Sample, Truth]:

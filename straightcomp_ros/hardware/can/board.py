@@ -36,7 +36,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware
 
 _STRIKE, _STRIKE_LIMIT = 4, 16
 _OLDEST_ECHO = 200
-"""Samples: within what the eight bits of a classic frame can tell."""
+"""Samples: what the eight bits of a classic frame can tell from one that is to come."""
 _AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amplifier.FAULT}
 
 Send = Callable[[int, bytes, bool], None]
@@ -59,6 +59,9 @@ class Board:
         self._range = current_range
         self._send = send
         self._start_ns = now_ns
+        # An answer to a sample older than the timeout is as good as none.
+        oldest = machine.command_timeout_ns // machine.period_ns
+        self._oldest_echo = oldest if codec.fd else min(oldest, _OLDEST_ECHO)
         self._fault = BoardFault.NONE
         self._seen_off = False
         self._command_alive: int | None = None
@@ -134,7 +137,7 @@ class Board:
         repeated = command.alive == self._command_alive
         self._command_alive = command.alive
         age = (self._counter - command.echo) % (COUNTER_MODULUS if self._codec.fd else 256)
-        if repeated or age > _OLDEST_ECHO:
+        if repeated or age > self._oldest_echo:
             self.refused_commands += 1
             return
         self._strikes = max(0, self._strikes - 1)

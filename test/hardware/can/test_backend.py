@@ -1,5 +1,6 @@
 """The driver's side and the emulated board against each other, frame by frame, on a clock that the test moves."""
 
+import itertools
 import math
 from types import SimpleNamespace
 
@@ -100,7 +101,7 @@ def test_the_board_switches_on_when_asked_and_off_when_asked(world):
 def test_samples_lie_on_a_grid_and_carry_what_the_encoders_read(world):
     world.host.move(Trajectory(forward_and_back(MotionParameters(stroke=0.02, settle=0.1))), world.now)
     world.run(0.5)
-    steps = {b.stamp_ns - a.stamp_ns for a, b in zip(world.samples, world.samples[1:])}
+    steps = {b.stamp_ns - a.stamp_ns for a, b in itertools.pairwise(world.samples)}
     assert all(abs(step - PERIOD) < 100 for step in steps)
     truth = world.board.machine
     assert world.samples[-1].x == pytest.approx(truth._stage_position(world.now), abs=6e-8)
