@@ -99,7 +99,7 @@ def test_a_hub_takes_over_a_socket_that_was_left_but_not_one_in_use(tmp_path, hu
 
 
 def test_without_a_hub_the_message_names_the_socket(tmp_path):
-    with pytest.raises(can.CanInitializationError, match="no hub at '.*nowhere'"):
+    with pytest.raises(can.CanInitializationError, match=r"no hub at '.*nowhere'"):
         can.Bus(interface=INTERFACE, channel=str(tmp_path / "nowhere"))
 
 
@@ -133,7 +133,7 @@ def test_a_link_waits_for_a_hub_that_comes_later(tmp_path):
 
 
 def test_an_unknown_interface_is_refused_with_those_that_are_known():
-    with pytest.raises(ParameterError, match="'pigeon' is not known; allowed: .*socketcan"):
+    with pytest.raises(ParameterError, match=r"'pigeon' is not known; allowed: .*socketcan"):
         Link(CanParameters(interface="pigeon"), [], lambda *_: None, time.time_ns)
 
 
