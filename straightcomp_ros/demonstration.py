@@ -99,12 +99,14 @@ def _as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
 
 def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
     """Parameters that take the driver's machine out of its process, to an emulated board on a hub at ``socket``."""
-    timeout = node_parameters("driver", driver).simulated.command_timeout
+    simulated = node_parameters("driver", driver).simulated
+    timeout = simulated.command_timeout
     return {
         "hardware": "can",
         "can.interface": INTERFACE,
         "can.channel": socket,
         "can.simulated_stage": True,
+        "can.rate": simulated.rate,
         # A board that forgives a stalled desktop needs a driver that does.
         "can.command_timeout": timeout,
         "can.sample_timeout": timeout,
