@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import can
 import pytest
 
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Command, Switch
@@ -36,6 +38,7 @@ class World:
         self.power_up()
         self.commands = True
         self.samples = []
+        self.answers = []
 
     def _link(self, parameters, identifiers, receive, clock):
         self._receive, self._identifiers = receive, identifiers
@@ -66,6 +69,22 @@ class World:
             self.samples += [sample for sample, _ in samples]
             if self.commands and samples:
                 self.host.write(current, self.now, samples[-1][0].stamp_ns)
+
+    def servo(self, seconds, reference):
+        """Close the loop: each sample's command is there half a period after it."""
+        servo = Servo(make_law(ControlParameters(), PERIOD * 1e-9))
+        for _ in range(round(seconds * 2000)):
+            self.now += PERIOD // 2
+            for stamp_ns, current in self.answers:
+                self.host.write(current, self.now, stamp_ns)
+            self.now += PERIOD // 2
+            self.board.cycle(self.now)
+            fresh = [sample for sample, _ in self.host.read(self.now)]
+            self.samples += fresh
+            self.answers = [
+                (sample.stamp_ns, servo.step(sample.stamp_ns, sample.y, sample.current, reference).current)
+                for sample in fresh
+            ]
 
     def on(self):
         self.run(0.2)
@@ -106,6 +125,14 @@ def test_samples_lie_on_a_grid_and_carry_what_the_encoders_read(world):
     truth = world.board.machine
     assert world.samples[-1].x == pytest.approx(truth._stage_position(world.now), abs=6e-8)
     assert world.samples[-1].x > 1e-4
+
+
+def test_the_servo_holds_the_platform_through_the_frames(world):
+    world.on()
+    world.servo(1.0, (8e-6, 0.0, 0.0))
+    errors = [8e-6 - sample.y for sample in world.samples[-1000:]]
+    assert world.host.state is State.ON and world.host.lost_samples == 0
+    assert max(map(abs, errors)) < 1e-6
 
 
 def test_silence_of_the_board_latches_a_fault_until_reset_and_a_new_enable(world):
