@@ -1,8 +1,8 @@
 """CRC-8 of AUTOSAR E2E profile 1: polynomial SAE J1850 (0x1D), start and final XOR zero, both bytes of the data id.
 
 The data id is not sent: both ends run it through the CRC before the payload, so that a frame under a wrong
-identifier fails its check. Here the data id is the frame's CAN identifier. The polynomial finds any three wrong
-bits in up to 119 bits, and any burst of up to eight.
+identifier fails its check. Here the data id is the frame's CAN identifier. The polynomial is primitive, of
+order 255: it finds any two wrong bits in frames of this length, and any burst of up to eight; of all else, 255 in 256.
 
 Source: AUTOSAR FO PRS_E2EProtocol, profile 1, E2E_P01_DATAID_BOTH.
 """
