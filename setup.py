@@ -43,6 +43,7 @@ setup(
         "numba",
         "numpy",
         "plotly>=6",
+        "python-can>=4.2",
         "pyyaml",
         "rich",
         "rosbags>=0.11",
@@ -64,6 +65,7 @@ setup(
         "test": [
             "pytest",
             "hypothesis",
+            "cantools",
             "dask[distributed]",
             "colcon-common-extensions",
             "colcon-ros",
@@ -78,7 +80,9 @@ setup(
                 f"{node}_node = {NAME}.nodes.{node}_node:main"
                 for node in ("driver", "feedforward", "controller", "logger", "cell", "player")
             ),
+            f"dsp_emulator = {NAME}.cli.dsp:main",
             f"straightcomp = {NAME}.cli.main:main",
         ],
+        "can.interface": [f"straightcomp_hub = {NAME}.hardware.can.hub_bus:HubBus"],
     },
 )

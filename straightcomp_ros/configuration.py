@@ -12,6 +12,8 @@ import yaml
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.learning import LearningParameters
+from straightcomp_ros.hardware.can.frames import CURRENT_COUNT, CURRENT_LIMIT
+from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters
 from straightcomp_ros.parameters import ParameterError, flatten, from_mapping, group, parameter
@@ -40,7 +42,7 @@ class RealtimeParameters:
 class DriverNodeParameters:
     """Parameters of the node `driver`."""
 
-    hardware: str = parameter("simulated", "Backend", choices=("simulated",))
+    hardware: str = parameter("simulated", "Backend", choices=("simulated", "can"))
     current_limit: float = parameter(
         1.0,
         "A command beyond ± this switches the amplifier off and latches a fault",
@@ -60,7 +62,24 @@ class DriverNodeParameters:
     )
     simulated: SimulatedParameters = group(SimulatedParameters)
     guide: MapParameters = group(MapParameters, file="config/guide_synthetic.csv")
+    can: CanParameters = group(CanParameters)
     realtime: RealtimeParameters = group(RealtimeParameters)
+
+    def __post_init__(self) -> None:
+        if self.hardware != "can":
+            return
+        if self.lockstep:
+            raise ParameterError("parameter 'lockstep': True needs a simulated machine; allowed with 'can': false")
+        largest = CURRENT_LIMIT * CURRENT_COUNT
+        if self.current_limit > largest:
+            raise ParameterError(
+                f"parameter 'current_limit': {self.current_limit!r} A is too large for CAN; allowed: <= {largest:g} A"
+            )
+
+    @property
+    def machine(self) -> SimulatedParameters | CanParameters:
+        """Parameters of the backend that ``hardware`` names."""
+        return self.can if self.hardware == "can" else self.simulated
 
 
 @dataclass(frozen=True)

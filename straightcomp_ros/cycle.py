@@ -35,6 +35,7 @@ def run_cycle(
     *,
     started: Callable[[Mapping[str, int]], None] = lambda process_ids: None,
     commands: Mapping[str, Sequence[str]] | None = None,
+    beside: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
     """Run the graph until the cell has finished its cycle, and record it.
 
@@ -46,19 +47,22 @@ def run_cycle(
         progress: called some 20 times a second with the fraction of the cycle that is done; True ends the cycle now.
         started: called once with the process id of each node.
         commands: by node, what to start in its place.
+        beside: further programs by name that the nodes need, started before them: a bus, an emulated board.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
     """
-    commands = commands or {}
+    commands, beside = commands or {}, beside or {}
     with Graph(logs) as graph:
+        for name, command in beside.items():
+            graph.start_program(name, command)
         ids = {}
         for name in RECORDED:
             extra = {"output": str(bag)} if name == "logger" else {}
             ids[name] = graph.start(name, extra, parameter_file, command=commands.get(name)).pid
         cell = graph.start("cell", {"progress": True}, parameter_file, command=commands.get("cell"), read_output=True)
         started(ids)
-        _follow(graph, cell, time.monotonic() + duration + _SLACK_S, progress)
+        _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
         codes = graph.stop(RECORDED)
         if codes["logger"] != 0:
             raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
@@ -68,10 +72,12 @@ def run_cycle(
                 print(f"node '{name}' did not stop cleanly: {exit_words(code)}", file=sys.stderr)
 
 
-def _follow(graph: Graph, cell: Any, deadline: float, progress: Callable[[float], object]) -> None:
+def _follow(
+    graph: Graph, cell: Any, watched: Sequence[str], deadline: float, progress: Callable[[float], object]
+) -> None:
     """Pass the cell's progress on until it ends or is enough; raise LaunchError if it or another node fails."""
     while cell.poll() is None:
-        graph.check(RECORDED)
+        graph.check(watched)
         if time.monotonic() > deadline:
             raise LaunchError("the cycle did not end in time")
         if select.select([cell.stdout], [], [], 0.2)[0]:

@@ -14,7 +14,9 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.diagnostics import read_reports
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.cycle import RECORDED, as_parameter_file, run_cycle
-from straightcomp_ros.launcher import LaunchError
+from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.launcher import LaunchError, verb_command
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.straightness.map import StraightnessMap, load_map
 from straightcomp_ros.timing.report import NodeTiming, amplifier_on, summarise
@@ -74,7 +76,14 @@ def demonstrate(
     parameter_file.write_text(as_parameter_file(values))
     logs = output / "logs"
     try:
-        run_cycle(bag, parameter_file, logs, duration, progress)
+        run_cycle(
+            bag,
+            parameter_file,
+            logs,
+            duration,
+            progress,
+            beside=_emulated_machine(values["driver"], parameter_file),
+        )
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
     try:
@@ -89,3 +98,31 @@ def demonstrate(
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
     return Demonstration(bag, evaluation, straightness, metrics, timing)
+
+
+def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
+    """Parameters that take the driver's machine out of its process, to an emulated board on a hub at ``socket``."""
+    simulated = node_parameters("driver", driver).simulated
+    timeout = simulated.command_timeout
+    return {
+        "hardware": "can",
+        "can.interface": INTERFACE,
+        "can.channel": socket,
+        "can.simulated_stage": True,
+        "can.rate": simulated.rate,
+        # A board that forgives a stalled desktop needs a driver that does.
+        "can.command_timeout": timeout,
+        "can.sample_timeout": timeout,
+        "can.heartbeat_timeout": max(timeout, 3.0 * HEARTBEAT_PERIOD),
+    }
+
+
+def _emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
+    """Programs that stand for the bus and the board where the driver's bus is a hub."""
+    parameters = node_parameters("driver", driver)
+    if parameters.hardware != "can" or parameters.can.interface != INTERFACE:
+        return {}
+    return {
+        "hub": verb_command("can", "hub", "--socket", parameters.can.channel),
+        "board": verb_command("dsp", "--params-file", str(parameter_file)),
+    }

@@ -42,6 +42,11 @@ def executable_command(executable: str) -> list[str]:
     return [sys.executable, "-m", f"{PACKAGE}.nodes.{executable}"]
 
 
+def verb_command(verb: str, *arguments: str) -> list[str]:
+    """How to start a verb of `straightcomp` with this Python."""
+    return [sys.executable, "-m", f"{PACKAGE}.cli.main", verb, *arguments]
+
+
 def isolated_environment() -> dict[str, str]:
     """This environment, with traffic kept on this machine and, where none is set, a ROS domain of its own."""
     environment = dict(os.environ)
@@ -96,9 +101,13 @@ class Graph:
             words += ["--params-file", str(parameter_file)]
         for key, value in parameters.items():
             words += ["-p", f"{key}:={_as_argument(value)}"]
+        return self.start_program(name, words, read_output=read_output)
+
+    def start_program(self, name: str, command: Sequence[str], *, read_output: bool = False) -> subprocess.Popen[str]:
+        """Start another program beside the nodes, under a ``name`` of its own."""
         with self.log(name).open("w") as log:
             process = subprocess.Popen(
-                words,
+                command,
                 env=self._environment,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE if read_output else log,

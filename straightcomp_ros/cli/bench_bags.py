@@ -1,4 +1,4 @@
-"""What recording, reading and judging bags costs, what a SIGKILL takes, and whether an audit finds all commands equal."""
+"""What recording, reading and judging bags costs, what a SIGKILL takes, and whether an audit finds all the same."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the out
 from __future__ import annotations
 
 import argparse
+import tempfile
 from datetime import datetime
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from straightcomp_ros.analysis.plot import plot_run
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import results_table, timing_table
-from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate
+from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate, on_hub
 from straightcomp_ros.launcher import ros_available
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
@@ -33,6 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can"
     )
+    parser.add_argument(
+        "--hardware",
+        choices=("simulated", "can"),
+        help="can: the machine is an emulated board in a process of its own, on a CAN bus between processes",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -51,7 +57,12 @@ def run(options: argparse.Namespace) -> int:
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
     try:
-        with progress_bar() as bar:
+        # A socket's path has room for about a hundred characters: not for any output folder.
+        with tempfile.TemporaryDirectory() as folder, progress_bar() as bar:
+            if options.hardware == "can":
+                values["driver"].update(on_hub(values["driver"], str(Path(folder) / "bus")))
+            elif options.hardware:
+                values["driver"]["hardware"] = options.hardware
             task = bar.add_task("stage moves", total=1.0)
             result = demonstrate(values, output, lambda fraction: bar.update(task, completed=fraction))
     except (ParameterError, SurveyError) as error:

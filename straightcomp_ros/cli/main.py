@@ -9,7 +9,19 @@ from collections.abc import Sequence
 
 from straightcomp_ros.cli.output import CommandFailed
 
-_VERBS = ("bench", "demo", "evaluate", "friction", "recover", "replay", "reproduce", "robustness", "simulate")
+_VERBS = (
+    "bench",
+    "can",
+    "demo",
+    "dsp",
+    "evaluate",
+    "friction",
+    "recover",
+    "replay",
+    "reproduce",
+    "robustness",
+    "simulate",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

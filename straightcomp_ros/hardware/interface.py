@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from straightcomp_ros.model.stage import Trajectory
@@ -66,8 +66,10 @@ class Hardware(ABC):
         """
 
     @abstractmethod
-    def write(self, current: float, at_ns: int) -> None:
+    def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         """Ask for a control current in A, in effect from ``at_ns`` (now, if that has passed).
+
+        ``sample_ns`` is the stamp of the sample that it answers; the newest, if None. A board may refuse an old answer.
 
         Raises:
             ValueError: not finite. Nothing is sent then.
@@ -111,6 +113,20 @@ class Hardware(ABC):
     @abstractmethod
     def lost_samples(self) -> int:
         """Samples that were taken but fetched too late, since the start."""
+
+    @property
+    @abstractmethod
+    def applied_current(self) -> float:
+        """Control current in A that is asked of the amplifier at present."""
+
+    @property
+    def newest_arrival_ns(self) -> int | None:
+        """When the newest sample came in, if this machine sends samples by itself; a loop may lock to it."""
+        return None
+
+    def counters(self) -> Mapping[str, object]:
+        """What this backend counts besides lost samples, for diagnostics."""
+        return {}
 
     def close(self) -> None:
         """Release the machine; the amplifier is off afterwards."""

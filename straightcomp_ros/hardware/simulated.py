@@ -78,7 +78,7 @@ class SimulatedHardware(Hardware):
         self._plant_state = np.array(PlantState(y=parameters.initial_y))
         # The first call compiles; it must not happen inside the loop.
         advance(self._constants, self._plant_state.copy(), 0.0, 0.0, 1, 0.0, 0)
-        self._timeout_ns = round(parameters.command_timeout * 1e9)
+        self.command_timeout_ns = round(parameters.command_timeout * 1e9)
         self._reading = parameters.plant.encoder.reading
         self._converted = parameters.plant.drive.converted
         self._commands: deque[tuple[int, float]] = deque()
@@ -102,7 +102,7 @@ class SimulatedHardware(Hardware):
         samples = []
         while self._next_sample_ns <= now_ns:
             self._integrate(self._next_sample_ns)
-            if self._time_ns - self._last_command_ns > self._timeout_ns:
+            if self._time_ns - self._last_command_ns > self.command_timeout_ns:
                 self._miss_command()
             samples.append(self._sample())
             self._next_sample_ns += self.period_ns
@@ -112,7 +112,7 @@ class SimulatedHardware(Hardware):
             del samples[:surplus]
         return samples
 
-    def write(self, current: float, at_ns: int) -> None:
+    def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
         effective = max(at_ns, self._time_ns)
@@ -162,7 +162,6 @@ class SimulatedHardware(Hardware):
 
     @property
     def applied_current(self) -> float:
-        """Control current in A that is asked of the amplifier at present."""
         return self._command
 
     def _stage_position(self, time_ns: int) -> float:
@@ -213,7 +212,7 @@ class SimulatedHardware(Hardware):
         if self._state is State.ON:
             age_ms = (self._time_ns - self._last_command_ns) * 1e-6
             self._state = State.FAULT
-            self._fault = f"no command for {age_ms:.1f} ms (command_timeout {self._timeout_ns * 1e-6:g} ms)"
+            self._fault = f"no command for {age_ms:.1f} ms (command_timeout {self.command_timeout_ns * 1e-6:g} ms)"
             self._currents_off()
 
     def _sample(self) -> tuple[Sample, Truth]:

@@ -99,6 +99,11 @@ class Trajectory:
         self._times = [point.time_ns for point in points]
 
     @property
+    def waypoints(self) -> Sequence[Waypoint]:
+        """The points, without repetitions."""
+        return self._points
+
+    @property
     def end_ns(self) -> int:
         """Time of the last waypoint from the start, ns."""
         return self._times[-1]

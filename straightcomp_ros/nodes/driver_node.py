@@ -13,6 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.configuration import DriverNodeParameters
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY, TRUTH
+from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.nodes.clock import from_monotonic, now_ns
@@ -20,12 +21,16 @@ from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.lockstep import Lockstep
 from straightcomp_ros.nodes.periodic import PeriodicLoop
+from straightcomp_ros.nodes.phase_lock import PhaseLock
 from straightcomp_ros.nodes.runner import run
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.straightness.map import load_map
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import AMPLIFIER, LATENCY, LOST, OVERRUNS, SAMPLES, written
+
+_SAMPLE_WAIT_NS = 100_000
+"""How long a sample that came by itself is to wait for the loop: the receiving thread needs some of it."""
 
 
 class DriverNode:
@@ -35,8 +40,10 @@ class DriverNode:
         parameters = declare(node, DriverNodeParameters)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         self._current_limit = parameters.current_limit
-        self._command_timeout_ns = round(parameters.simulated.command_timeout * 1e9)
-        self._hardware: Hardware = SimulatedHardware(parameters.simulated, load_map(parameters.guide))
+        self._command_timeout_ns = round(parameters.machine.command_timeout * 1e9)
+        self._hardware = _make_hardware(parameters)
+        period_ns = round(1e9 / parameters.machine.rate)
+        self._phase = PhaseLock(period_ns, _SAMPLE_WAIT_NS)
         self._publish_sample = publisher(node, ENCODER)
         self._publish_truth = BurstPublisher(node, TRUTH)
         self._publish_state = BurstPublisher(node, DRIVER_STATE)
@@ -54,12 +61,10 @@ class DriverNode:
         self.loop: PeriodicLoop | None = None
         if parameters.lockstep:
             subscribe(node, COMMAND, self._on_lockstep_command)
-            self._lockstep = Lockstep(
-                node, self._hardware, round(1e9 / parameters.simulated.rate), parameters.lockstep_delay, self._publish
-            )
+            self._lockstep = Lockstep(node, self._hardware, period_ns, parameters.lockstep_delay, self._publish)
         else:
             self._inbox = Inbox(node, unspun_node(node), COMMAND)
-            self.loop = PeriodicLoop(round(1e9 / parameters.simulated.rate), self._cycle)
+            self.loop = PeriodicLoop(period_ns, self._cycle)
         Diagnostics(node, self._counters)
 
     def _cycle(self, wake_ns: int) -> None:
@@ -71,9 +76,13 @@ class DriverNode:
         for stamp_ns, numbers, received_ns in self._inbox.fetch():
             # The machine has not been integrated past its last sample yet: the command acts from when it came in.
             self._accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
-        for sample, truth in self._hardware.read(now):
+        samples = self._hardware.read(now)
+        for sample, truth in samples:
             self._publish(sample, truth)
         self._report_fault()
+        arrival_ns = self._hardware.newest_arrival_ns
+        if samples and arrival_ns is not None and self.loop:
+            self.loop.shift(self._phase.shift_ns(now - arrival_ns))
 
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
         lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
@@ -96,7 +105,7 @@ class DriverNode:
         if stamp_ns <= self._command_stamp_ns or age_ns > self._command_timeout_ns:
             self._stale_commands += 1
         elif self._check(current):
-            self._hardware.write(current, arrival_ns)
+            self._hardware.write(current, arrival_ns, stamp_ns)
             self._command_stamp_ns = stamp_ns
             self._latency = age_ns * 1e-9
             self._latencies.record(age_ns)
@@ -172,6 +181,7 @@ class DriverNode:
             AMPLIFIER: self._hardware.state.value,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
             **written(LATENCY, self._latencies.take()),
+            **self._hardware.counters(),
         }
         if self._present_fault:
             counters["error"] = self._present_fault
@@ -182,6 +192,12 @@ class DriverNode:
         self._hardware.close()
         self._publish_truth.flush()
         self._publish_state.flush()
+
+
+def _make_hardware(parameters: DriverNodeParameters) -> Hardware:
+    if parameters.hardware == "can":
+        return CanHardware(parameters.can, now_ns)
+    return SimulatedHardware(parameters.simulated, load_map(parameters.guide))
 
 
 def main() -> int:

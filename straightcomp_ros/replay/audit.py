@@ -91,6 +91,8 @@ def audit(bag: Path, remap: Mapping[str, str] | None = None) -> Audit:
         parameters: ControllerNodeParameters = node_parameters("controller", values["controller"])
     except ParameterError as error:
         raise ParameterError(f"bag {bag}: {error}") from error
+    if parameters.learning.learn:
+        raise BagError(f"bag {bag}: the controller learned while it ran; what it knew before is not in the bag")
     return _audited(parameters, *(streams[stream.topic] for stream in _AUDITED))
 
 

@@ -1,0 +1,63 @@
+"""Be an encoder and DSP board on a CAN bus: the simulated machine, behind the frames that a real board sends.
+
+The machine and the bus are those of the node `driver` in the parameter file (simulated.*, guide.*, can.*). The
+executable `dsp_emulator` is the same."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import can
+
+from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.straightness.survey import SurveyError
+
+SUMMARY = "emulate the DSP board on a CAN bus"
+_MOST_DRIFT_PPM = 1000.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_parameter_options(parser)
+    parser.add_argument(
+        "--drift-ppm", type=float, default=0.0, metavar="PPM", help="error of the board's quartz (default: %(default)s)"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Be the board until SIGINT or SIGTERM."""
+    from straightcomp_ros.nodes.dsp_emulator import emulate
+
+    parameters = node_parameters("driver", chosen_parameters(options)["driver"])
+    if not abs(options.drift_ppm) <= _MOST_DRIFT_PPM:
+        raise CommandFailed(
+            f"--drift-ppm {options.drift_ppm:g} is not allowed; allowed: ±{_MOST_DRIFT_PPM:g}", exit_code=2
+        )
+    if parameters.can.interface not in can.interfaces.BACKENDS:
+        known = ", ".join(sorted(can.interfaces.BACKENDS))
+        raise CommandFailed(
+            f"parameter 'can.interface': '{parameters.can.interface}' is not known; allowed: {known}", exit_code=2
+        )
+    try:
+        return emulate(parameters, options.drift_ppm * 1e-6)
+    except SurveyError as error:
+        raise CommandFailed(str(error), exit_code=2) from error
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of `dsp_emulator`."""
+    parser = argparse.ArgumentParser(prog="dsp_emulator", description=__doc__)
+    add_arguments(parser)
+    try:
+        return run(parser.parse_args(arguments))
+    except CommandFailed as failure:
+        print(f"dsp_emulator: {failure}", file=sys.stderr)
+        return failure.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,250 @@
+"""The board on CAN as a machine behind the hardware interface: handshake, watch, latched faults."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import can
+
+from straightcomp_ros.hardware.can.frames import (
+    ALIVE_MODULUS,
+    COUNTER_MODULUS,
+    CURRENT_COUNT,
+    CURRENT_LIMIT,
+    OPERATIONAL,
+    Amplifier,
+    Command,
+    Switch,
+)
+from straightcomp_ros.hardware.can.link import Link
+from straightcomp_ros.hardware.can.parameters import CanParameters
+from straightcomp_ros.hardware.can.receiver import Receiver
+from straightcomp_ros.hardware.can.stage_frames import stage_payloads
+from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State
+from straightcomp_ros.model.stage import Trajectory
+
+_REMEMBERED = 512
+"""Samples whose numbers are kept for the echo in a command."""
+
+
+class CanHardware(Hardware):
+    """A board that samples by itself and is switched by the pattern in each command.
+
+    A fault is latched here, whoever found it; the commands then say "off" until the fault is reset and the amplifier
+    is asked for again.
+
+    Args:
+        parameters: bus and board.
+        clock: the host's time in ns, the same that is passed to :meth:`read`.
+        make_link: makes the bus, as :class:`~straightcomp_ros.hardware.can.link.Link`.
+
+    Raises:
+        ParameterError: python-can knows no such interface.
+    """
+
+    def __init__(
+        self, parameters: CanParameters, clock: Callable[[], int], make_link: Callable[..., Link] = Link
+    ) -> None:
+        self._parameters = parameters
+        self._clock = clock
+        self._receiver = Receiver(parameters)
+        self._codec = self._receiver.codec
+        self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
+        self._numbers: dict[int, int] = {}
+        self._newest_number = 0
+        self._alive = 0
+        self._current = 0.0
+        self._wanted = self._was_on = self._resetting = False
+        self._deadline_ns = 0
+        self._fault = ""
+        self._seen = self._upsets()
+        self.heartbeat_losses = 0
+        """Times that the heartbeat ceased while the amplifier was on."""
+
+    def start(self, now_ns: int) -> None:
+        self._link.start()
+
+    def read(self, now_ns: int) -> list[tuple[Sample, None]]:
+        self._watch(now_ns)
+        waiting, samples = self._receiver.samples, []
+        # Bounded: what comes in meanwhile is for the next call.
+        for _ in range(len(waiting)):
+            number, sample = waiting.popleft()
+            self._numbers[sample.stamp_ns] = self._newest_number = number
+            samples.append((sample, None))
+        while len(self._numbers) > _REMEMBERED:
+            del self._numbers[next(iter(self._numbers))]
+        return samples
+
+    def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
+        if not math.isfinite(current):
+            raise ValueError(f"control current {current} A is not finite")
+        counts = round(current / CURRENT_COUNT)
+        if abs(counts) > CURRENT_LIMIT:
+            largest = CURRENT_LIMIT * CURRENT_COUNT
+            raise ValueError(f"control current {current} A does not fit its frame; allowed: ±{largest:g} A")
+        number = self._newest_number if sample_ns is None else self._numbers.get(sample_ns, self._newest_number)
+        if self._send(counts, number):
+            self._current = counts * CURRENT_COUNT
+
+    def enable(self) -> None:
+        if self._fault:
+            raise HardwareError(f"a fault is latched: {self._fault}")
+        refusal = self._not_ready(self._clock())
+        if refusal:
+            raise HardwareError(refusal)
+        if not self._wanted:
+            self._wanted, self._was_on = True, False
+            self._seen = self._upsets()
+            self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
+
+    def disable(self) -> None:
+        self._wanted = self._was_on = False
+        self._current = 0.0
+        self._send(0, self._newest_number)
+
+    def reset_fault(self) -> None:
+        if self._fault:
+            self._fault = ""
+            self._resetting = True
+            self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
+            self._send(0, self._newest_number)
+
+    def move(self, trajectory: Trajectory, start_ns: int) -> None:
+        if not self._parameters.simulated_stage:
+            raise HardwareError("the stage takes no orders over CAN; 'can.simulated_stage' is for the emulator's")
+        for identifier, payload in stage_payloads(self._codec.ids, trajectory.waypoints):
+            if not self._link.send(identifier, payload, fd=False):
+                raise HardwareError(f"stage trajectory was not sent: {self._link.problem or 'transmit queue full'}")
+
+    def close(self) -> None:
+        super().close()
+        self._link.close()
+
+    @property
+    def state(self) -> State:
+        if self._fault:
+            return State.FAULT
+        return State.ON if self._wanted and self._was_on else State.OFF
+
+    @property
+    def fault(self) -> str:
+        return self._fault
+
+    @property
+    def lost_samples(self) -> int:
+        return self._receiver.sequence.lost + self._receiver.sequence.unplaced + self._receiver.overflowed
+
+    @property
+    def applied_current(self) -> float:
+        return self._current if self.state is State.ON else 0.0
+
+    @property
+    def newest_arrival_ns(self) -> int:
+        return self._receiver.newest_ns
+
+    def counters(self) -> Mapping[str, object]:
+        receiver, link = self._receiver, self._link
+        counters: dict[str, object] = {
+            "can_received": receiver.received,
+            "can_lost": receiver.sequence.lost,
+            "can_repeated": receiver.sequence.repeated,
+            "can_out_of_order": receiver.sequence.out_of_order,
+            "can_stale": receiver.stale,
+            "can_counter_jumps": receiver.sequence.jumps,
+            "can_strikes": receiver.strikes,
+            "can_strike_outs": receiver.strike_outs,
+            "can_boot_ups": receiver.boot_ups,
+            "can_heartbeat_losses": self.heartbeat_losses,
+            "can_openings": link.openings,
+            "can_transmit_full": link.transmit_full,
+            "can_overloads": link.overloads,
+            **{f"can_{reason}": count for reason, count in receiver.counts.items()},
+        }
+        if link.problem:
+            counters["can_link"] = link.problem
+        return counters
+
+    def _receive(self, message: can.Message, arrival_ns: int) -> None:
+        if message.is_error_frame:
+            self._receiver.receive_error_frame()
+        elif not message.is_remote_frame and not message.is_extended_id:
+            self._receiver.receive(message.arbitration_id, bytes(message.data), arrival_ns)
+
+    def _upsets(self) -> dict[str, int]:
+        """Counts of what must not happen while the amplifier is on, by the words for it."""
+        receiver = self._receiver
+        return {
+            "the board restarted (boot-up message)": receiver.boot_ups,
+            "too many frames failed their checks": receiver.strike_outs,
+            "the board's sample counter jumped": receiver.sequence.jumps,
+        }
+
+    def _watch(self, now_ns: int) -> None:
+        reported = self._receiver.amplifier
+        if self._resetting:
+            if reported is not Amplifier.FAULT or now_ns > self._deadline_ns:
+                self._resetting = False
+            else:
+                self._send(0, self._newest_number)
+                return
+        if reported is Amplifier.FAULT and not self._fault:
+            self._latch(f"the board reports: {self._receiver.board_fault.name.lower().replace('_', ' ')}")
+        if self._wanted:
+            self._watch_running(now_ns, reported)
+        elif reported is Amplifier.ON:
+            # The frame that said "off" may have been lost.
+            self._send(0, self._newest_number)
+
+    def _watch_running(self, now_ns: int, reported: Amplifier | None) -> None:
+        for words, count in self._upsets().items():
+            if count != self._seen[words]:
+                self._latch(words)
+                return
+        silence = self._silence(now_ns)
+        if silence:
+            self._latch(silence)
+        elif reported is Amplifier.ON:
+            self._was_on = True
+        elif self._was_on:
+            self._latch("the board switched the amplifier off")
+        elif now_ns > self._deadline_ns:
+            self._latch(f"the board did not switch on within {self._parameters.answer_timeout * 1e3:g} ms")
+
+    def _silence(self, now_ns: int) -> str:
+        """What has ceased to come, in words."""
+        parameters, receiver = self._parameters, self._receiver
+        heartbeat_age, sample_age = (now_ns - then for then in (receiver.heartbeat_ns, receiver.newest_ns))
+        problem = f" ({self._link.problem})" if self._link.problem else ""
+        if heartbeat_age > parameters.heartbeat_timeout * 1e9:
+            self.heartbeat_losses += self._wanted
+            return f"no heartbeat for {_ms(heartbeat_age)} ms{problem}"
+        if sample_age > parameters.sample_timeout * 1e9:
+            return f"no good sample for {_ms(sample_age)} ms{problem}"
+        return ""
+
+    def _not_ready(self, now_ns: int) -> str:
+        receiver = self._receiver
+        if not receiver.heartbeat_ns or not receiver.newest_ns:
+            return f"nothing has come from the board yet{': ' if self._link.problem else ''}{self._link.problem}"
+        if receiver.node_state != OPERATIONAL:
+            return f"the board's heartbeat says state {receiver.node_state}, not {OPERATIONAL} (operational)"
+        return self._silence(now_ns)
+
+    def _latch(self, reason: str) -> None:
+        self._fault = reason
+        self.disable()
+
+    def _send(self, counts: int, number: int) -> bool:
+        enable = Switch.YES if self._wanted else Switch.NO
+        reset = Switch.YES if self._resetting else Switch.NO
+        frame = Command(self._alive, enable, reset, counts if self._wanted else 0, number % COUNTER_MODULUS)
+        sent = self._link.send(self._codec.command_id, self._codec.pack_command(frame), fd=self._codec.fd)
+        if sent:
+            self._alive = (self._alive + 1) % ALIVE_MODULUS
+        return sent
+
+
+def _ms(age_ns: int) -> str:
+    return f"{min(age_ns * 1e-6, 1e6):.1f}"

@@ -1,0 +1,170 @@
+"""An emulator of the board: what its firmware does, on the simulated machine. It knows no bus and no process.
+
+Frames go out through a function that the caller gives, and come in through :meth:`Board.receive`. Time is the
+board's own clock, in ns, as the caller passes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
+from straightcomp_ros.hardware.can.frames import (
+    ALIVE_MODULUS,
+    BOOT_UP,
+    COUNTER_MODULUS,
+    CURRENT_COUNT,
+    CURRENT_EVERY,
+    CURRENT_LIMIT,
+    OPERATIONAL,
+    POSITION_COUNT,
+    X_LIMIT,
+    Y_LIMIT,
+    Amplifier,
+    BoardFault,
+    Codec,
+    Command,
+    Current,
+    Encoder,
+    FrameError,
+    Switch,
+    status_bits,
+)
+from straightcomp_ros.hardware.can.stage_frames import StageInbox
+from straightcomp_ros.hardware.interface import HardwareError, Sample, State
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+
+_STRIKE, _STRIKE_LIMIT = 4, 16
+_OLDEST_ECHO = 200
+"""Samples: what the eight bits of a classic frame can tell from one that is to come."""
+_AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amplifier.FAULT}
+
+Send = Callable[[int, bytes, bool], None]
+
+
+class Board:
+    """Samples, answers commands, switches off by itself.
+
+    Args:
+        machine: plant and stage; its ``command_timeout`` is the board's.
+        codec: node id and kind of bus.
+        current_range: largest control current in A that the board accepts.
+        send: ``send(identifier, payload, fd)``.
+        now_ns: time of the first sample.
+    """
+
+    def __init__(self, machine: SimulatedHardware, codec: Codec, current_range: float, send: Send, now_ns: int) -> None:
+        self.machine = machine
+        self._codec = codec
+        self._range = current_range
+        self._send = send
+        self._start_ns = now_ns
+        # An answer to a sample older than the timeout is as good as none.
+        oldest = machine.command_timeout_ns // machine.period_ns
+        self._oldest_echo = oldest if codec.fd else min(oldest, _OLDEST_ECHO)
+        self._fault = BoardFault.NONE
+        self._seen_off = False
+        self._command_alive: int | None = None
+        self._strikes = 0
+        self._counter = 0
+        self._current_alive = 0
+        self._next_heartbeat_ns = now_ns
+        self._stage = StageInbox(codec.ids)
+        self.refused_commands = 0
+        """Commands that failed a check, were repeated or came too late."""
+        self.refused_trajectory = ""
+        """Why the last trajectory of the stage was refused."""
+        machine.start(now_ns)
+        send(codec.ids.heartbeat, bytes((BOOT_UP,)), False)
+
+    def cycle(self, now_ns: int) -> None:
+        """Take and send the samples up to ``now_ns``."""
+        for sample, _ in self.machine.read(now_ns):
+            self._send_sample(sample)
+        if now_ns >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now_ns + round(HEARTBEAT_PERIOD * 1e9)
+            self._send(self._codec.ids.heartbeat, bytes((OPERATIONAL,)), False)
+
+    def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
+        """A frame came in at ``at_ns``."""
+        if identifier == self._codec.command_id:
+            try:
+                command = self._codec.unpack_command(payload)
+                if command.enable not in tuple(Switch) or command.reset not in tuple(Switch):
+                    raise FrameError("pattern")
+            except FrameError:
+                self._strike()
+            else:
+                self._obey(command, at_ns)
+            return
+        try:
+            trajectory = self._stage.add(identifier, payload)
+            if trajectory:
+                self.machine.move(trajectory, at_ns)
+        except (HardwareError, ValueError) as error:
+            self.refused_trajectory = str(error)
+
+    @property
+    def amplifier(self) -> Amplifier:
+        """State that the next sample reports."""
+        return Amplifier.FAULT if self._fault else _AMPLIFIER[self.machine.state]
+
+    @property
+    def fault(self) -> BoardFault:
+        """Why the amplifier is off."""
+        return self._fault or (BoardFault.COMMAND_TIMEOUT if self.machine.state is State.FAULT else BoardFault.NONE)
+
+    def _strike(self) -> None:
+        self.refused_commands += 1
+        self._strikes = min(self._strikes + _STRIKE, _STRIKE_LIMIT)
+        if self._strikes == _STRIKE_LIMIT:
+            self._trip(BoardFault.COMMAND_CHECK)
+
+    def _trip(self, fault: BoardFault) -> None:
+        if self.machine.state is State.ON:
+            self._fault = fault
+        self.machine.disable()
+        self._seen_off = False
+
+    def _obey(self, command: Command, at_ns: int) -> None:
+        if command.enable == Switch.NO:
+            # "Off" is obeyed from any frame that is whole, be it old.
+            self._seen_off = True
+            self.machine.disable()
+            if command.reset == Switch.YES:
+                self.machine.reset_fault()
+                self._fault, self._strikes = BoardFault.NONE, 0
+        repeated = command.alive == self._command_alive
+        self._command_alive = command.alive
+        age = (self._counter - command.echo) % (COUNTER_MODULUS if self._codec.fd else 256)
+        if repeated or age > self._oldest_echo:
+            self.refused_commands += 1
+            return
+        self._strikes = max(0, self._strikes - 1)
+        current = command.current * CURRENT_COUNT
+        if abs(current) > self._range:
+            self._trip(BoardFault.CURRENT_RANGE)
+            return
+        if command.enable == Switch.YES and self._seen_off and self.amplifier is Amplifier.OFF:
+            # Only an edge from off to on switches on: a host that asks on and on after a fault does not.
+            self.machine.enable()
+        self._seen_off = self._seen_off and command.enable == Switch.NO
+        self.machine.write(current, at_ns)
+
+    def _send_sample(self, sample: Sample) -> None:
+        codec = self._codec
+        self._counter = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns) % COUNTER_MODULUS
+        x, y = round(sample.x / POSITION_COUNT), round(sample.y / POSITION_COUNT)
+        valid = abs(x) <= X_LIMIT and abs(y) <= Y_LIMIT
+        current = 0 if sample.current != sample.current else round(sample.current / CURRENT_COUNT)
+        current = min(max(current, -CURRENT_LIMIT), CURRENT_LIMIT)
+        status = status_bits(self.amplifier, self.fault, valid)
+        frame = Encoder(
+            self._counter % ALIVE_MODULUS, status, x if valid else 0, y if valid else 0, current, self._counter
+        )
+        self._send(codec.encoder_id, codec.pack_encoder(frame), codec.fd)
+        if not codec.fd and self._counter % CURRENT_EVERY == 0:
+            self._send(
+                codec.ids.current, codec.pack_current(Current(self._current_alive, current, self._counter)), False
+            )
+            self._current_alive = (self._current_alive + 1) % ALIVE_MODULUS

@@ -1,0 +1,39 @@
+"""A CAN frame as the hub passes it on: one packet of a SOCK_SEQPACKET socket for each frame."""
+
+from __future__ import annotations
+
+import enum
+import struct
+from typing import NamedTuple
+
+_HEAD = struct.Struct("<QIB")
+LONGEST = _HEAD.size + 64
+
+
+class Flag(enum.IntFlag):
+    """Kind of a frame."""
+
+    EXTENDED = 1
+    REMOTE = 2
+    ERROR = 4
+    FD = 8
+    BIT_RATE_SWITCH = 16
+
+
+class Frame(NamedTuple):
+    """A frame on the bus; ``stamp_ns`` is the system's time at which it was there, ns since the epoch."""
+
+    stamp_ns: int
+    identifier: int
+    flags: int
+    data: bytes
+
+
+def to_packet(frame: Frame) -> bytes:
+    """The packet of a frame."""
+    return _HEAD.pack(*frame[:3]) + frame.data
+
+
+def from_packet(packet: bytes) -> Frame:
+    """The frame of a packet."""
+    return Frame(*_HEAD.unpack_from(packet), packet[_HEAD.size :])

@@ -1,0 +1,189 @@
+"""From frames to samples: every check between the wire and a number that may be used.
+
+Knows neither python-can nor threads: payloads and times of arrival go in, samples come out. In the order of the
+checks: length, CRC with data id, range of the alive counter, state, number, plausibility.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from straightcomp_ros.hardware.can.frames import (
+    BOOT_UP,
+    CURRENT_COUNT,
+    POSITION_COUNT,
+    Amplifier,
+    BoardFault,
+    Codec,
+    Encoder,
+    FrameError,
+    amplifier_of,
+    encoders_valid,
+    fault_of,
+)
+from straightcomp_ros.hardware.can.parameters import CanParameters
+from straightcomp_ros.hardware.can.sample_clock import SampleClock
+from straightcomp_ros.hardware.can.sequence import Sequence
+from straightcomp_ros.hardware.interface import Sample
+
+_STRIKE = 4
+_UNSETTLED = 9.0
+
+
+class Receiver:
+    """Samples of one board; :attr:`samples` is filled, the caller empties it.
+
+    Attributes:
+        samples: new samples, oldest first, with the number of each.
+        amplifier: state that the newest good frame reports; None before the first.
+        board_fault: why the board switched off.
+        newest_ns: time of arrival of the newest sample that was good to use.
+        heartbeat_ns: time of arrival of the newest heartbeat, and ``node_state``, what it said.
+        boot_ups: boot-up messages since the start.
+        strikes: count of bad frames, see ``strike_limit``; ``strike_outs``, how often it reached that.
+        counts: frames that were refused, by reason.
+    """
+
+    def __init__(self, parameters: CanParameters) -> None:
+        self.codec = Codec(parameters.node, parameters.fd)
+        self._period_ns = period_ns = round(1e9 / parameters.rate)
+        self.clock = SampleClock(period_ns)
+        self.sequence = Sequence(self._elapsed)
+        self.samples: deque[tuple[int, Sample]] = deque()
+        self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
+        reasons = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "error_frames")
+        self.counts = dict.fromkeys(reasons, 0)
+        self.amplifier: Amplifier | None = None
+        self.board_fault = BoardFault.NONE
+        self.newest_ns = self.heartbeat_ns = self._arrival_ns = 0
+        self.node_state: int | None = None
+        self._memory = parameters.sample_memory
+        self._stale_ns = round(parameters.sample_timeout * 1e9)
+        self._strike_limit = parameters.strike_limit
+        self._x_step = parameters.x_speed * period_ns * 1e-9 / POSITION_COUNT
+        self._y_step = parameters.y_speed * period_ns * 1e-9 / POSITION_COUNT
+        self._accepted: Encoder | None = None
+        self._alive = 0
+        self._current = 0.0
+        self._stamp_ns = 0
+        ids = self.codec.ids
+        self._handlers = {self.codec.encoder_id: self._encoder, ids.heartbeat: self._heartbeat}
+        if not self.codec.fd:
+            self._handlers[ids.current] = self._coil_current
+
+    @property
+    def identifiers(self) -> list[int]:
+        """CAN identifiers that this receiver reads."""
+        return list(self._handlers)
+
+    def restart(self) -> None:
+        """Forget what is known of the board's samples, as after its restart; counters stay."""
+        self.clock.reset()
+        self.sequence.reset()
+        self._accepted = None
+        self.amplifier = None
+        self.strikes = 0
+
+    def receive(self, identifier: int, payload: bytes, arrival_ns: int) -> None:
+        """Take one frame of the bus."""
+        handler = self._handlers.get(identifier)
+        if handler is None:
+            self.counts["foreign"] += 1
+            return
+        try:
+            handler(payload, arrival_ns)
+        except FrameError as error:
+            self._strike(error.reason)
+
+    def receive_error_frame(self) -> None:
+        """The interface reports an error on the bus. The controller repeats what it concerned."""
+        self.counts["error_frames"] += 1
+
+    def _strike(self, reason: str) -> None:
+        self.counts[reason] += 1
+        self.strikes += _STRIKE
+        if self.strikes >= self._strike_limit:
+            self.strike_outs += 1
+            self.restart()
+
+    def _elapsed(self, index: int, arrival_ns: int) -> float:
+        if self.clock.settled:
+            return self.clock.elapsed(index, arrival_ns)
+        # The first frames may all have come late: the time between two of them says little yet.
+        return max((arrival_ns - self._arrival_ns) / self._period_ns, _UNSETTLED)
+
+    def _encoder(self, payload: bytes, arrival_ns: int) -> None:
+        frame = self.codec.unpack_encoder(payload)
+        if not amplifier_of(frame.status):
+            raise FrameError("state")
+        self._alive = frame.alive
+        ahead = self.sequence.ahead(frame, arrival_ns)
+        if ahead is None:
+            self.sequence.wait(frame, arrival_ns)
+        else:
+            self._place(frame, ahead, arrival_ns)
+
+    def _place(self, frame: Encoder, ahead: int, arrival_ns: int) -> None:
+        if not self.sequence.plausible(ahead, arrival_ns):
+            raise FrameError("implausible")
+        if ahead <= 0:
+            self.sequence.count_old(ahead)
+            return
+        last = self._accepted
+        if last and (
+            abs(frame.x - last.x) > 2 + self._x_step * ahead or abs(frame.y - last.y) > 2 + self._y_step * ahead
+        ):
+            raise FrameError("implausible")
+        self._accepted = frame
+        index = self.sequence.accept(frame, ahead)
+        self.clock.observe(index, arrival_ns)
+        self.received += 1
+        self._arrival_ns = arrival_ns
+        self.amplifier, self.board_fault = Amplifier(amplifier_of(frame.status)), fault_of(frame.status)
+        if self.strikes:
+            self.strikes -= 1
+        if not encoders_valid(frame.status):
+            self.counts["encoders"] += 1
+        elif self.clock.settled:
+            self._deliver(frame, index, arrival_ns)
+
+    def _deliver(self, frame: Encoder, index: int, arrival_ns: int) -> None:
+        stamp_ns = self.clock.stamp(index)
+        if stamp_ns <= self._stamp_ns:
+            # The clock has been set anew, and must not run backwards for those who live by it.
+            return
+        self._stamp_ns, self.newest_ns = stamp_ns, arrival_ns
+        if arrival_ns - stamp_ns > self._stale_ns:
+            self.stale += 1
+        if frame.current is not None:
+            self._current = frame.current * CURRENT_COUNT
+        current = self._current if self.amplifier is Amplifier.ON else math.nan
+        self.samples.append((index, Sample(stamp_ns, frame.x * POSITION_COUNT, frame.y * POSITION_COUNT, current)))
+        if len(self.samples) > self._memory:
+            self.samples.popleft()
+            self.overflowed += 1
+
+    def _coil_current(self, payload: bytes, arrival_ns: int) -> None:
+        frame = self.codec.unpack_current(payload)
+        self._current = frame.current * CURRENT_COUNT
+        jumps = self.sequence.jumps
+        placed = self.sequence.place(frame.counter, self._alive)
+        if self.sequence.jumps > jumps:
+            self.clock.reset()
+        for number, (waiting, waiting_ns) in placed:
+            if self.sequence.index is None:
+                self.sequence.index = number - 1
+            try:
+                self._place(waiting, number - self.sequence.index, waiting_ns)
+            except FrameError as error:
+                self._strike(error.reason)
+
+    def _heartbeat(self, payload: bytes, arrival_ns: int) -> None:
+        if len(payload) != 1:
+            raise FrameError("length")
+        self.node_state = payload[0] & 0x7F
+        self.heartbeat_ns = arrival_ns
+        if payload[0] == BOOT_UP:
+            self.boot_ups += 1
+            self.restart()

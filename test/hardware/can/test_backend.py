@@ -1,0 +1,234 @@
+"""The driver's side and the emulated board against each other, frame by frame, on a clock that the test moves."""
+
+import itertools
+import math
+from types import SimpleNamespace
+
+import can
+import pytest
+
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.hardware.can.backend import CanHardware
+from straightcomp_ros.hardware.can.board import Board
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Command, Switch
+from straightcomp_ros.hardware.can.parameters import CanParameters
+from straightcomp_ros.hardware.interface import HardwareError, State
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.straightness.map import MapParameters, load_map
+
+GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
+PERIOD = 500_000
+START = 10**18
+TIMEOUT = 0.005
+
+
+class World:
+    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut."""
+
+    def __init__(self, fd):
+        self.now = START
+        self.codec = Codec(1, fd)
+        self.to_board = self.to_host = True
+        self.board = None
+        parameters = CanParameters(fd=fd, simulated_stage=True)
+        self.host = CanHardware(parameters, lambda: self.now, self._link)
+        self.host.start(self.now)
+        self.power_up()
+        self.commands = True
+        self.samples = []
+        self.answers = []
+
+    def _link(self, parameters, identifiers, receive, clock):
+        self._receive, self._identifiers = receive, identifiers
+        return SimpleNamespace(
+            start=lambda: None, send=self._from_host, problem="", openings=1, transmit_full=0, overloads=0
+        )
+
+    def power_up(self):
+        machine = SimulatedHardware(SimulatedParameters(command_timeout=TIMEOUT), GUIDE)
+        self.board = Board(machine, self.codec, 1.0, self._from_board, self.now)
+
+    def _from_host(self, identifier, payload, *, fd):
+        if self.to_board and self.board:
+            self.board.receive(identifier, payload, self.now)
+        return True
+
+    def _from_board(self, identifier, payload, fd):
+        if self.to_host and identifier in self._identifiers:
+            message = can.Message(arbitration_id=identifier, is_extended_id=False, data=payload, is_fd=fd)
+            self._receive(message, self.now + 100_000)
+
+    def run(self, seconds, current=0.0):
+        for _ in range(round(seconds * 2000)):
+            self.now += PERIOD
+            if self.board:
+                self.board.cycle(self.now)
+            samples = self.host.read(self.now)
+            self.samples += [sample for sample, _ in samples]
+            if self.commands and samples:
+                self.host.write(current, self.now, samples[-1][0].stamp_ns)
+
+    def servo(self, seconds, reference):
+        """Close the loop: each sample's command is there half a period after it."""
+        servo = Servo(make_law(ControlParameters(), PERIOD * 1e-9))
+        for _ in range(round(seconds * 2000)):
+            self.now += PERIOD // 2
+            for stamp_ns, current in self.answers:
+                self.host.write(current, self.now, stamp_ns)
+            self.now += PERIOD // 2
+            self.board.cycle(self.now)
+            fresh = [sample for sample, _ in self.host.read(self.now)]
+            self.samples += fresh
+            self.answers = [
+                (sample.stamp_ns, servo.step(sample.stamp_ns, sample.y, sample.current, reference).current)
+                for sample in fresh
+            ]
+
+    def on(self):
+        self.run(0.2)
+        self.host.enable()
+        self.run(0.02)
+        assert self.host.state is State.ON and self.board.amplifier is Amplifier.ON
+
+
+@pytest.fixture(params=[False, True], ids=["classic", "fd"])
+def world(request):
+    return World(request.param)
+
+
+def test_enable_is_refused_before_the_board_has_spoken():
+    world = World(True)
+    with pytest.raises(HardwareError, match="nothing has come from the board"):
+        world.host.enable()
+
+
+def test_the_board_switches_on_when_asked_and_off_when_asked(world):
+    world.run(0.2)
+    assert world.host.state is State.OFF and math.isnan(world.samples[-1].current)
+    world.on()
+    world.run(0.05, current=0.2)
+    assert world.samples[-1].current == pytest.approx(0.2, abs=0.01)
+    assert world.host.applied_current == pytest.approx(0.2)
+    world.host.disable()
+    assert world.board.amplifier is Amplifier.OFF
+    world.run(0.05)
+    assert world.host.state is State.OFF and world.host.fault == ""
+
+
+def test_samples_lie_on_a_grid_and_carry_what_the_encoders_read(world):
+    world.host.move(Trajectory(forward_and_back(MotionParameters(stroke=0.02, settle=0.1))), world.now)
+    world.run(0.5)
+    steps = {b.stamp_ns - a.stamp_ns for a, b in itertools.pairwise(world.samples)}
+    assert all(abs(step - PERIOD) < 100 for step in steps)
+    truth = world.board.machine
+    assert world.samples[-1].x == pytest.approx(truth._stage_position(world.now), abs=6e-8)
+    assert world.samples[-1].x > 1e-4
+
+
+def test_the_servo_holds_the_platform_through_the_frames(world):
+    world.on()
+    world.servo(1.0, (8e-6, 0.0, 0.0))
+    errors = [8e-6 - sample.y for sample in world.samples[-1000:]]
+    assert world.host.state is State.ON and world.host.lost_samples == 0
+    assert max(map(abs, errors)) < 1e-6
+
+
+def test_silence_of_the_board_latches_a_fault_until_reset_and_a_new_enable(world):
+    world.on()
+    world.board = None
+    world.run(0.02)
+    assert world.host.state is State.FAULT and "no good sample" in world.host.fault
+    world.power_up()
+    world.run(0.3)
+    with pytest.raises(HardwareError, match="latched"):
+        world.host.enable()
+    world.host.reset_fault()
+    world.on()
+
+
+def test_a_lost_heartbeat_latches_a_fault(world):
+    world.on()
+    world.board._next_heartbeat_ns = 2**63
+    world.run(0.2)
+    assert "no heartbeat" in world.host.fault and world.host.heartbeat_losses == 1
+    assert world.board.amplifier is Amplifier.OFF
+
+
+def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(world):
+    world.on()
+    world.power_up()
+    world.run(0.01)
+    assert "restarted" in world.host.fault
+    assert world.board.amplifier is Amplifier.OFF
+    world.run(0.3)
+    assert world.board.amplifier is Amplifier.OFF
+
+
+def test_without_commands_the_board_switches_off_by_itself_and_says_why(world):
+    world.on()
+    world.to_board = False
+    world.run(TIMEOUT + 0.002)
+    assert world.board.amplifier is Amplifier.FAULT and world.board.fault is BoardFault.COMMAND_TIMEOUT
+    assert world.board.machine.applied_current == 0.0
+    world.to_board = True
+    world.run(0.01)
+    assert world.host.fault == "the board reports: command timeout"
+    world.host.reset_fault()
+    world.run(0.02)
+    assert world.board.amplifier is Amplifier.OFF and world.host.state is State.OFF
+    world.on()
+
+
+def test_an_off_that_was_lost_is_said_again(world):
+    world.on()
+    world.to_board = False
+    world.host.disable()
+    assert world.board.amplifier is Amplifier.ON
+    world.to_board, world.commands = True, False
+    world.run(0.002)
+    assert world.board.amplifier is Amplifier.OFF
+
+
+def test_a_current_beyond_the_boards_range_trips_it(world):
+    world.on()
+    world.run(0.001, current=1.5)
+    assert world.board.fault is BoardFault.CURRENT_RANGE
+    assert world.board.machine.applied_current == 0.0
+
+
+@pytest.mark.parametrize("enable", [0b00, 0b11])
+def test_patterns_that_are_no_switch_and_damaged_frames_trip_the_board(world, enable):
+    world.on()
+    for alive in range(4):
+        payload = world.codec.pack_command(Command(alive, enable, Switch.NO, 0, 0))
+        world.board.receive(world.codec.command_id, payload, world.now)
+    assert world.board.fault is BoardFault.COMMAND_CHECK
+
+
+def test_the_board_refuses_commands_that_are_repeated_or_answer_old_samples(world):
+    world.on()
+    counter, alive = world.board._counter, world.board._command_alive
+    for number, echo in ((alive, counter), (alive + 1, counter - 250)):
+        frame = Command(number % 15, Switch.YES, Switch.NO, 5000, echo % 2**32)
+        world.board.receive(world.codec.command_id, world.codec.pack_command(frame), world.now)
+    assert world.board.refused_commands == 2
+    world.run(0.001)
+    assert world.board.machine.applied_current == 0.0
+
+
+def test_a_board_that_was_told_on_from_its_first_command_stays_off(world):
+    world.run(0.1)
+    world.board._seen_off = False
+    world.commands = False
+    for alive in range(10):
+        frame = Command(alive, Switch.YES, Switch.NO, 0, world.board._counter)
+        world.board.receive(world.codec.command_id, world.codec.pack_command(frame), world.now)
+    assert world.board.amplifier is Amplifier.OFF
+
+
+@pytest.mark.parametrize("current", [math.nan, 3.3])
+def test_a_current_that_does_not_fit_is_not_sent(world, current):
+    with pytest.raises(ValueError):
+        world.host.write(current, world.now)

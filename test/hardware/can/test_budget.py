@@ -1,0 +1,63 @@
+import itertools
+import random
+from pathlib import Path
+
+import pytest
+
+from straightcomp_ros.hardware.can.budget import (
+    CLASSIC_1M,
+    FD_1M_5M,
+    Traffic,
+    classic_bits,
+    fd_time,
+    load,
+    round_trip,
+    table,
+    traffic,
+)
+
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "can.md"
+
+
+def stuffed(bits):
+    """Bits after stuffing: one of the other kind after five equal ones, itself counted."""
+    out = []
+    for bit in bits:
+        out.append(bit)
+        if len(out) >= 5 and len(set(out[-5:])) == 1:
+            out.append(1 - bit)
+    return len(out)
+
+
+@pytest.mark.parametrize("size", [1, 5, 8])
+def test_no_pattern_needs_more_bits_than_the_bound_and_one_needs_all(size):
+    stuffable = 34 + 8 * size
+    worst = list(itertools.islice(itertools.chain([0] * 5, itertools.cycle([1] * 4 + [0] * 4)), stuffable))
+    unstuffed_end = 13
+    assert stuffed(worst) + unstuffed_end == classic_bits(size)
+    chance = random.Random(1)
+    for _ in range(500):
+        bits = [chance.random() < chance.choice([0.05, 0.5, 0.95]) for _ in range(stuffable)]
+        assert stuffed([int(bit) for bit in bits]) + unstuffed_end <= classic_bits(size)
+
+
+def test_a_classic_bus_at_1_mbit_s_carries_the_servo():
+    assert classic_bits(8) == 135
+    eight = [Traffic(name, 8, 2000, False) for name in ("encoder", "command")]
+    assert load(eight, CLASSIC_1M) == pytest.approx(0.54)
+    assert round_trip(eight, CLASSIC_1M) == pytest.approx(540e-6)
+    assert load(traffic(fd=False), CLASSIC_1M) < 0.54
+    assert round_trip(traffic(fd=False), CLASSIC_1M) < 540e-6
+
+
+def test_can_fd_halves_load_and_latency():
+    # 64 bytes: 517 bits and 130 stuffed, stuff count 4, CRC 21, 7 fixed stuff bits, delimiter.
+    assert fd_time(64, 10**9, 1) == pytest.approx(680)
+    assert load(traffic(fd=True), FD_1M_5M) == pytest.approx(0.26, abs=0.01)
+    assert round_trip(traffic(fd=True), FD_1M_5M) < 270e-6
+    with pytest.raises(ValueError, match="14 bytes"):
+        fd_time(14, 10**6, 5 * 10**6)
+
+
+def test_the_document_shows_what_the_code_computes():
+    assert table() in DOCUMENT.read_text()

@@ -1,0 +1,165 @@
+"""The bus between processes, as python-can sees it, and the link that comes back."""
+
+import threading
+import time
+
+import can
+import pytest
+
+from straightcomp_ros.hardware.can.faults import KINDS, Faults
+from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.hardware.can.hub_packet import Flag, Frame
+from straightcomp_ros.hardware.can.link import Link
+from straightcomp_ros.hardware.can.parameters import CanParameters
+from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.parameters import ParameterError
+
+
+class RunningHub:
+    def __init__(self, path, fault=None):
+        self.path, self.hub = str(path), Hub(path, fault)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.hub.run, args=(self._stop.is_set,))
+        self._thread.start()
+
+    def close(self):
+        self._stop.set()
+        self._thread.join()
+        self.hub.close()
+
+    def bus(self, **options):
+        return can.Bus(interface=INTERFACE, channel=self.path, fd=True, **options)
+
+
+@pytest.fixture
+def hub(tmp_path):
+    hub = RunningHub(tmp_path / "bus")
+    yield hub
+    hub.close()
+
+
+def until(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.005)
+    assert condition()
+
+
+def test_python_can_finds_the_interface_by_its_entry_point():
+    assert INTERFACE in can.interfaces.BACKENDS
+
+
+def test_frames_of_all_kinds_arrive_at_the_others_unchanged_and_in_order(hub):
+    sent = [
+        can.Message(arbitration_id=0x181, is_extended_id=False, data=bytes(range(8))),
+        can.Message(arbitration_id=0x381, is_extended_id=False, is_fd=True, bitrate_switch=True, data=bytes(64)),
+        can.Message(arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b""),
+        can.Message(arbitration_id=0x20, is_error_frame=True, is_extended_id=False, data=bytes(8)),
+        can.Message(arbitration_id=0x100, is_remote_frame=True, is_extended_id=False),
+    ] + [can.Message(arbitration_id=k, is_extended_id=False, data=bytes([k % 256])) for k in range(2000)]
+    with hub.bus() as sender, hub.bus() as first, hub.bus() as second:
+        until(lambda: len(hub.hub._nodes) == 3)
+        for message in sent:
+            sender.send(message, timeout=5)
+        for receiver in (first, second):
+            for message in sent:
+                arrived = receiver.recv(10)
+                assert message.equals(arrived, timestamp_delta=None, check_channel=False, check_direction=False)
+                assert 0 <= time.time() - arrived.timestamp < 60
+        assert sender.recv(0) is None and hub.hub.dropped == 0
+
+
+def test_filters_keep_others_frames_away(hub):
+    with hub.bus() as sender, hub.bus(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF}]) as receiver:
+        until(lambda: len(hub.hub._nodes) == 2)
+        for identifier in (0x180, 0x181, 0x182):
+            sender.send(can.Message(arbitration_id=identifier, is_extended_id=False))
+        assert receiver.recv(10).arbitration_id == 0x181
+        assert receiver.recv(0.05) is None
+
+
+def test_a_node_that_does_not_fetch_loses_frames_and_holds_nobody_up(hub):
+    with hub.bus() as sender, hub.bus(), hub.bus() as attentive:
+        until(lambda: len(hub.hub._nodes) == 3)
+        for _ in range(100):
+            for _ in range(50):
+                sender.send(can.Message(arbitration_id=1, is_extended_id=False, is_fd=True, data=bytes(64)), timeout=10)
+            for _ in range(50):
+                assert attentive.recv(10) is not None
+        assert hub.hub.dropped > 0
+
+
+def test_a_hub_takes_over_a_socket_that_was_left_but_not_one_in_use(tmp_path, hub):
+    with pytest.raises(HardwareError, match="another one listens"):
+        Hub(hub.path)
+    left = Hub(tmp_path / "left")
+    left._listener.close()
+    Hub(tmp_path / "left").close()
+
+
+def test_without_a_hub_the_message_names_the_socket(tmp_path):
+    with pytest.raises(can.CanInitializationError, match=r"no hub at '.*nowhere'"):
+        can.Bus(interface=INTERFACE, channel=str(tmp_path / "nowhere"))
+
+
+def test_a_link_that_was_cut_is_opened_again_and_goes_on(hub):
+    arrived = []
+    parameters = CanParameters(interface=INTERFACE, channel=hub.path)
+    link = Link(parameters, [0x181], lambda message, stamp: arrived.append(message.data[0]), time.time_ns)
+    assert "not open" in link.problem and not link.send(0x201, b"", fd=False)
+    link.start()
+    until(lambda: len(hub.hub._nodes) == 1)
+    hub.hub.cut()
+    until(lambda: link.openings == 2 and not link.problem)
+    with hub.bus() as sender:
+        until(lambda: len(hub.hub._nodes) == 2)
+        sender.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=[7]))
+        until(lambda: arrived == [7])
+        assert link.send(0x201, b"\1", fd=False)
+        assert sender.recv(10).data == b"\1"
+    link.close()
+    assert link.transmit_full == 1
+
+
+def test_a_link_waits_for_a_hub_that_comes_later(tmp_path):
+    link = Link(CanParameters(interface=INTERFACE, channel=str(tmp_path / "bus")), [1], lambda *_: None, time.time_ns)
+    link.start()
+    until(lambda: "no hub" in link.problem)
+    hub = RunningHub(tmp_path / "bus")
+    until(lambda: link.openings == 1)
+    link.close()
+    hub.close()
+
+
+def test_an_unknown_interface_is_refused_with_those_that_are_known():
+    with pytest.raises(ParameterError, match=r"'pigeon' is not known; allowed: .*socketcan"):
+        Link(CanParameters(interface="pigeon"), [], lambda *_: None, time.time_ns)
+
+
+def test_faults_in_the_hub_reach_the_nodes(tmp_path):
+    faults = Faults({"drop": 0.5}, seed=3)
+    hub = RunningHub(tmp_path / "bus", faults)
+    with hub.bus() as sender, hub.bus() as receiver:
+        until(lambda: len(hub.hub._nodes) == 2)
+        for number in range(200):
+            sender.send(can.Message(arbitration_id=1, is_extended_id=False, data=[number]))
+        until(lambda: hub.hub.passed == 200)
+        arrived = []
+        while (message := receiver.recv(0.2)) is not None:
+            arrived.append(message.data[0])
+    hub.close()
+    assert arrived == sorted(arrived) and len(arrived) == 200 - faults.injected["drop"] < 150
+
+
+def test_faults_are_the_same_for_the_same_seed_and_unknown_ones_are_refused():
+    def spoiled(seed):
+        faults = Faults({kind: 0.05 for kind in KINDS if kind != "cut"}, seed)
+        frames = [Frame(0, 0x181, Flag(0), bytes([number % 256] * 8)) for number in range(500)]
+        return [arrived for frame in frames for arrived in faults(frame)]
+
+    assert spoiled(1) == spoiled(1) != spoiled(2)
+    with pytest.raises(ValueError, match="'gnaw' is unknown; allowed: drop"):
+        Faults({"gnaw": 0.1})
+    with pytest.raises(ValueError, match="rate of 2"):
+        Faults({"drop": 2})

@@ -1,0 +1,136 @@
+"""The graph with the board in a process of its own, and what is left of it when a process is killed."""
+
+import math
+import signal
+import time
+
+import can
+import numpy as np
+import pytest
+import rclpy
+import yaml
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
+from straightcomp_ros.demonstration import demonstrate, on_hub
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, amplifier_of, fault_of
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.launcher import verb_command
+from straightcomp_ros.model.stage import MotionParameters, forward_and_back
+from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
+from straightcomp_ros.nodes.streams import subscribe
+
+NODES = ("driver", "feedforward", "controller", "logger")
+PATIENCE_S = 60.0
+RATE = 500
+"""Seven processes at 2 kHz are more than a busy computer has for a test."""
+
+
+class Operator:
+    """Switches on, moves the stage, resets; sees the samples."""
+
+    def __init__(self):
+        rclpy.init()
+        self.node = Node("operator")
+        self.stamps = []
+        self.current = math.nan
+        self.trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
+        subscribe(self.node, ENCODER, self._on_sample)
+
+    def _on_sample(self, stamp_ns, numbers):
+        self.stamps.append(stamp_ns)
+        self.x, self.current = numbers[0], numbers[3]
+
+    def until(self, condition):
+        end = time.monotonic() + PATIENCE_S
+        while not condition() and time.monotonic() < end:
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+        assert condition()
+
+    def call(self, kind, name, request):
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(timeout_sec=PATIENCE_S)
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def enabled(self):
+        return self.call(SetBool, "driver/enable", SetBool.Request(data=True)).success
+
+    def on(self):
+        return math.isfinite(self.current)
+
+
+@pytest.fixture
+def operator():
+    operator = Operator()
+    yield operator
+    operator.node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def values(short_cycle, tmp_path):
+    """A graph whose machine is a board on a hub: slow, and patient with a busy computer."""
+    short_cycle["driver"]["simulated.rate"] = short_cycle["controller"]["rate"] = RATE
+    short_cycle["driver"].update(on_hub(short_cycle["driver"], str(tmp_path / "bus")))
+    for section in short_cycle.values():
+        section["realtime.priority"] = 0
+    return short_cycle
+
+
+def test_a_stroke_through_hub_and_board_is_recorded(tmp_path, values):
+    result = demonstrate(values, tmp_path)
+    figures = result.figures()
+    assert figures["expected_samples"] >= RATE * 3
+    assert figures["lost_samples"] < 0.05 * figures["expected_samples"]
+    assert result.evaluation.record.x.max() == pytest.approx(0.1, abs=1e-4)
+
+
+def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_switch_off(
+    graph, operator, values, tmp_path
+):
+    file = tmp_path / "parameters.yaml"
+    file.write_text(yaml.safe_dump({f"/**/{node}": {"ros__parameters": values[node]} for node in NODES}))
+    channel = values["driver"]["can.channel"]
+    hub = graph.start_program("hub", verb_command("can", "hub", "--socket", channel))
+    board = graph.start_program("board", verb_command("dsp", "--params-file", str(file)))
+    bag = tmp_path / "bag"
+    processes = {node: graph.start(node, {"output": str(bag)} if node == "logger" else {}, file) for node in NODES}
+    operator.until(operator.enabled)
+    operator.until(operator.on)
+    operator.trajectory.publish(message_from_waypoints(forward_and_back(MotionParameters(stroke=0.3, settle=0.0))))
+    operator.until(lambda: operator.x > 0.01)
+
+    board.send_signal(signal.SIGKILL)
+    log = graph.log("driver")
+    operator.until(lambda: "no good sample" in log.read_text() or "no heartbeat" in log.read_text())
+    assert not operator.enabled()
+    assert all(process.poll() is None for process in [hub, *processes.values()])
+
+    operator.stamps.clear()
+    graph.start_program("second_board", verb_command("dsp", "--params-file", str(file)))
+    operator.until(lambda: len(operator.stamps) > 100)
+    assert not operator.enabled() and not operator.on()
+    assert operator.call(Trigger, "driver/reset_fault", Trigger.Request()).success
+    operator.until(operator.enabled)
+    operator.until(operator.on)
+
+    codec = Codec(values["driver"].get("can.node", 1), fd=True)
+    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus:
+        processes["driver"].send_signal(signal.SIGKILL)
+        end = time.monotonic() + PATIENCE_S
+        frame = None
+        while (frame is None or amplifier_of(frame.status) != Amplifier.FAULT) and time.monotonic() < end:
+            message = bus.recv(1.0)
+            if message is not None and message.arbitration_id == codec.encoder_id:
+                frame = codec.unpack_encoder(bytes(message.data))
+    assert fault_of(frame.status) is BoardFault.COMMAND_TIMEOUT
+    assert graph.stop(["logger"]) == {"logger": 0}
+    recorded = read_streams(bag, {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp
+    # From both sides of the board's death.
+    assert len(recorded) > RATE / 2 and np.diff(recorded).max() > 0.1e9
+    assert "parameters.yaml" in read_attachments(bag)
