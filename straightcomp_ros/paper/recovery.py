@@ -22,7 +22,7 @@ from straightcomp_ros.sweep.kernel import Conditions, run_from
 
 RETURNED = 0.01
 """|y/y0| within which the platform must stay at the end."""
-_DURATION = 0.3
+_DURATION = 0.5
 """s; the slowest law needs 0.17 from 0.6 y0."""
 _HELD = 0.01
 """s at the end for which the platform must have stayed."""
