@@ -63,10 +63,10 @@ def figures_of(values: Values, law: Law | None = None) -> LawFigures:
         MetricsError: the stage does not move.
     """
     law = law or law_of(values)
-    simulation = Simulation(values, law)
+    simulation = Simulation(values, law=law)
     samples: list[tuple[float, ...]] = []
     record = simulation.run(
-        observe=lambda sample, truth, reference, command: samples.append((sample.y, *reference, sample.current))
+        observe=lambda sample, truth, reference, command, age: samples.append((sample.y, *reference, sample.current))
     )
     metrics = evaluate(record, simulation.map)
     assert metrics.true_pp is not None and metrics.true_rms is not None  # a simulation knows the truth

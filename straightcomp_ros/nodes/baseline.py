@@ -192,13 +192,13 @@ class Controller(_Plain):
         self._answer()
 
     def _answer(self) -> None:
-        for stamp_ns, (y, current), reference in self._pairing.take():
+        for stamp_ns, (y, current), reference, age_ns in self._pairing.take():
             command = self._servo.step(stamp_ns, y, current, reference)
             if command is not None:
                 message = JointState(name=[PLATFORM], effort=[command.current])
                 message.header.stamp = _time(stamp_ns)
                 self._command(message)
-                self._state(_variables(CONTROLLER_STATE, stamp_ns, list(command[1:])))
+                self._state(_variables(CONTROLLER_STATE, stamp_ns, [*command[1:], age_ns * 1e-9]))
 
 
 class Logger(_Plain):

@@ -124,6 +124,6 @@ def recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
 
 
 def _simulated(values: Values, motion: tuple[Trajectory, int]) -> tuple[Metrics, str]:
-    simulation = Simulation(values, motion)
+    simulation = Simulation(values, motion=motion)
     record = simulation.run()
     return evaluate(record, simulation.map), record.law

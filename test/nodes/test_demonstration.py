@@ -72,7 +72,7 @@ def test_a_bag_that_is_short_fails_the_demonstration(tmp_path, short_cycle, monk
 
 
 def test_a_demonstration_without_a_bag_fails_with_the_reason(tmp_path, short_cycle, monkeypatch):
-    monkeypatch.setattr(demonstration, "run_cycle", lambda *arguments: None)
+    monkeypatch.setattr(demonstration, "run_cycle", lambda *arguments, **options: None)
     with pytest.raises(DemonstrationFailed) as failure:
         demonstrate(short_cycle, tmp_path)
     assert isinstance(failure.value.__cause__, BagError)
