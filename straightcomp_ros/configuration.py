@@ -113,6 +113,11 @@ class ControllerNodeParameters:
     learning: LearningParameters = group(LearningParameters)
     realtime: RealtimeParameters = group(RealtimeParameters)
 
+    @property
+    def lead_ns(self) -> int:
+        """``reference_lead`` in ns at this rate."""
+        return round(self.reference_lead * 1e9 / self.rate)
+
 
 @dataclass(frozen=True)
 class LoggerNodeParameters:

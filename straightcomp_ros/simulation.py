@@ -74,7 +74,7 @@ class Simulation:
         self.delay = self._driver.lockstep_delay
         self._hardware = SimulatedHardware(self._driver.simulated, load_map(self._driver.guide))
         self._feedforward = Feedforward(self.map, feedforward.feedforward)
-        self._pairing = Pairing(round(self._controller.reference_lead * 1e9 / rate), wait=True)
+        self._pairing = Pairing(self._controller.lead_ns, wait=True)
         control = self._controller.control
         self._learning = make_learning(self._controller.learning, control.law, rate)
         self._servo = Servo(law or make_law(control, 1.0 / rate), learning=self._learning)

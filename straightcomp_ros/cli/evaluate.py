@@ -27,13 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--limits", metavar="FILE", help="YAML file of limits: lines 'FIGURE: MAXIMUM' or 'FIGURE: {min: …, max: …}'"
     )
     parser.add_argument("--report", metavar="FILE", help="also write a report with interactive plots (one HTML file)")
-    parser.add_argument(
-        "--remap",
-        action="append",
-        default=[],
-        metavar="OURS:=THEIRS",
-        help="the bag's topic for one of ours, e.g. encoder:=/machine/axes; may be repeated",
-    )
+    add_remap_option(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -68,6 +62,17 @@ def run(options: argparse.Namespace) -> int:
     if failed:
         raise CommandFailed("; ".join(failed))
     return 0
+
+
+def add_remap_option(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--remap``, which :func:`parsed_remap` reads."""
+    parser.add_argument(
+        "--remap",
+        action="append",
+        default=[],
+        metavar="OURS:=THEIRS",
+        help="the bag's topic for one of ours, e.g. encoder:=/machine/axes; may be repeated",
+    )
 
 
 def parsed_remap(assignments: list[str]) -> dict[str, str]:

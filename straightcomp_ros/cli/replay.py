@@ -11,7 +11,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.evaluate import parsed_remap, shown
+from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap, shown
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
@@ -32,13 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)"
     )
-    parser.add_argument(
-        "--remap",
-        action="append",
-        default=[],
-        metavar="OURS:=THEIRS",
-        help="the bag's topic for one of ours, e.g. encoder:=/machine/axes; may be repeated",
-    )
+    add_remap_option(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 

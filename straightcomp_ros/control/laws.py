@@ -97,7 +97,7 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
             delay_samples=delay,
             amplifier_bandwidth=observer.amplifier_bandwidth,
             observer_bandwidth=bandwidth,
-            # A stronger magnet and a lighter platform are the same to a law; the balance of the two magnets is neither.
+            # To a law, magnets that pull more strongly are a lighter platform; where they balance stays the same.
             mass=nominal.mass / gain_allowance,
             current_limit=parameters.current_limit,
             actuator=nominal.actuator,

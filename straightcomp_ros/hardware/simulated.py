@@ -22,7 +22,8 @@ from straightcomp_ros.model.stage import Trajectory, Waypoint
 from straightcomp_ros.parameters import group, parameter
 from straightcomp_ros.straightness.map import StraightnessMap
 
-_NEVER = 2**63
+NEVER = 2**62
+"""Later than any time in ns, and small enough for compiled code."""
 
 
 class Hold(NamedTuple):
@@ -84,7 +85,7 @@ class SimulatedHardware(Hardware):
         self._commands: deque[tuple[int, float]] = deque()
         self._command = self._mean_command = 0.0
         self._hold = parameters.hold
-        self._hold_ns = _NEVER
+        self._hold_ns = NEVER
         self._bias = 0.0
         self._time_ns = 0
         self._next_sample_ns = 0
@@ -170,7 +171,7 @@ class SimulatedHardware(Hardware):
     def _currents_off(self) -> None:
         self._commands.clear()
         self._command = self._mean_command = 0.0
-        self._hold_ns = _NEVER
+        self._hold_ns = NEVER
         self._bias = 0.0
 
     def _integrate(self, until_ns: int) -> None:
@@ -187,7 +188,7 @@ class SimulatedHardware(Hardware):
                 # The last command fought the error of its own moment; held for longer it drives the platform away.
                 # The mean is about the current that keeps the platform where it is, and friction does the rest.
                 at_ns, current = self._hold_ns, self._converted(self._mean_command)
-                self._hold_ns = _NEVER
+                self._hold_ns = NEVER
             else:
                 break
             # Up to what comes next, if that is before the sample.

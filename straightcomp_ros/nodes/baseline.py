@@ -174,7 +174,7 @@ class Controller(_Plain):
         parameters = declare(node, ControllerNodeParameters)
         super().__init__(node, parameters)
         self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate))
-        self._pairing = Pairing(round(parameters.reference_lead * 1e9 / parameters.rate), wait=False)
+        self._pairing = Pairing(parameters.lead_ns, wait=False)
         self._command, self._state = self.publisher(COMMAND), self.publisher(CONTROLLER_STATE)
         self.subscribe(ENCODER, self._on_sample)
         self.subscribe(REFERENCE, self._on_reference)

@@ -51,9 +51,7 @@ class ControllerNode:
             self._learner.run if self._learner is not None else lambda job: job(),
         )
         self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate), learning=self._learning)
-        self._pairing = Pairing(
-            round(parameters.reference_lead * 1e9 / parameters.rate), wait=parameters.trigger == "sample"
-        )
+        self._pairing = Pairing(parameters.lead_ns, wait=parameters.trigger == "sample")
         self._publish_command = publisher(node, COMMAND)
         self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
         self._samples_seen = self._commands = self._refused = self._idle_cycles = 0

@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.hardware.simulated import Hold, SimulatedParameters
+from straightcomp_ros.hardware.simulated import NEVER, Hold, SimulatedParameters
 from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.converters import nearest_count, nearest_step
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 
-_NEVER = 2**62
 _SHIPPED_HOLD = SimulatedParameters().hold
 _compiling = threading.Lock()
 _kernels: dict[Callable[..., Any], Callable[..., int]] = {}
@@ -138,7 +137,7 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
         taken = 0
         now = 0
         command = mean = 0.0
-        hold_at = _NEVER
+        hold_at = NEVER
         for k in range(stamps.size):
             # As SimulatedHardware integrates: a call of advance() spans one command, up to what comes next.
             until = stamps[k]
@@ -151,7 +150,7 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
                     taken += 1
                 elif hold_at <= until:
                     at, asked = hold_at, nearest_step(current_step, half_codes, mean)
-                    hold_at = _NEVER
+                    hold_at = NEVER
                 else:
                     break
                 end = min(until, hold_at)

@@ -98,7 +98,7 @@ def make_scenario(
         driver=driver,
         controls=controls,
         feedforward=feedforward.feedforward,
-        lead_ns=round(controller.reference_lead * 1e9 / rate),
+        lead_ns=controller.lead_ns,
         trajectory=Trajectory(forward_and_back(cell.motion)),
         survey=read_survey(
             find_survey(feedforward.map.file), min_points=feedforward.map.min_points, max_gap=feedforward.map.max_gap
