@@ -64,6 +64,8 @@ setup(
         "dask": ["dask[distributed]"],
         "test": [
             "pytest",
+            # Live graphs on shared machines: see test/nodes/conftest.py.
+            "pytest-rerunfailures",
             "hypothesis",
             "cantools",
             "dask[distributed]",

@@ -36,7 +36,7 @@ class Peer:
         while time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.05)
 
-    def until(self, condition, seconds=20.0):
+    def until(self, condition, seconds=60.0):
         end = time.monotonic() + seconds
         while not condition() and time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.05)
@@ -44,7 +44,7 @@ class Peer:
 
     def call(self, kind, name, request):
         client = self.node.create_client(kind, name)
-        assert client.wait_for_service(timeout_sec=20)
+        assert client.wait_for_service(timeout_sec=60)
         future = client.call_async(request)
         self.until(future.done)
         return future.result()
