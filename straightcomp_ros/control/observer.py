@@ -59,23 +59,44 @@ def corrected(gains: ObserverGains, prior: Estimate, reading: float) -> Estimate
     )
 
 
+class Interval(NamedTuple):
+    """A time for which the amplifier is asked for one current, and how the coils follow.
+
+    Attributes:
+        duration: s.
+        left: of the difference between the coils' current and the one asked for, at its end; 1 at its start.
+        mean: of that difference over the interval.
+    """
+
+    duration: float
+    left: float
+    mean: float
+
+
+def interval(amplifier_rate: float, duration: float) -> Interval:
+    """An interval of ``duration`` s, zero or more, with an amplifier of first order, rad/s."""
+    left = math.exp(-amplifier_rate * duration)
+    return Interval(duration, left, (1.0 - left) / (amplifier_rate * duration) if duration > 0.0 else 1.0)
+
+
 @compilable
-def predicted(
-    actuator: Actuator, mass: float, amplifier_rate: float, estimate: Estimate, command: float, duration: float
-) -> Estimate:
-    """The estimate ``duration`` s later, with the amplifier asked for ``command`` A throughout."""
-    if duration <= 0.0:
-        return estimate
-    decay = math.exp(-amplifier_rate * duration)
-    mean = command + (estimate.current - command) * (1.0 - decay) / (amplifier_rate * duration)
-    halfway = estimate.y + 0.5 * duration * estimate.velocity
+def predicted(actuator: Actuator, mass: float, over: Interval, estimate: Estimate, command: float) -> Estimate:
+    """The estimate at the end of ``over``, with the amplifier asked for ``command`` A throughout."""
+    y, velocity, disturbance, current = estimate
+    duration, left, mean = over
+    behind = current - command
+    halfway = y + 0.5 * duration * velocity
     # The model must not leave the air gap, wherever the estimate strays.
     limit = 0.95 * actuator.air_gap
-    halfway = max(-limit, min(limit, halfway))
-    acceleration = magnetic_force(actuator, halfway, actuator.bias_current, mean) / mass + estimate.disturbance
+    if halfway > limit:
+        halfway = limit
+    elif halfway < -limit:
+        halfway = -limit
+    force = magnetic_force(actuator, halfway, actuator.bias_current, command + behind * mean)
+    acceleration = force / mass + disturbance
     return Estimate(
-        estimate.y + duration * (estimate.velocity + 0.5 * duration * acceleration),
-        estimate.velocity + duration * acceleration,
-        estimate.disturbance,
-        command + (estimate.current - command) * decay,
+        y + duration * (velocity + 0.5 * duration * acceleration),
+        velocity + duration * acceleration,
+        disturbance,
+        command + behind * left,
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.observer import Estimate, ObserverGains, corrected, observer_gains, predicted
+from straightcomp_ros.control.observer import Estimate, Interval, ObserverGains, corrected, interval, observer_gains, predicted
 from straightcomp_ros.model.actuator import Actuator, ActuatorParameters, control_current
 from straightcomp_ros.model.compiled import compilable
 
@@ -23,7 +23,7 @@ class Loop(NamedTuple):
 
     Attributes:
         period, delay: s.
-        amplifier_rate: rad/s.
+        before_action, after_action: the two parts of a period, with the last command and with the new one.
         mass: kg.
         current_limit: A.
         current_gain: acceleration per current at the centre, m/s²/A.
@@ -32,7 +32,8 @@ class Loop(NamedTuple):
 
     period: float
     delay: float
-    amplifier_rate: float
+    before_action: Interval
+    after_action: Interval
     mass: float
     current_limit: float
     current_gain: float
@@ -67,7 +68,8 @@ def loop(
     return Loop(
         period,
         delay_samples * period,
-        rate,
+        interval(rate, delay_samples * period),
+        interval(rate, acting),
         mass,
         current_limit,
         actuator.current_stiffness / mass,
@@ -103,7 +105,7 @@ def moment_of_action(
         current: measured in the coils at the sample, A; NaN where it is not measured.
     """
     now = corrected(g.observer, with_measured_current(g, prior, current), y)
-    action = predicted(g.actuator, g.mass, g.amplifier_rate, now, command, g.delay)
+    action = predicted(g.actuator, g.mass, g.before_action, now, command)
     target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
     return Moment(now, action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
 
@@ -124,4 +126,4 @@ def limited(g: Loop, current: float) -> float:
 @compilable
 def next_prior(g: Loop, action: Estimate, command: float) -> Estimate:
     """The next sample as it is predicted, with ``command`` A acting from the moment of action on."""
-    return predicted(g.actuator, g.mass, g.amplifier_rate, action, command, g.period - g.delay)
+    return predicted(g.actuator, g.mass, g.after_action, action, command)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.observer import Estimate, corrected, observer_gains, predicted
+from straightcomp_ros.control.observer import Estimate, corrected, interval, observer_gains, predicted
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current
 from straightcomp_ros.model.friction import FrictionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
@@ -28,7 +28,7 @@ def test_the_prediction_is_the_plant_without_friction():
     estimate = Estimate(2e-4, -1e-3, 0.0, 0.02)
     state = np.array(PlantState(y=2e-4, velocity=-1e-3, control=0.02, bias=1.0))
     advance(as_array(FREE.constants()), state, 1.0, 0.05, 500_000)
-    ahead = predicted(ACTUATOR, FREE.mass, RATE, estimate, 0.05, PERIOD)
+    ahead = predicted(ACTUATOR, FREE.mass, interval(RATE, PERIOD), estimate, 0.05)
     assert ahead.current == pytest.approx(state[3], rel=1e-9)
     assert ahead.velocity - estimate.velocity == pytest.approx(state[1] - estimate.velocity, rel=0.02)
     # The current rises within the period, the prediction takes its mean: a fourteenth of a count.
@@ -37,7 +37,7 @@ def test_the_prediction_is_the_plant_without_friction():
 
 def test_predicting_for_no_time_changes_nothing():
     estimate = Estimate(1e-6, 1e-5, 0.1, 0.01)
-    assert predicted(ACTUATOR, 3.0, RATE, estimate, 0.5, 0.0) == estimate
+    assert predicted(ACTUATOR, 3.0, interval(RATE, 0.0), estimate, 0.5) == pytest.approx(estimate, rel=1e-12)
 
 
 def test_a_constant_disturbance_is_found_exactly():
@@ -47,12 +47,12 @@ def test_a_constant_disturbance_is_found_exactly():
     estimate = Estimate(0.0, 0.0, 0.0, current)
     gains = observer_gains(200.0, PERIOD)
     for _ in range(400):
-        estimate = predicted(ACTUATOR, 3.0, RATE, corrected(gains, estimate, y), current, PERIOD)
+        estimate = predicted(ACTUATOR, 3.0, interval(RATE, PERIOD), corrected(gains, estimate, y), current)
     assert estimate.y == pytest.approx(y, abs=1e-12)
     assert estimate.disturbance == pytest.approx(disturbance, rel=1e-6)
 
 
 @pytest.mark.parametrize("y", [1e-2, -1e-2, 1e3])
 def test_an_estimate_outside_the_air_gap_stays_finite(y):
-    ahead = predicted(ACTUATOR, 3.0, RATE, Estimate(y, 0.0, 0.0, 0.0), 0.1, PERIOD)
+    ahead = predicted(ACTUATOR, 3.0, interval(RATE, PERIOD), Estimate(y, 0.0, 0.0, 0.0), 0.1)
     assert all(math.isfinite(value) for value in ahead)
