@@ -1,5 +1,6 @@
 """Surveys with known guides, hysteresis and faults: what is recognised, rejected, reported and written."""
 
+import itertools
 import json
 import math
 from pathlib import Path
@@ -30,7 +31,7 @@ def guide(x):
 def driven(*ends, rate=200.0, speed=0.2, rest=0.3):
     """time, x: from end to end at constant speed, resting at each."""
     x = [np.full(round(rest * rate), ends[0])]
-    for start, end in zip(ends, ends[1:], strict=False):
+    for start, end in itertools.pairwise(ends):
         count = round(abs(end - start) / speed * rate)
         x += [start + (end - start) * np.arange(1, count + 1) / count, np.full(round(rest * rate), end)]
     x = np.concatenate(x)
