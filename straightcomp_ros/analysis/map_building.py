@@ -138,15 +138,14 @@ def build(
         SurveyError: the runs do not fit together, too few are left, or the correction exceeds the platform's travel.
     """
     parameters = choices.parameters
-    grid = {"min_points": parameters.min_points, "max_gap": parameters.max_gap}
-    x, values = on_common_grid(survey, **grid)
+    x, values = _gridded(survey, parameters)
     kept, lost_runs, lost_points = _agreeing(survey, x, values, choices)
     if not kept:
         raise SurveyError(f"survey {survey.source}: no run is left after the rejection of outliers")
     survey = Survey(kept, survey.source)
-    x, values = on_common_grid(survey, **grid)
+    x, values = _gridded(survey, parameters)
     survey = _zeroed(survey, x, mean_of_directions(survey, values), choices.level)
-    x, values = on_common_grid(survey, **grid)
+    x, values = _gridded(survey, parameters)
     found = repeatability(survey, x, values)
     return BuiltMap(
         survey=survey,
@@ -160,6 +159,10 @@ def build(
         unusable=0,
         provenance=_provenance(source, choices, inputs or {}, survey, found, lost_runs, lost_points),
     )
+
+
+def _gridded(survey: Survey, parameters: MapParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return on_common_grid(survey, min_points=parameters.min_points, max_gap=parameters.max_gap)
 
 
 def _agreeing(

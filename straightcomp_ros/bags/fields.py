@@ -131,7 +131,9 @@ def _decoder(bag: Path, messages: Messages) -> Callable[[str, bytes], Any]:
 def _value(where: str, message: Any, path: str) -> float:
     found = message
     for step in path.split("."):
-        name, key = _STEP.fullmatch(step).groups()  # type: ignore[union-attr] - checked when the field was made
+        match = _STEP.fullmatch(step)
+        assert match is not None  # checked when the field was made
+        name, key = match.groups()
         owner, found = found, getattr(found, name, None)
         if found is None:
             names = ", ".join(entry for entry in vars(owner) if not entry.startswith("_"))
