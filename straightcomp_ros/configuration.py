@@ -134,6 +134,21 @@ class LoggerNodeParameters:
     topics: str = parameter(
         ".*", "Regular expression that a topic's name must match as a whole to be recorded, e.g. 'encoder|command'"
     )
+    other_topics: str = parameter(
+        "",
+        "Regular expression that full names of further topics must match as a whole, of any type, e.g. "
+        "'/displacement|/rosout'; empty for none",
+    )
+    record_at_start: bool = parameter(True, "Record from the start on; otherwise from ~/start on")
+    max_file_bytes: int = parameter(
+        0, "Size of a file from which the bag goes on in another; 0 for one file", unit="byte", minimum=0
+    )
+    max_file_duration: float = parameter(
+        0.0,
+        "Time from a file's first message after which the bag goes on in another; 0 for one file",
+        unit="s",
+        minimum=0.0,
+    )
     snapshot: float = parameter(
         0.0,
         "0 records all; otherwise the last so many seconds stay in memory until ~/snapshot is called",

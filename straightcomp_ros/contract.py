@@ -78,6 +78,13 @@ ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)
 """Streams of every graph."""
 STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
 
+DISPLACEMENT = Stream(
+    "displacement",
+    joint_state(["displacement"], position=["deviation"]),
+    "Surveys only: reading of the displacement sensor that looks from the slider at a straight edge, in m. Its own "
+    "node publishes it; no node of ours needs it.",
+)
+
 STAGE_TRAJECTORY = "stage_trajectory"
 """trajectory_msgs/JointTrajectory: motion asked of the stage (joint `stage_x`)."""
 DIAGNOSTICS = "diagnostics"

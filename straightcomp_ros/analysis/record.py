@@ -93,39 +93,46 @@ class Motion:
 
 
 def find_motion(record: StrokeRecord) -> Motion:
-    """The strokes of a record, from the x encoder.
+    """The strokes of a record, from the x encoder; see :func:`motion_of`.
+
+    Raises:
+        MetricsError: time or x is not finite, time does not rise, or there is no stroke.
+    """
+    check_finite(record, ("time", "x"), slice(None))
+    return motion_of(record.time, record.x)
+
+
+def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
+    """The strokes in a motion: ``time`` (n,) in s and ``x`` (n,) in m, finite.
 
     Speed is taken over :data:`SPEED_SPAN`, which the quantisation of x does not disturb, but which makes a
     stroke seem longer at both ends; the ends are then drawn in to where x leaves its resting value by
     :data:`ARRIVED`. At 0.2 m/s² that is 3 ms after the stage began to move.
 
     Raises:
-        MetricsError: time or x is not finite, time does not rise, or there is no stroke.
+        MetricsError: time does not rise, or there is no stroke.
     """
-    check_finite(record, ("time", "x"), slice(None))
-    n = record.time.size
-    steps = np.diff(record.time)
+    n = time.size
+    steps = np.diff(time)
     if n < 3:
         raise MetricsError(f"record: {n} samples; allowed: >= 3")
     if not (steps > 0.0).all():
         at = int(np.flatnonzero(steps <= 0.0)[0]) + 1
-        raise MetricsError(
-            f"record: time does not rise at sample {at}: {record.time[at]:.9g} s; allowed: > the one before"
-        )
+        raise MetricsError(f"record: time does not rise at sample {at}: {time[at]:.9g} s; allowed: > the one before")
     # Half of the span to each side, cut off at the ends of the record.
     half = max(1, round(0.5 * SPEED_SPAN / float(np.median(steps))))
     before, after = np.maximum(np.arange(n) - half, 0), np.minimum(np.arange(n) + half, n - 1)
-    speed = (record.x[after] - record.x[before]) / (record.time[after] - record.time[before])
+    speed = (x[after] - x[before]) / (time[after] - time[before])
     way = np.where(np.abs(speed) >= MOVING, np.sign(speed), 0.0)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(way)) + 1, [n]])
     strokes = [
-        _drawn_in(record.x, int(start), int(stop), "forward" if way[start] > 0.0 else "backward")
+        _drawn_in(x, int(start), int(stop), "forward" if way[start] > 0.0 else "backward")
         for start, stop in itertools.pairwise(edges)
-        if way[start] != 0.0 and abs(record.x[stop - 1] - record.x[start]) >= SHORTEST_STROKE
+        if way[start] != 0.0 and abs(x[stop - 1] - x[start]) >= SHORTEST_STROKE
     ]
     if not strokes:
         raise MetricsError(
-            f"record: the stage does not move: x stays within {np.ptp(record.x) * 1e3:.6g} mm; "
+            f"record: the stage does not move: x stays within {np.ptp(x) * 1e3:.6g} mm; "
             f"allowed: at least one stroke of {SHORTEST_STROKE * 1e3:g} mm at {MOVING * 1e3:g} mm/s"
         )
     return Motion(tuple(strokes))

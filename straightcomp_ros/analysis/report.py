@@ -21,13 +21,27 @@ _BLACK, _BLUE, _VERMILION, _GREEN, _GREY = "#000000", "#0072B2", "#D55E00", "#00
 _POINTS = 6000
 """Points that a curve is drawn with: each pixel column still shows its smallest and its largest value."""
 
+_CONFIG = {"displaylogo": False, "responsive": True}
+_BINS = 200
+
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;color:#111;max-width:1100px;margin:2em auto;padding:0 1em}
 h1{font-size:1.5em;margin-bottom:.2em}h2{font-size:1.15em;margin-top:1.8em}
 table{border-collapse:collapse;font-size:.9em}td,th{padding:.15em .8em .15em 0;border-bottom:1px solid #ddd;
 text-align:left}td.n{text-align:right;font-variant-numeric:tabular-nums}.fail{color:#B00020;font-weight:600}
 .columns{columns:2;column-gap:3em}.columns tr{break-inside:avoid}.note{color:#555}
-@media print{body{margin:0;max-width:none;font-size:10pt}h2,figure,.plot,tr{break-inside:avoid}.modebar{display:none}}
+th{vertical-align:bottom;line-height:1.15}td.n+td,th+th{padding-left:.2em}
+@page{margin:16mm 14mm}
+@media print{body{margin:0;padding:0;max-width:none;font-size:9pt}h2,h3{break-after:avoid}
+.plot>div{height:275px!important}
+figure,.plot,tr{break-inside:avoid}.modebar,.modebar-container{display:none}}
+"""
+
+# A plot keeps the width that it was drawn with; paper is narrower than most windows: A4 without the margins above.
+_SCRIPT = """
+const plots=()=>[...document.querySelectorAll('.js-plotly-plot')];
+addEventListener('beforeprint',()=>plots().forEach(plot=>Plotly.relayout(plot,{width:670,height:275,autosize:false})));
+addEventListener('afterprint',()=>plots().forEach(plot=>Plotly.relayout(plot,{width:null,height:330,autosize:true})));
 """
 
 
@@ -41,7 +55,8 @@ def report_html(assessment: Assessment, other: Assessment | None = None, verdict
     """
     law = assessment.evaluation.record.law
     plots = (
-        ("Straightness over the stroke", _straightness(assessment)),
+        ("Straightness over the stroke, beside the least squares line", _straightness(assessment)),
+        ("What is left of it, enlarged", _straightness(assessment, before=False)),
         ("Compensation error", _error(assessment, other)),
         ("Spectrum of the error", _spectrum(assessment, other)),
         ("Control current", _current(assessment)),
@@ -53,7 +68,7 @@ def report_html(assessment: Assessment, other: Assessment | None = None, verdict
         _limits(verdicts),
         *(
             f"<section class=plot><h2>{title}</h2>"
-            f"{figure.to_html(full_html=False, include_plotlyjs=False, config={'displaylogo': False})}</section>"
+            f"{figure.to_html(full_html=False, include_plotlyjs=False, config=_CONFIG)}</section>"
             for title, figure in plots
             if figure is not None
         ),
@@ -65,24 +80,24 @@ def report_html(assessment: Assessment, other: Assessment | None = None, verdict
     ]
     return (
         f"<!DOCTYPE html><html lang=en><head><meta charset=utf-8><title>{escape(str(assessment.bag))}</title>"
-        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>{''.join(parts)}</body></html>"
+        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>{''.join(parts)}"
+        f"<script>{_SCRIPT}</script></body></html>"
     )
 
 
-def _straightness(assessment: Assessment) -> go.Figure:
+def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     record, motion = assessment.evaluation.record, assessment.motion
     if record.true_x is not None and record.true_y is not None and record.guide is not None:
         x, y, guide, seen = record.true_x, record.true_y, record.guide, "true"
     else:
         x, y, guide, seen = record.x, record.y, assessment.reference.deviations(record.x), "map and encoder"
     moving = motion.samples()
-    before, after = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
-    figure = _figure("slider position x / mm", f"deviation beside the least squares line / µm ({seen})")
-    for name, values, colour, direction in (
-        ("before", before, _BLACK, None),
-        ("after, forward", after, _BLUE, "forward"),
-        ("after, backward", after, _VERMILION, "backward"),
-    ):
+    of_guide, after = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
+    figure = _figure("slider position x / mm", f"deviation / µm ({seen})")
+    curves = [("after, forward", after, _BLUE, "forward"), ("after, backward", after, _VERMILION, "backward")]
+    if before:
+        curves.insert(0, ("before", of_guide, _BLACK, None))
+    for name, values, colour, direction in curves:
         chosen = np.isin(moving, motion.samples(direction)) if direction else np.ones(len(moving), bool)
         if chosen.any():
             label = f"{name}: {np.ptp(values[chosen]):.2f} µm p-p"
@@ -118,7 +133,8 @@ def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
             name = "this run" if one is assessment else str(one.bag)
             figure.add_scatter(x=one.spectrum.frequency[1:], y=density, name=name, line={"color": colour, "width": 1})
     figure.update_xaxes(type="log")
-    figure.update_yaxes(type="log")
+    # Powers of ten: a prefix such as µ would stand beside the µ of the unit.
+    figure.update_yaxes(type="log", exponentformat="power")
     return figure
 
 
@@ -133,22 +149,39 @@ def _current(assessment: Assessment) -> go.Figure:
 def _timing(assessment: Assessment) -> go.Figure | None:
     evaluation = assessment.evaluation
     figure = _figure("time / µs", "samples")
-    for name, values, colour in (
-        ("sample to command", evaluation.latency, _BLUE),
-        ("sample to publication", evaluation.lateness, _VERMILION),
-    ):
-        if len(values):
-            figure.add_histogram(x=values * 1e6, name=name, marker={"color": colour}, opacity=0.7, nbinsx=200)
+    shown = [
+        (name, values * 1e6, colour)
+        for name, values, colour in (
+            ("sample to command", evaluation.latency, _BLUE),
+            ("sample to publication", evaluation.lateness, _VERMILION),
+        )
+        if len(values)
+    ]
+    if not shown:
+        return None
+    lowest = min(float(values.min()) for _, values, _ in shown)
+    highest = max(float(values.max()) for _, values, _ in shown)
+    # At least 1 µs wide: in a simulated run all samples take the same time.
+    width = max((highest - lowest) / _BINS, 1.0)
+    edges = lowest - width / 2 + width * np.arange(int((highest - lowest) / width) + 2)
+    most = 1
+    for name, values, colour in shown:
+        counts = np.histogram(values, edges)[0]
+        most = max(most, int(counts.max()))
+        figure.add_bar(
+            x=edges[:-1] + width / 2, y=counts, width=width, name=name, marker={"color": colour}, opacity=0.7
+        )
     figure.update_layout(barmode="overlay")
-    figure.update_yaxes(type="log")
-    return figure if figure.data else None
+    # From half a sample on: a single one must show.
+    figure.update_yaxes(type="log", range=[math.log10(0.5), math.log10(2 * most)], dtick=1)
+    return figure
 
 
 def _figure(x: str, y: str) -> go.Figure:
     figure = go.Figure(
-        layout={"template": "plotly_white", "height": 380, "margin": {"l": 70, "r": 20, "t": 20, "b": 50}}
+        layout={"template": "plotly_white", "height": 330, "margin": {"l": 70, "r": 20, "t": 45, "b": 50}}
     )
-    figure.update_layout(legend={"orientation": "h", "y": 1.08}, xaxis_title=x, yaxis_title=y)
+    figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom"}, xaxis_title=x, yaxis_title=y)
     return figure
 
 
@@ -225,18 +258,21 @@ def _figures(assessment: Assessment, other: Assessment | None) -> str:
         + "</tr>"
         for name, value in assessment.figures().items()
     )
-    heading = f"<tr><th>figure<th>this run<th>{escape(str(other.bag))}</tr>" if other is not None else ""
-    return f"<div class=columns><table>{heading}{rows}</table></div>"
+    if other is None:
+        return f"<div class=columns><table>{rows}</table></div>"
+    # In a head it stands on each page.
+    return f"<table><thead><tr><th>figure<th>this run<th>{escape(str(other.bag))}</tr></thead>{rows}</table>"
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> str:
     if not rows:
         return "<p class=note>none</p>"
-    heading = "".join(f"<th>{escape(name)}</th>" for name in rows[0])
+    # Headings break at their underscores: a stroke has more figures than a page is wide.
+    heading = "".join(f"<th>{escape(name).replace('_', '_<wbr>')}</th>" for name in rows[0])
     body = "".join(
         f"<tr>{''.join(f'<td class=n>{_number(value)}</td>' for value in row.values())}</tr>" for row in rows
     )
-    return f"<table><tr>{heading}</tr>{body}</table>"
+    return f"<table><thead><tr>{heading}</tr></thead>{body}</table>"
 
 
 def _number(value: Any) -> str:

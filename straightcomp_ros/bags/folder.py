@@ -1,9 +1,12 @@
-"""The files of a bag."""
+"""The files of a bag: those that are there, and those that should be."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
+
+import yaml
 
 from straightcomp_ros.bags import BagError
 
@@ -24,7 +27,8 @@ def mcap_files(bag: Path) -> list[Path]:
         raise BagError(f"bag {bag} does not exist; give a bag folder or a file that ends with .mcap")
     files = sorted(bag.glob("*.mcap"), key=split_number)
     if files:
-        return files
+        # A recording that was killed between making its next file and writing to it.
+        return [file for file in files if file is not files[-1] or file.stat().st_size] if len(files) > 1 else files
     if any(bag.glob("*.mcap.zstd")):
         raise BagError(f"bag {bag}: its files are compressed as a whole; unpack them with `unzstd *.mcap.zstd`")
     if any(bag.glob("*.db3")):
@@ -36,3 +40,38 @@ def split_number(file: Path) -> tuple[str, int, str]:
     """rosbag2 numbers the files of a split bag: name_0, name_1, … name_10."""
     match = re.fullmatch(r"(.*?)_?(\d+)", file.stem)
     return (match[1], int(match[2]), file.name) if match else (file.stem, -1, file.name)
+
+
+def missing_files(bag: Path, files: Sequence[Path]) -> list[str]:
+    """Names of the files that a bag lacks: those that its metadata.yaml names, and gaps in the numbers.
+
+    Args:
+        bag: a rosbag2 folder; of a single file nothing is missing.
+        files: of the bag, as :func:`mcap_files` returns them.
+    """
+    bag = Path(bag)
+    if bag.is_file():
+        return []
+    there = {file.name for file in files}
+    listed = _listed(bag)
+    # As many as are listed: somebody gave them other names.
+    missing = [name for name in listed if name not in there] if len(listed) > len(files) else []
+    numbered = {split_number(file)[:2] for file in files}
+    names = {name for name, number in numbered if number >= 0}
+    if len(names) == 1:
+        name, numbers = names.pop(), {number for _, number in numbered if number >= 0}
+        gaps = [f"{name}_{number}.mcap" for number in range(min(numbers), max(numbers)) if number not in numbers]
+        missing += [gap for gap in gaps if gap not in missing]
+    return missing
+
+
+def _listed(bag: Path) -> list[str]:
+    """Names in metadata.yaml; none where there is none, or none that can be read: messages count, not their list."""
+    try:
+        tree = yaml.load((bag / "metadata.yaml").read_bytes(), Loader=_Loader)
+        return [Path(str(path)).name for path in tree["rosbag2_bagfile_information"]["relative_file_paths"]]
+    except (OSError, yaml.YAMLError, ValueError, LookupError, TypeError):
+        return []
+
+
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

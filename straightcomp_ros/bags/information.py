@@ -28,29 +28,43 @@ class Topic:
     type_hash: str
 
 
+@dataclass(frozen=True)
+class BagFile:
+    """One file of a bag.
+
+    Attributes:
+        name: relative to the bag's folder.
+        time_range: first and last log time in ns, None without messages.
+        message_counts: by topic.
+    """
+
+    name: str
+    time_range: tuple[int, int] | None
+    message_counts: Mapping[str, int]
+
+    @property
+    def message_count(self) -> int:
+        """Messages of all topics."""
+        return sum(self.message_counts.values())
+
+
 def bag_information(
-    file_name: str,
-    topics: Sequence[tuple[Topic, int]],
-    time_range: tuple[int, int] | None,
-    custom_data: Mapping[str, str],
+    files: Sequence[BagFile], topics: Sequence[Topic], custom_data: Mapping[str, str]
 ) -> dict[str, object]:
     """The content of metadata.yaml below its one root key.
 
     Args:
-        file_name: the bag's one file, relative to its folder.
-        topics: each topic with its number of messages.
-        time_range: first and last log time in ns, None without messages.
+        files: oldest first.
+        topics: all of them, with messages or without.
         custom_data: free texts.
     """
-    first, last = time_range or (_NO_TIME, _NO_TIME)
-    starting_time, duration = {"nanoseconds_since_epoch": first}, {"nanoseconds": last - first}
-    message_count = sum(count for _, count in topics)
+    ranges = [file.time_range for file in files if file.time_range]
+    whole = (min(first for first, _ in ranges), max(last for _, last in ranges)) if ranges else None
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": starting_time,
-        "message_count": message_count,
+        **_times(whole),
+        "message_count": sum(file.message_count for file in files),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -60,25 +74,32 @@ def bag_information(
                     "offered_qos_profiles": topic.qos.as_profiles(),
                     "type_description_hash": topic.type_hash,
                 },
-                "message_count": count,
+                "message_count": sum(file.message_counts.get(topic.name, 0) for file in files),
             }
-            for topic, count in topics
+            for topic in topics
         ],
         # Of rosbag2's own compression of messages and files; MCAP compresses its chunks by itself.
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
+        "relative_file_paths": [file.name for file in files],
         "files": [
             {
-                "path": file_name,
-                "starting_time": dict(starting_time),
-                "duration": dict(duration),
-                "message_count": message_count,
+                "path": file.name,
+                **_times(file.time_range, "starting_time", "duration"),
+                "message_count": file.message_count,
             }
+            for file in files
         ],
         "custom_data": dict(custom_data) or None,
         "ros_distro": ROS_DISTRO,
     }
+
+
+def _times(time_range: tuple[int, int] | None, *order: str) -> dict[str, dict[str, int]]:
+    """Both times, in the order of the root or in another."""
+    first, last = time_range or (_NO_TIME, _NO_TIME)
+    times = {"duration": {"nanoseconds": last - first}, "starting_time": {"nanoseconds_since_epoch": first}}
+    return {name: times[name] for name in order or times}
 
 
 def as_yaml(information: Mapping[str, object]) -> str:

@@ -6,6 +6,8 @@ from collections import deque
 
 Message = tuple[str, bytes, int, int]
 """Topic, serialised message, time of reception and of its source in ns since the epoch."""
+BREAK: Message = ("", b"", 0, 0)
+"""Stands in the queue where messages were left out on purpose: they are not lost."""
 
 
 class Intake:
@@ -18,21 +20,22 @@ class Intake:
 
     Attributes:
         queue: messages for the disk, oldest first.
-        paused: while true messages are passed over.
+        received: all that came.
         dropped: messages for which there was no room.
         passed_over: messages that came while paused.
     """
 
     def __init__(self, limit: int, snapshot_s: float = 0.0) -> None:
         self.queue: deque[Message] = deque()
-        self.paused = False
-        self.dropped = self.passed_over = 0
+        self.received = self.dropped = self.passed_over = 0
+        self._paused = False
         self._limit, self._keep_ns = limit, round(snapshot_s * 1e9)
         self._memory: deque[Message] = deque()
 
     def add(self, topic: str, data: bytes, received_ns: int, source_ns: int) -> None:
         """A message came."""
-        if self.paused:
+        self.received += 1
+        if self._paused:
             self.passed_over += 1
         elif self._keep_ns:
             memory = self._memory
@@ -50,5 +53,17 @@ class Intake:
         kept = list(self._memory)[-room:] if room else []
         self.dropped += len(self._memory) - len(kept)
         self._memory.clear()
+        self.queue.append(BREAK)
         self.queue.extend(kept)
         return len(kept)
+
+    @property
+    def paused(self) -> bool:
+        """While true messages are passed over."""
+        return self._paused
+
+    @paused.setter
+    def paused(self, value: bool) -> None:
+        if value and not self._paused:
+            self.queue.append(BREAK)
+        self._paused = value

@@ -26,13 +26,17 @@ class Losses:
         stamp = sec * 1_000_000_000 + nanosec
         last = self._last.get(topic)
         if last is None:
-            self._steps[topic] = {}
+            self._steps.setdefault(topic, {})
         elif stamp <= last:
             return  # repeated or overtaken
         else:
             steps = self._steps[topic]
             steps[stamp - last] = steps.get(stamp - last, 0) + 1
         self._last[topic] = stamp
+
+    def interrupt(self) -> None:
+        """What comes next does not follow what came last: between them messages were left out on purpose."""
+        self._last.clear()
 
     def by_topic(self) -> Mapping[str, int]:
         """Messages missing between the first and the last, by topic."""

@@ -15,7 +15,7 @@ from mcap.records import Metadata
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.blocks import blocks
 from straightcomp_ros.bags.columns import StreamColumns, StreamDecoder
-from straightcomp_ros.bags.folder import mcap_files
+from straightcomp_ros.bags.folder import mcap_files, missing_files
 from straightcomp_ros.bags.mcap_input import McapInput, attachment_of
 from straightcomp_ros.bags.sqlite_input import sqlite_blocks, sqlite_files, sqlite_topics
 from straightcomp_ros.bags.summary import UNREADABLE
@@ -143,13 +143,20 @@ def opened(bag: Path) -> Iterator[list[McapInput]]:
     """The files of a bag, open.
 
     Raises:
-        BagError: there is none, or it is no MCAP file.
+        BagError: there is none, one of several is missing, or it is no MCAP file.
 
     Warns:
         UserWarning: the bag was not finished.
     """
     with ExitStack() as stack:
-        files = [stack.enter_context(McapInput(path)) for path in mcap_files(bag)]
+        paths = mcap_files(bag)
+        missing = missing_files(bag, paths)
+        if missing:
+            raise BagError(
+                f"bag {bag} lacks {', '.join(missing)}; copy the whole folder again, or save what is there with "
+                "`straightcomp recover`"
+            )
+        files = [stack.enter_context(McapInput(path)) for path in paths]
         for file in files:
             if file.summary is None:
                 warnings.warn(

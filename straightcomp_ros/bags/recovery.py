@@ -14,7 +14,7 @@ from mcap.records import Attachment, Metadata
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import Definition
-from straightcomp_ros.bags.folder import mcap_files
+from straightcomp_ros.bags.folder import mcap_files, missing_files
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.salvage import Gap, Sound, salvaged
@@ -73,6 +73,9 @@ def recover(bag: Path, output: Path) -> Recovery:
     with BagWriter(output) as writer:
         for path in paths:
             _copy_file(path, writer, result)
+        for name in missing_files(bag, paths):
+            result.gaps.append((name, 0, 0, "the file is missing"))
+            result.lost = None
         missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
         facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
         writer.add_metadata(RECOVERY_METADATA, {**facts, "gaps": str(len(result.gaps))})

@@ -1,17 +1,18 @@
-"""Writes a bag: a folder with one MCAP file and metadata.yaml, as `ros2 bag`, Foxglove and PlotJuggler open it."""
+"""Writes a bag: a folder with MCAP files and metadata.yaml, as `ros2 bag`, Foxglove and PlotJuggler open it."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.chunk import COMPRESSORS
 from straightcomp_ros.bags.definitions import Definition, definition
-from straightcomp_ros.bags.information import Topic, as_yaml, bag_information
+from straightcomp_ros.bags.information import BagFile, Topic, as_yaml, bag_information
 from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.qos import TopicQos
 
@@ -32,20 +33,41 @@ class BagWriter:
         directory: the bag's folder; made if absent, must be empty.
         compression: ``zstd``, ``lz4`` or ``none``.
         chunk_size: bytes of messages that are compressed and written together.
+        max_size: bytes of a file from which the bag goes on in another, 0 for one of any size. A file is larger by the
+            chunk that made it so, and by its index.
+        max_duration: time in s from a file's first message after which the bag goes on in another, 0 for no end.
+
+    Attributes:
+        path: the file that is being written.
 
     Raises:
         BagError: the folder holds files or cannot be made, or an option is not allowed; from the methods, that
             the bag is closed, the topic is unknown or the disk refuses.
     """
 
-    def __init__(self, directory: Path, *, compression: str = "zstd", chunk_size: int = CHUNK_SIZE) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        *,
+        compression: str = "zstd",
+        chunk_size: int = CHUNK_SIZE,
+        max_size: int = 0,
+        max_duration: float = 0.0,
+    ) -> None:
         if compression not in COMPRESSORS:
             raise BagError(f"bag {directory}: compression is '{compression}': allowed are {', '.join(COMPRESSORS)}")
         if chunk_size < 1:
             raise BagError(f"bag {directory}: chunk_size is {chunk_size} bytes: allowed is 1 or more")
+        for name, limit in (("max_size", max_size), ("max_duration", max_duration)):
+            if not limit >= 0:
+                raise BagError(f"bag {directory}: {name} is {limit}: allowed is 0 or more")
         self.directory = Path(directory)
-        self.path = self.directory / f"{self.directory.absolute().name}_0.mcap"
+        self._make_output = partial(McapOutput, compression=compression, chunk_size=chunk_size)
+        self._max_size, self._max_duration_ns = max_size, round(max_duration * 1e9)
+        self._finished_files: list[BagFile] = []
+        self._file_began_ns: int | None = None
         self._topics: dict[str, Topic] = {}
+        self._texts: dict[str, str] = {}
         self._channel_ids: dict[str, int] = {}
         self._custom_data: dict[str, str] = {}
         self._closed = False
@@ -53,7 +75,7 @@ class BagWriter:
             self.directory.mkdir(parents=True, exist_ok=True)
             if any(self.directory.iterdir()):
                 raise BagError(f"bag {directory}: the folder is not empty; name a new one, bags are never overwritten")
-            self._output = McapOutput(self.path, compression, chunk_size)
+            self._open_file()
 
     def add_topic(
         self, name: str, type_name: str, qos: TopicQos | None = None, described: Definition | None = None
@@ -73,10 +95,27 @@ class BagWriter:
             raise BagError(f"bag {self.directory}: topic '{name}' is already in the bag; add it once")
         described = described or definition(type_name)
         topic = Topic(name, type_name, qos or TopicQos(), described.type_hash)
-        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": described.type_hash}
         with self._disk(f"bag {self.path}: topic '{name}' cannot be added"):
-            self._channel_ids[name] = self._output.add_channel(name, type_name, described.text, metadata)
-        self._topics[name] = topic
+            self._add_channel(topic, described.text)
+        self._topics[name], self._texts[name] = topic, described.text
+
+    def _add_channel(self, topic: Topic, text: str) -> None:
+        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": topic.type_hash}
+        self._channel_ids[topic.name] = self._output.add_channel(topic.name, topic.type_name, text, metadata)
+
+    def _open_file(self) -> None:
+        number = len(self._finished_files)
+        path = self.directory / f"{self.directory.absolute().name}_{number}.mcap"
+        try:
+            self._output: McapOutput = self._make_output(path)
+        except FileExistsError:
+            raise
+        except OSError:
+            path.unlink(missing_ok=True)  # a file without a header is no part of a bag
+            raise
+        self.path, self._number, self._file_began_ns = path, number, None
+        for name, topic in self._topics.items():
+            self._add_channel(topic, self._texts[name])
 
     @property
     def topics(self) -> Mapping[str, Topic]:
@@ -100,9 +139,33 @@ class BagWriter:
         if log_time_ns < 0:
             raise BagError(f"bag {self.directory}: topic '{topic}': log time is {log_time_ns} ns; allowed is 0 or more")
         try:
+            if self._file_finished or self._is_full(log_time_ns):
+                self._split()
+                channel_id = self._channel_ids[topic]
+            if self._file_began_ns is None:
+                self._file_began_ns = log_time_ns
             self._output.add_message(channel_id, log_time_ns, max(publish_time_ns, 0), data)
         except OSError as error:
             raise BagError(f"bag {self.path} cannot be written: {error.strerror}; free space on the disk") from error
+
+    def _is_full(self, log_time_ns: int) -> bool:
+        if self._file_began_ns is None:
+            return False
+        too_large = 0 < self._max_size <= self._output.size
+        return too_large or 0 < self._max_duration_ns <= log_time_ns - self._file_began_ns
+
+    def split(self) -> None:
+        """Finish the file, and go on in a new one; a file without messages is kept on."""
+        self._check_open()
+        if self._file_began_ns is not None:
+            with self._disk(f"bag {self.path} cannot be finished"):
+                self._split()
+
+    def _split(self) -> None:
+        if not self._file_finished:
+            self._output.flush()
+            self._finish_file()
+        self._open_file()
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Store a file in the bag, e.g. the parameters as ``application/yaml``."""
@@ -139,36 +202,45 @@ class BagWriter:
         lost = 0
         try:
             with self._disk(f"bag {self.path} cannot be finished"):
-                try:
-                    self._output.flush()
-                except OSError:
-                    lost = self._output.discard_open_chunk()
-                self._finish()
+                if not self._file_finished:
+                    try:
+                        self._output.flush()
+                    except OSError:
+                        lost = self._output.discard_open_chunk()
+                    self._finish_file()
+                self._finish_bag()
         finally:
             self._output.close()
             self._closed = True
         if lost:
             raise BagError(f"bag {self.path}: the disk took no more, the last {lost} messages are lost; free space")
 
-    def _finish(self) -> None:
+    @property
+    def _file_finished(self) -> bool:
+        """True when a file was finished and the next could not be opened."""
+        return len(self._finished_files) > self._number
+
+    def _finish_file(self) -> None:
         counts = self._output.message_counts
-        information = bag_information(
-            self.path.name,
-            [(topic, counts[self._channel_ids[name]]) for name, topic in self._topics.items()],
-            self._output.time_range,
-            self._custom_data,
-        )
-        # Where rosbag2 looks when it is given the file alone.
+        by_topic = {name: counts[channel_id] for name, channel_id in self._channel_ids.items()}
+        file = BagFile(self.path.name, self._output.time_range, by_topic)
+        # Of this file by itself: where rosbag2 looks when it is given the file alone.
+        information = bag_information([file], list(self._topics.values()), self._custom_data)
         self._output.add_metadata("rosbag2", {"serialized_metadata": as_yaml(information)})
-        text = as_yaml({"rosbag2_bagfile_information": information})
         if not self._output.attachment_count:
-            # Every bag has a metadata record and an attachment, so that its summary has all the groups a reader may
+            # Every file has a metadata record and an attachment, so that its summary has all the groups a reader may
             # expect; and a file that lost its folder carries what makes it a bag again.
+            text = as_yaml({"rosbag2_bagfile_information": information})
             self._output.add_attachment("metadata.yaml", "application/yaml", text.encode())
         self._output.finish()
+        self._finished_files.append(file)
+        self._output.close()
+
+    def _finish_bag(self) -> None:
+        information = bag_information(self._finished_files, list(self._topics.values()), self._custom_data)
         # Renamed when it is whole: a folder with metadata.yaml is a finished bag.
         unfinished = self.directory / "metadata.yaml.part"
-        unfinished.write_text(text, encoding="utf-8")
+        unfinished.write_text(as_yaml({"rosbag2_bagfile_information": information}), encoding="utf-8")
         os.replace(unfinished, self.directory / "metadata.yaml")
 
     def _check_open(self) -> None:

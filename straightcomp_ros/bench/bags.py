@@ -143,7 +143,7 @@ def _cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _wait_for(bag: Path, size: int = 1, timeout: float = 30.0) -> int:
+def _wait_for(bag: Path, size: int = 1, timeout: float = 120.0) -> int:
     """Wait until the bag's file has ``size`` bytes; returns how many it has."""
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:

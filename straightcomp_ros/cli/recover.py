@@ -66,7 +66,7 @@ def _print(result: Any, lost: int | None) -> None:
     for name in result.unfinished:
         notes.print(f"{name} was not finished: what was not in it yet when the recording ended is lost")
     for name, offset, length, reason in result.gaps:
-        notes.print(f"{name}: {length} bytes at {offset} are lost: {reason}")
+        notes.print(f"{name}: {length} bytes at {offset} are lost: {reason}" if length else f"{name}: {reason}")
     for topic in result.foreign:
         notes.print(f"topic '{topic}' is not copied: its messages are of no ROS 2 type")
     if result.whole:

@@ -5,32 +5,27 @@ from __future__ import annotations
 import os
 import re
 import sys
-import threading
 import time
-from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.bags.disk import DiskGuard
-from straightcomp_ros.bags.intake import Intake
-from straightcomp_ros.bags.losses import Losses
-from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
+from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.parameters import attach_map
 from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
+from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cdr import header_stamp_ns
 from straightcomp_ros.configuration import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.other_topics import OtherTopics
+from straightcomp_ros.nodes.recorder_services import serve_recorder
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
 from straightcomp_ros.nodes.streams import RawQueue, message_type, stream_qos, unspun_node
@@ -40,78 +35,55 @@ from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
 
 _FETCH_INTERVAL_NS = 20_000_000
-_WRITE_INTERVAL_S = 0.02
 _YIELD_EVERY = 8
 
 
 class LoggerNode:
-    """Fetches all messages 50 times a second, and writes on a thread of its own: the disk never holds up receiving."""
+    """Fetches all messages 50 times a second; a recorder writes them on a thread of its own."""
 
     def __init__(self, node: Node) -> None:
         parameters = declare(node, LoggerNodeParameters)
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
-        folder = Path(parameters.output or datetime.now().strftime("straightcomp_%Y_%m_%d-%H_%M_%S"))
-        self._bag = BagWriter(folder, compression=parameters.compression)
         self._encoder = node.resolve_topic_name(ENCODER.topic)
-        self._samples = self._overruns = self._fetched_ns = 0
+        self._samples = self._overruns = self._received = self._fetched_ns = 0
         self._gaps, self._timer_errors = StampGaps(), Histogram()
-        self._bag.add_metadata(ORIGIN_METADATA, origin())
-        self._intake = Intake(parameters.queue_limit, parameters.snapshot)
-        self._losses, self._disk = Losses(), DiskGuard(folder, parameters.min_free_bytes)
-        self._received = self._written = 0
-        self._chosen = _pattern(parameters.topics)
+        self._chosen = _pattern("topics", parameters.topics)
+        others = _pattern("other_topics", parameters.other_topics)
         self._topics: dict[str, RawQueue] = {}
         self._unspun = unspun_node(node)
-        self._failure: Exception | None = None
-        self._attached = False
-        self._stopping = threading.Event()
+        self._remote = RemoteParameters(node, parameters.nodes.split())
+        stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
+        self._recorder = Recorder(_options(parameters), stamped, self._describe)
         for stream in STREAMS:
             self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(parameters.queue_depth))
         self._record(JointTrajectory, STAGE_TRAJECTORY, QoSProfile(depth=10))
         self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
-        self._stamped = {node.resolve_topic_name(stream.topic) for stream in STREAMS}
-        for name, action in (("pause", self._pause), ("resume", self._resume), ("snapshot", self._snapshot)):
-            node.create_service(Trigger, f"~/{name}", action)
-        self._remote = RemoteParameters(node, parameters.nodes.split())
+        self._others = OtherTopics(node, self._unspun, others, self._topics, self._recorder.announce)
+        serve_recorder(node, self._recorder, self._start, self._fetch)
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
         node.create_timer(0.2, self._watch)
-        self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")
-        self._thread.start()
-        node.get_logger().info(f"recording to {folder}")
+        if parameters.record_at_start:
+            node.get_logger().info(self._start())
 
     def _record(self, kind: Any, topic: str, qos: QoSProfile) -> None:
         if not self._chosen.fullmatch(topic):
             return
         full_name = self.node.resolve_topic_name(topic)
-        self._bag.add_topic(
-            full_name,
-            f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}",
-            TopicQos(reliability=qos.reliability.name.lower(), depth=qos.depth),
-        )
+        type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        stored = TopicQos(reliability=qos.reliability.name.lower(), depth=qos.depth)
+        self._recorder.announce(Announced(full_name, type_name, stored))
         self._topics[full_name] = RawQueue(self._unspun, kind, full_name, qos)
 
-    def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._fetch()
-        self._intake.paused = True
-        response.success, response.message = True, "paused: what comes now is not recorded"
-        return response
-
-    def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._fetch()
-        self._intake.paused = False
-        response.success, response.message = True, "recording"
-        return response
-
-    def _snapshot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._fetch()
-        response.message = f"{self._intake.snapshot()} messages go to the bag"
-        response.success = True
-        return response
+    def _start(self) -> str:
+        folder = self._recorder.start()
+        self._others.repeat(self._recorder.intake.add)
+        return f"recording to {folder}"
 
     def _fetch(self) -> None:
         self._note_time()
-        add = self._intake.add
+        add = self._recorder.intake.add
+        self._received += self._others.fetch(add)
         for topic, messages in self._topics.items():
             for data, info in messages.fetch():
                 self._received += 1
@@ -132,74 +104,63 @@ class LoggerNode:
             self._overruns += late_ns // _FETCH_INTERVAL_NS
         self._fetched_ns = now
 
-    def _write_until_stopped(self) -> None:
-        try:
-            while not self._stopping.wait(_WRITE_INTERVAL_S):
-                self._write_queue()
-                self._disk.check()
-                if self._remote.complete and not self._attached:
-                    # Now, not at the end: after a SIGKILL the bag still says what it is of.
-                    self._attach()
-                self._bag.flush_older(FLUSH_AGE)
-            self._write_queue()
-        except (OSError, BagError) as error:
-            self._failure = error
-
-    def _attach(self) -> None:
-        self._attached = True
-        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
-        refusal = attach_map(self._bag, self._remote.values)
+    def _describe(self, bag: BagWriter, at_end: bool) -> bool:
+        """Attach what the nodes say of themselves, as soon as all have answered."""
+        if not self._remote.complete and not at_end:
+            return False
+        bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
+        refusal = attach_map(bag, self._remote.values)
         if refusal:
             self.node.get_logger().warning(refusal)
-
-    def _write_queue(self) -> None:
-        queue = self._intake.queue
-        for _ in range(len(queue)):
-            message = queue.popleft()
-            self._bag.write(*message)
-            self._written += 1
-            if message[0] in self._stamped:
-                self._losses.add(*message[:2])
+        return True
 
     def _watch(self) -> None:
-        if self._failure and not self.done.done():
-            self.node.get_logger().error(f"recording stopped: {self._failure}")
+        failure = self._recorder.failure
+        if failure and not self.done.done():
+            self.node.get_logger().error(f"recording stopped: {failure}")
             self.done.set_result(EXIT_FAILURE)
 
     def _counters(self) -> dict[str, object]:
+        recorder = self._recorder
         counters: dict[str, object] = {
             SAMPLES: self._samples,
             LOST: self._gaps.lost,
             OVERRUNS: self._overruns,
+            "recording": recorder.recording,
             "received": self._received,
-            "written": self._written,
-            "dropped": self._intake.dropped,
-            "queued": len(self._intake.queue),
+            "written": recorder.written,
+            "dropped": recorder.intake.dropped,
+            "queued": len(recorder.intake.queue),
             UNCONNECTED: " ".join(topic for topic, queue in self._topics.items() if not queue.connected),
             **written(TIMER_ERROR, self._timer_errors.take()),
         }
-        if self._failure:
-            counters["error"] = f"recording stopped: {self._failure}"
+        if recorder.failure:
+            counters["error"] = f"recording stopped: {recorder.failure}"
         return counters
 
     def close(self) -> None:
         """Write what has come, attach the parameters, finish the bag."""
         self._fetch()
-        self._stopping.set()
-        self._thread.join()
-        with self._bag:  # finishes the bag even where the disk takes nothing more of these
-            if not self._attached:
-                self._attach()
-            counts = {"received": self._received, "written": self._written, "dropped": self._intake.dropped}
-            self._bag.add_metadata("logger", {name: str(count) for name, count in counts.items()})
-            self._bag.add_metadata("losses", {topic: str(count) for topic, count in self._losses.by_topic().items()})
+        self._recorder.stop()
 
 
-def _pattern(text: str) -> re.Pattern[str]:
+def _options(parameters: LoggerNodeParameters) -> RecorderOptions:
+    return RecorderOptions(
+        output=parameters.output,
+        compression=parameters.compression,
+        max_size=parameters.max_file_bytes,
+        max_duration=parameters.max_file_duration,
+        queue_limit=parameters.queue_limit,
+        snapshot_s=parameters.snapshot,
+        min_free=parameters.min_free_bytes,
+    )
+
+
+def _pattern(name: str, text: str) -> re.Pattern[str]:
     try:
         return re.compile(text)
     except re.error as error:
-        raise ParameterError(f"parameter 'topics': {text!r}: {error}; allowed: a regular expression") from error
+        raise ParameterError(f"parameter '{name}': {text!r}: {error}; allowed: a regular expression") from error
 
 
 def main() -> int:

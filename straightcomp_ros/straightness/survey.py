@@ -13,16 +13,15 @@ as one. Other columns are ignored.
 
 from __future__ import annotations
 
-import csv
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
-from straightcomp_ros.straightness.columns import DEVIATION, Column, SurveyError, X, find_column, normalised
+from straightcomp_ros.straightness.columns import DEVIATION, SurveyError, X, find_column, normalised
+from straightcomp_ros.straightness.csv_rows import metres, rows
 from straightcomp_ros.straightness.run import Direction, Run, check_gaps, orient
 
 __all__ = ["Direction", "Run", "Survey", "SurveyError", "read_survey", "write_survey"]
@@ -64,8 +63,8 @@ def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05
             few points, an x that turns back or repeats, a gap, or values that no guide in these units has.
     """
     path = Path(path)
-    rows = _rows(path)
-    header_line, cells = next(rows, (0, []))
+    lines = rows(path)
+    header_line, cells = next(lines, (0, []))
     if not cells:
         raise SurveyError(f"survey {path}: is empty; allowed: a header row and at least {min_points} rows")
     header = [normalised(cell) for cell in cells]
@@ -73,7 +72,7 @@ def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05
     x_column, deviation_column = find_column(where, header, X), find_column(where, header, DEVIATION)
 
     groups: dict[tuple[str, Direction | None], _Rows] = {}
-    for line, row in rows:
+    for line, row in lines:
         if len(row) != len(header):
             raise SurveyError(
                 f"survey {path}, line {line}: {len(row)} cells, the header has {len(header)} "
@@ -82,8 +81,8 @@ def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05
         name = row[header.index("run")].strip() if "run" in header else "1"
         group = groups.setdefault((name, _direction(path, line, header, row)), _Rows())
         group.lines.append(line)
-        group.x.append(_metres(path, line, row, x_column))
-        group.deviation.append(_metres(path, line, row, deviation_column))
+        group.x.append(metres(path, line, row, x_column))
+        group.deviation.append(metres(path, line, row, deviation_column))
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")
 
@@ -122,19 +121,6 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
         file.write("\n".join(lines) + "\n")
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of all lines that are neither blank nor comment."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # spreadsheets put a byte order mark in front
-    except OSError as error:
-        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise SurveyError(f"survey {path}: byte {error.start} is not UTF-8; save the file as UTF-8 CSV") from error
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            yield number, next(csv.reader([line]))
-
-
 def _direction(path: Path, line: int, header: Sequence[str], row: Sequence[str]) -> Direction | None:
     if "direction" not in header:
         return None
@@ -142,18 +128,6 @@ def _direction(path: Path, line: int, header: Sequence[str], row: Sequence[str])
     if direction not in _DIRECTIONS:
         raise SurveyError(f"survey {path}, line {line}: direction {direction!r}; allowed: {' or '.join(_DIRECTIONS)}")
     return cast(Direction, direction)
-
-
-def _metres(path: Path, line: int, row: Sequence[str], column: Column) -> float:
-    cell = row[column.index].strip()
-    name = f"{column.quantity.name}_{column.unit}"
-    try:
-        number = float(cell)
-    except ValueError:
-        raise SurveyError(f"survey {path}, line {line}: {name} {cell!r}; allowed: a number") from None
-    if not math.isfinite(number):
-        raise SurveyError(f"survey {path}, line {line}: {name} {cell!r}; allowed: a finite number")
-    return column.metres(number)
 
 
 def _decimal(value: float, places: int) -> str:

@@ -151,7 +151,7 @@ def test_the_report_needs_no_network_and_has_all_plots(make_record, tmp_path):
     found = assess(Path("bag <1>"), as_evaluation(record), warnings=("not finished",))
     verdicts = judged(read_limits(limits(tmp_path, "encoder_pp_um: 0.0001"), found.figures()), found.figures())
     text = report_html(found, found, verdicts)
-    assert text.count('class="plotly-graph-div"') == 5
+    assert text.count('class="plotly-graph-div"') == 6
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=", text)
     assert "bag &lt;1&gt;" in text and "bag <1>" not in text
     assert "not finished" in text and "FAILED" in text and "@media print" in text

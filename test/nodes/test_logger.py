@@ -1,15 +1,25 @@
 """The logger's own services and refusals, with played samples instead of a driver."""
 
 import re
+import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import rclpy
+import yaml
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Range
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from straightcomp_ros.bags.definitions import definition
+from straightcomp_ros.bags.fields import Field, read_field
+from straightcomp_ros.bags.messages import read_messages
 from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.nodes.message_definition import definition_of_class
 
 COUNT = 20_000
 
@@ -26,17 +36,27 @@ def samples(tmp_path_factory):
     return path
 
 
-def call(name: str) -> Trigger.Response:
+@contextmanager
+def caller():
+    """A node of this process."""
     rclpy.init()
     try:
-        node = rclpy.create_node("caller")
-        client = node.create_client(Trigger, name)
-        assert client.wait_for_service(60)
-        future = client.call_async(Trigger.Request())
-        rclpy.spin_until_future_complete(node, future, timeout_sec=60)
-        return future.result()
+        yield rclpy.create_node("caller")
     finally:
         rclpy.try_shutdown()
+
+
+def ask(node, name: str) -> Trigger.Response:
+    client = node.create_client(Trigger, name)
+    assert client.wait_for_service(30)
+    future = client.call_async(Trigger.Request())
+    rclpy.spin_until_future_complete(node, future, timeout_sec=30)
+    return future.result()
+
+
+def call(name: str) -> Trigger.Response:
+    with caller() as node:
+        return ask(node, name)
 
 
 def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(graph, samples, tmp_path):
@@ -67,3 +87,61 @@ def test_a_pattern_that_is_none_is_refused(graph, tmp_path):
     logger = graph.start("logger", {"output": str(tmp_path / "bag"), "topics": "("})
     assert logger.wait(120) == 2
     assert "parameter 'topics'" in graph.last_words("logger")
+
+
+def test_recording_starts_stops_and_splits_by_service_and_takes_topics_of_others(graph, tmp_path):
+    bag = tmp_path / "bag"
+    with caller() as node:
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_publisher(String, "/recipe", latched).publish(String(data="steel"))
+        probe = node.create_publisher(Range, "/probe", 10)
+        graph.start(
+            "logger",
+            {
+                "output": str(bag),
+                "nodes": "logger",
+                "record_at_start": False,
+                "topics": "encoder",
+                "other_topics": "/recipe|/probe",
+            },
+        )
+        assert not ask(node, "logger/stop").success
+        assert ask(node, "logger/start").message.endswith(str(bag))
+        assert not ask(node, "logger/start").success
+
+        def publish_until(enough):
+            deadline = time.monotonic() + 120
+            while not enough():
+                assert time.monotonic() < deadline
+                probe.publish(Range(range=0.25))
+                time.sleep(0.02)
+
+        publish_until(lambda: probe.get_subscription_count() == 1)
+        publish_until(lambda: size(bag / "bag_0.mcap") > 20_000)
+        assert ask(node, "logger/split").success
+        publish_until(lambda: size(bag / "bag_1.mcap") > 5000)
+        assert re.match(r"\d+ messages are in", ask(node, "logger/stop").message)
+        assert (bag / "metadata.yaml").exists()
+        assert ask(node, "logger/start").message.endswith("bag_2")
+        publish_until(lambda: size(tmp_path / "bag_2" / "bag_2_0.mcap") > 5000)
+    assert graph.stop(["logger"])["logger"] == 0
+    found = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert found["relative_file_paths"] == ["bag_0.mcap", "bag_1.mcap"]
+    topics = {entry["topic_metadata"]["name"]: entry for entry in found["topics_with_message_count"]}
+    assert set(topics) == {"/encoder", "/recipe", "/probe"}
+    (qos,) = topics["/recipe"]["topic_metadata"]["offered_qos_profiles"]
+    assert (qos["durability"], qos["reliability"]) == ("transient_local", "reliable")
+    assert set(read_field(bag, Field("/probe", "range")).values) == {0.25}
+    assert (tmp_path / "bag_2" / "metadata.yaml").exists()
+    # Sent once, before any bag was begun: each has it, as a late subscriber has.
+    for folder in ("bag", "bag_2"):
+        (recipe,) = read_messages(tmp_path / folder, "/recipe").data
+        assert b"steel" in recipe
+
+
+def size(file) -> int:
+    return file.stat().st_size if file.exists() else 0
+
+
+def test_the_definition_of_a_message_class_is_that_of_its_package():
+    assert definition_of_class(Range).type_hash == definition("sensor_msgs/msg/Range").type_hash

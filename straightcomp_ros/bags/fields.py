@@ -1,0 +1,154 @@
+"""One number of every message of a topic, whatever its type: ``position[stage_x]``, ``point.y``, ``range``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.definitions import typestore
+from straightcomp_ros.bags.messages import Messages, read_messages
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.cdr import NANOSECONDS, Layout, LayoutMismatch
+from straightcomp_ros.contract import DISPLACEMENT, STREAMS
+
+_STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
+
+
+@dataclass(frozen=True)
+class Field:
+    """A number in the messages of a topic.
+
+    Attributes:
+        topic: relative or full name.
+        path: names separated by dots; ``name[3]`` takes an element of an array, ``name[joint]`` the one that the
+            message's ``name`` or ``joint_names`` lists at that place.
+    """
+
+    topic: str
+    path: str
+
+    @classmethod
+    def parsed(cls, text: str, path: str) -> Field:
+        """``TOPIC`` or ``TOPIC:PATH``; ``path`` where the text names none.
+
+        Raises:
+            ValueError: another form; the message names it and what is allowed.
+        """
+        topic, _, given = text.partition(":")
+        found = cls(topic, given or path)
+        if not topic or not all(_STEP.fullmatch(step) for step in found.path.split(".")):
+            raise ValueError(f"{text!r}; allowed: TOPIC or TOPIC:FIELD, FIELD such as point.y or position[stage_x]")
+        return found
+
+    def __str__(self) -> str:
+        return f"{self.topic}:{self.path}"
+
+
+@dataclass(frozen=True)
+class FieldValues:
+    """Values (n,) float64 in the unit of the messages, and the stamps (n,) int64 in ns since the epoch.
+
+    ``stamped`` tells whether the stamps are those of the messages' headers; without headers they are the times at
+    which the messages were sent.
+    """
+
+    stamp: NDArray[np.int64]
+    values: NDArray[np.float64]
+    stamped: bool
+
+
+def read_field(bag: Path, field: Field) -> FieldValues:
+    """The values of a field in the order of recording.
+
+    Raises:
+        BagError: the bag cannot be read, lacks the topic, or its messages lack the field.
+    """
+    messages = read_messages(bag, field.topic)
+    known = _layout_with(field, messages)
+    if known:
+        layout, column = known
+        stream = read_streams(bag, {messages.topic: layout})[messages.topic]
+        return FieldValues(stream.stamp, stream.columns[column], True)
+    decode = _decoder(bag, messages)
+    stamp = np.array(messages.publish_time, np.int64)
+    values = np.empty(len(stamp))
+    stamped = True
+    for place, data in enumerate(messages.data):
+        where = f"bag {bag}: topic '{messages.topic}', message {place}"
+        message = decode(where, data)
+        values[place] = _value(where, message, field.path)
+        header = getattr(message, "header", None)
+        if header is None:
+            stamped = False
+        else:
+            stamp[place] = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
+    return FieldValues(stamp, values, stamped)
+
+
+def _layout_with(field: Field, messages: Messages) -> tuple[Layout, str] | None:
+    """One of our layouts that the first message has, and the column that holds the field: the fast way."""
+    for stream in (*STREAMS, DISPLACEMENT):
+        layout = stream.layout
+        paths = [f"{array}[{joint}]" for array, joint in layout.places]
+        if layout.type_name == messages.type_name and field.path in paths:
+            try:
+                layout.unpack(messages.data[0])
+            except LayoutMismatch:
+                continue
+            return layout, layout.columns[paths.index(field.path)]
+    return None
+
+
+def _decoder(bag: Path, messages: Messages) -> Callable[[str, bytes], Any]:
+    from rosbags.typesys import get_types_from_msg
+
+    store, name = typestore(), messages.type_name
+    if name not in store.fielddefs:
+        try:
+            described = get_types_from_msg(messages.definition, name)
+            store.register({key: value for key, value in described.items() if key not in store.fielddefs})
+        except Exception as error:  # Whatever a parser stumbles over in somebody else's text.
+            raise BagError(
+                f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
+            ) from error
+
+    def decode(where: str, data: bytes) -> Any:
+        try:
+            return store.deserialize_cdr(data, name)
+        except Exception as error:  # Likewise in bytes that are no such message.
+            raise BagError(f"{where} is no {name} ({error})") from error
+
+    return decode
+
+
+def _value(where: str, message: Any, path: str) -> float:
+    found = message
+    for step in path.split("."):
+        match = _STEP.fullmatch(step)
+        assert match is not None  # checked when the field was made
+        name, key = match.groups()
+        owner, found = found, getattr(found, name, None)
+        if found is None:
+            names = ", ".join(entry for entry in vars(owner) if not entry.startswith("_"))
+            raise BagError(f"{where} has no field '{name}' in '{path}'; it has {names}")
+        if key is not None:
+            found = _element(where, owner, found, key, path)
+    if not isinstance(found, int | float | np.number):
+        raise BagError(f"{where}: '{path}' is no number but {type(found).__name__}; name a number in it")
+    return float(found)
+
+
+def _element(where: str, owner: Any, values: Any, key: str, path: str) -> Any:
+    names = list(getattr(owner, "name", None) or getattr(owner, "joint_names", None) or [])
+    place = int(key) if key.isdecimal() else names.index(key) if key in names else None
+    if place is None or not hasattr(values, "__len__") or place >= len(values):
+        listed = f"; its names are {', '.join(map(str, names))}" if names else ""
+        raise BagError(f"{where} has no element '{key}' for '{path}'{listed}")
+    return values[place]

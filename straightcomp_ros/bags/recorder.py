@@ -1,0 +1,194 @@
+"""Records: one bag after the other, each written on a thread of its own, so that the disk never holds up receiving."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.definitions import Definition
+from straightcomp_ros.bags.disk import DiskGuard
+from straightcomp_ros.bags.intake import BREAK, Intake
+from straightcomp_ros.bags.losses import Losses
+from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
+from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
+
+_WRITE_INTERVAL_S = 0.02
+
+
+@dataclass(frozen=True)
+class RecorderOptions:
+    """How bags are written.
+
+    Attributes:
+        output: folder of the first bag, later ones get ``_2``, ``_3`` …; empty names each after the time of its start.
+        compression, max_size, max_duration: see :class:`straightcomp_ros.bags.writer.BagWriter`.
+        queue_limit, snapshot_s: see :class:`straightcomp_ros.bags.intake.Intake`.
+        min_free: bytes that must stay free on the disk.
+    """
+
+    output: str = ""
+    compression: str = "zstd"
+    max_size: int = 0
+    max_duration: float = 0.0
+    queue_limit: int = 200_000
+    snapshot_s: float = 0.0
+    min_free: int = 0
+
+
+@dataclass(frozen=True)
+class Announced:
+    """A topic that every bag gets: full name, type, quality of service, and the definition of a type that ROS 2's own
+    packages do not have."""
+
+    name: str
+    type_name: str
+    qos: TopicQos
+    described: Definition | None = None
+
+
+class Recorder:
+    """Call it from one thread; it has its own for writing.
+
+    Args:
+        options: see there.
+        stamped: full names of the topics that have a header with their sample's stamp; their losses are counted.
+        describe: called on the writing thread with the bag, now and then, until it returns true, and once more when the
+            bag ends, then with true: attaches what says of what the recording is.
+
+    Attributes:
+        intake: takes the messages, also before :meth:`start` (they are passed over then).
+        folder: of the bag that is being written, or was last.
+        failure: why the recording stopped by itself; what came before is saved by :meth:`stop`.
+        written: messages in the present bag.
+    """
+
+    def __init__(
+        self, options: RecorderOptions, stamped: Collection[str], describe: Callable[[BagWriter, bool], bool]
+    ) -> None:
+        self._options, self._stamped, self._describe = options, frozenset(stamped), describe
+        self._topics: list[Announced] = []
+        self._new_topics: deque[Announced] = deque()
+        self._count = self.written = 0
+        self._stopping, self._splitting = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        self.failure: Exception | None = None
+        self.folder = Path(options.output)
+        self.intake = self._closed_intake()
+
+    @property
+    def recording(self) -> bool:
+        """Whether a bag is open."""
+        return self._thread is not None
+
+    def announce(self, topic: Announced) -> None:
+        """Add a topic, to the present bag too. Its first message may follow at once."""
+        self._topics.append(topic)
+        self._new_topics.append(topic)
+
+    def start(self) -> Path:
+        """Begin a bag; returns its folder.
+
+        Raises:
+            BagError: a bag is open already, or the folder is not empty or cannot be made.
+        """
+        if self.recording:
+            raise BagError(f"bag {self.folder} is being recorded already")
+        folder = self._next_folder()
+        bag = BagWriter(
+            folder,
+            compression=self._options.compression,
+            max_size=self._options.max_size,
+            max_duration=self._options.max_duration,
+        )
+        try:
+            bag.add_metadata(ORIGIN_METADATA, origin())
+            self._new_topics.clear()
+            for topic in self._topics:
+                bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)
+        except BaseException:
+            bag.close()
+            raise
+        self._count += 1
+        self.folder, self.failure, self.written = folder, None, 0
+        self._losses, self._disk = Losses(), DiskGuard(folder, self._options.min_free)
+        self._bag, self._described = bag, False
+        self.intake = Intake(self._options.queue_limit, self._options.snapshot_s)
+        self._stopping.clear()
+        self._splitting.clear()
+        self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")
+        self._thread.start()
+        return folder
+
+    def split(self) -> None:
+        """Go on in a new file of the bag, soon."""
+        self._splitting.set()
+
+    def stop(self) -> None:
+        """Write what has come and finish the bag; without one, nothing.
+
+        Raises:
+            BagError: the disk does not take the rest.
+        """
+        if self._thread is None:
+            return
+        intake, self.intake = self.intake, self._closed_intake()
+        self._stopping.set()
+        self._thread.join()
+        self._thread = None
+        with self._bag:  # finishes the bag even where the disk takes nothing more of these
+            if not self._described:
+                self._describe(self._bag, True)
+            counts = {"received": intake.received, "written": self.written, "dropped": intake.dropped}
+            self._bag.add_metadata("logger", {name: str(count) for name, count in counts.items()})
+            self._bag.add_metadata("losses", {topic: str(count) for topic, count in self._losses.by_topic().items()})
+
+    def _closed_intake(self) -> Intake:
+        intake = Intake(self._options.queue_limit)
+        intake.paused = True
+        return intake
+
+    def _next_folder(self) -> Path:
+        if not self._options.output:
+            return Path(datetime.now().strftime("straightcomp_%Y_%m_%d-%H_%M_%S"))
+        first = Path(self._options.output)
+        return first if not self._count else first.with_name(f"{first.absolute().name}_{self._count + 1}")
+
+    def _write_until_stopped(self) -> None:
+        intake = self.intake
+        try:
+            while not self._stopping.wait(_WRITE_INTERVAL_S):
+                self._write(intake)
+                self._disk.check()
+                if not self._described:
+                    # Now, not at the end: after a SIGKILL the bag still says what it is of.
+                    self._described = self._describe(self._bag, False)
+                if self._splitting.is_set():
+                    self._splitting.clear()
+                    self._bag.split()
+                self._bag.flush_older(FLUSH_AGE)
+            self._write(intake)
+        except (OSError, BagError) as error:
+            self.failure = error
+
+    def _write(self, intake: Intake) -> None:
+        queue = intake.queue
+        count = len(queue)
+        # After the count: the topic of each of these messages was announced before it came.
+        while self._new_topics:
+            topic = self._new_topics.popleft()
+            self._bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)
+        for _ in range(count):
+            message = queue.popleft()
+            if message is BREAK:
+                self._losses.interrupt()
+                continue
+            self._bag.write(*message)
+            self.written += 1
+            if message[0] in self._stamped:
+                self._losses.add(*message[:2])

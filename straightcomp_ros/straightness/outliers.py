@@ -1,0 +1,79 @@
+"""Readings that cannot be the guide: spikes within a run, and points or runs that differ from the others.
+
+Both tests are Hampel's identifier: a value is an outlier if it is further from the median than ``limit`` robust
+standard deviations, 1.4826 times the median absolute deviation (F. R. Hampel, J. Am. Stat. Assoc. 69, 1974). Neither
+the median nor that deviation moves with the outliers themselves, as mean and standard deviation do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_GAUSSIAN = 1.4826
+FLOOR = 20e-9
+"""Distance in m from the median below which nothing is an outlier: runs that agree to a nanometre by chance must not
+condemn one that differs by five."""
+_WHOLE_RUN = 0.25
+"""Part of a run's points from which the run is rejected as a whole: something was knocked, or came loose."""
+_WIDEST = 3
+"""Neighbouring points beyond which the run is rejected too: what would stand in their place is a guess."""
+_FEWEST = 3
+"""Runs of one direction from which they can be told apart: of two that differ, neither is the wrong one."""
+
+
+def spikes(residual: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
+    """Which samples of a run are outliers; ``residual`` (n,) in m is what is left beside its smooth course."""
+    distance = np.abs(residual - np.median(residual))
+    return np.asarray(distance > max(limit * _GAUSSIAN * float(np.median(distance)), FLOOR))
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Which of several runs over the same points do not agree with the rest.
+
+    Attributes:
+        runs: (runs,) true for a run that is rejected as a whole.
+        points: (runs, n) true for single points; all false for a rejected run.
+    """
+
+    runs: NDArray[np.bool_]
+    points: NDArray[np.bool_]
+
+
+def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
+    """Compare the runs of one direction.
+
+    Args:
+        values: (runs, n) deviation in m on one grid.
+        limit: in robust standard deviations, which are taken over all points.
+    """
+    rejected = np.zeros(len(values), np.bool_)
+    points = np.zeros(values.shape, np.bool_)
+    while np.count_nonzero(~rejected) >= _FEWEST:
+        kept = values[~rejected]
+        distance = np.abs(kept - np.median(kept, axis=0))
+        # With an odd number of runs one is the median itself; its zeros would make the others' spread seem small.
+        others = distance[distance > 0.0]
+        spread = float(np.median(others)) if others.size else 0.0
+        flagged = distance > max(limit * _GAUSSIAN * spread, FLOOR)
+        unusable = (flagged.mean(axis=1) > _WHOLE_RUN) | (_longest(flagged) > _WIDEST)
+        if not unusable.any():
+            points[~rejected] = flagged
+            break
+        # One by one: the worst run moves the median for the others.
+        worst = np.where(unusable, distance.sum(axis=1), -1.0).argmax()
+        rejected[np.flatnonzero(~rejected)[worst]] = True
+    return Disagreement(rejected, points)
+
+
+def _longest(flagged: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """How many neighbours at most are true, in each row."""
+    longest = np.zeros(len(flagged), np.int64)
+    current = longest.copy()
+    for column in flagged.T:
+        current = np.where(column, current + 1, 0)
+        longest = np.maximum(longest, current)
+    return longest

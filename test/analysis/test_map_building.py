@@ -1,0 +1,259 @@
+"""Surveys with known guides, hysteresis and faults: what is recognised, rejected, reported and written."""
+
+import itertools
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
+from straightcomp_ros.analysis.survey_runs import recognise
+from straightcomp_ros.analysis.survey_series import Sensor, Series, series_of_bag
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import DISPLACEMENT, ENCODER
+from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.straightness.outliers import disagreement, spikes
+from straightcomp_ros.straightness.repeatability import repeatability
+from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey
+
+SAMPLE = Path(__file__).resolve().parents[2] / "bags" / "survey"
+LENGTH = 0.4
+
+
+def guide(x):
+    return 5e-6 * np.sin(2.0 * np.pi * x / 0.3)
+
+
+def driven(*ends, rate=200.0, speed=0.2, rest=0.3):
+    """time, x: from end to end at constant speed, resting at each."""
+    x = [np.full(round(rest * rate), ends[0])]
+    for start, end in itertools.pairwise(ends):
+        count = round(abs(end - start) / speed * rate)
+        x += [start + (end - start) * np.arange(1, count + 1) / count, np.full(round(rest * rate), end)]
+    x = np.concatenate(x)
+    return np.arange(x.size) / rate, x
+
+
+def series(time, x, deviation):
+    return Series("made up", time, x, deviation, 0, {})
+
+
+def runs(values, directions):
+    x = np.arange(len(values[0])) * 0.01
+    return Survey(
+        tuple(Run(str(i), way, x, np.array(row)) for i, (row, way) in enumerate(zip(values, directions, strict=True)))
+    )
+
+
+def test_repeatability_of_two_runs_each_way_is_that_of_iso_230_2():
+    # One point is worth checking by hand: forward 1 and 3 µm, backward 0 and 0 µm.
+    survey = runs(np.array([[1.0] * 25, [3.0] * 25, [0.0] * 25, [0.0] * 25]) * 1e-6, ["forward"] * 2 + ["backward"] * 2)
+    found = repeatability(survey, survey.runs[0].x, np.array([run.deviation for run in survey.runs]))
+    s = math.sqrt(2.0) * 1e-6
+    assert found.forward.repeatability == pytest.approx(4 * s)
+    assert found.backward.repeatability == 0.0
+    assert found.reversal == pytest.approx(np.full(25, 2e-6))
+    assert found.bidirectional == pytest.approx(max(2 * s + 2e-6, 4 * s))
+    assert found.short_of_the_standard
+
+
+def test_one_run_each_way_has_a_reversal_but_no_repeatability():
+    survey = runs(np.array([[1.0] * 25, [0.0] * 25]) * 1e-6, ["forward", "backward"])
+    found = repeatability(survey, survey.runs[0].x, np.array([run.deviation for run in survey.runs]))
+    assert found.bidirectional is None and found.forward.repeatability is None
+    assert found.to_display()["reversal_max_um"] == pytest.approx(1.0)
+
+
+def test_clean_noise_is_hardly_ever_an_outlier():
+    random = np.random.default_rng(1)
+    assert spikes(random.normal(0.0, 1e-7, 20_000), 6.0).mean() < 1e-3
+    rejected = [disagreement(random.normal(0.0, 1e-7, (count, 200)), 6.0) for count in (3, 4, 5, 10) for _ in range(10)]
+    assert not any(one.runs.any() for one in rejected)
+    assert np.mean([one.points.mean() for one in rejected]) < 2e-3
+
+
+def test_of_two_runs_that_differ_neither_is_rejected():
+    values = np.array([np.zeros(50), np.full(50, 5e-6)])
+    found = disagreement(values, 6.0)
+    assert not found.runs.any() and not found.points.any()
+
+
+def test_a_run_that_was_knocked_is_rejected_and_a_single_bad_point_only_itself():
+    random = np.random.default_rng(2)
+    values = random.normal(0.0, 3e-8, (5, 100))
+    values[1, 40:50] += 2e-6
+    values[3, 7] += 2e-6
+    found = disagreement(values, 6.0)
+    assert found.runs.tolist() == [False, True, False, False, False]
+    assert np.argwhere(found.points).tolist() == [[3, 7]]
+
+
+def test_strokes_directions_and_a_broken_off_run_are_recognised():
+    time, x = driven(0.0, LENGTH, 0.0, 0.15, 0.0, LENGTH, 0.0)
+    found = recognise(series(time, x, guide(x)), 5e-3, 6.0)
+    assert [p.run.direction for p in found.passages] == ["forward", "backward", "forward", "backward"]
+    assert [p.run.name for p in found.passages] == ["1", "1", "2", "2"]
+    assert found.partial == 2
+    for passage in found.passages:
+        assert not passage.at_rest
+        assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
+
+
+def test_a_spike_does_not_reach_the_points_even_where_a_point_has_one_reading():
+    time, x = driven(0.0, LENGTH, rate=50.0)
+    deviation = guide(x) + np.random.default_rng(3).normal(0.0, 1e-8, x.size)
+    bad = np.arange(25, x.size - 20, 17)
+    deviation[bad] += 3e-6
+    (passage,) = recognise(series(time, x, deviation), 4e-3, 6.0).passages
+    assert passage.spikes >= len(bad)
+    assert np.abs(passage.run.deviation - guide(passage.run.x)).max() < 1e-7
+
+
+def test_stops_make_points_of_their_second_halves():
+    time, x = driven(*np.arange(0.0, LENGTH + 1e-9, 0.01), *np.arange(LENGTH, -1e-9, -0.01)[1:], rest=0.5)
+    moving = np.abs(np.gradient(x, time)) > 1e-6
+    # The probe still swings when the stage has stopped.
+    settled_for = np.zeros(x.size)
+    for i in range(1, x.size):
+        settled_for[i] = 0.0 if moving[i] else settled_for[i - 1] + time[i] - time[i - 1]
+    deviation = guide(x) + 2e-6 * np.exp(-settled_for / 0.02)
+    found = recognise(series(time, x, deviation), 5e-3, 6.0)
+    assert [p.run.direction for p in found.passages] == ["forward", "backward"]
+    for passage in found.passages:
+        assert passage.at_rest and 38 <= passage.run.x.size <= 41
+        assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
+
+
+def test_level_takes_the_slope_of_the_straight_edge_out():
+    x = np.linspace(0.0, LENGTH, 81)
+    survey = Survey((Run("1", "forward", x, guide(x) + 1e-5 * x + 1e-3),), "made up")
+    level = build(survey, SAMPLE, Choices(level=True))
+    assert np.polyfit(level.repeatability.x, level.mean, 1)[0] == pytest.approx(0.0, abs=1e-9)
+    tilted = build(survey, SAMPLE)
+    assert tilted.mean.mean() == pytest.approx(0.0, abs=1e-12)
+    assert tilted.figures()["straightness_least_squares_um"] == pytest.approx(
+        level.figures()["straightness_least_squares_um"]
+    )
+
+
+def test_a_stage_that_never_moved_is_refused():
+    time = np.arange(100) * 0.01
+    with pytest.raises(SurveyError, match=r"made up.*does not move"):
+        build_from_series(series(time, np.zeros(100), np.zeros(100)), SAMPLE)
+
+
+def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys):
+    output = tmp_path / "map.csv"
+    assert main(["map", "build", str(SAMPLE), "-o", str(output), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["forward_runs"], found["backward_runs"]) == (5, 4)
+    assert found["rejected_run_names"] == ["2 backward"]
+    assert 10 <= found["rejected_samples"] <= 40
+    assert 0.2 < found["repeatability_bidirectional_um"] < 0.6
+    assert len(found["x_mm"]) == found["points"] == len(found["mean_um"])
+    survey = read_survey(output)
+    assert len(survey.runs) == 9
+    head = output.read_text().splitlines()[:8]
+    assert any(line.startswith("# source: survey, sha256 ") for line in head)
+    assert any("rejected runs: 2 backward" in line for line in head)
+    built, true = load_map(MapParameters(str(output))), load_map(MapParameters("config/guide_synthetic.csv"))
+    x = np.linspace(0.002, 1.758, 1000)
+    assert np.ptp(built.deviations(x) - true.deviations(x)) < 0.12e-6
+
+
+def test_an_existing_map_is_not_replaced_unasked(tmp_path, capsys):
+    output = tmp_path / "map.csv"
+    output.write_text("mine")
+    assert main(["map", "build", str(SAMPLE), "-o", str(output)]) == 1
+    assert output.read_text() == "mine"
+    assert "--force" in capsys.readouterr().err
+
+
+def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, capsys):
+    time, x = driven(0.0, LENGTH, 0.0, LENGTH, 0.0)
+    rows = "\n".join(f"{t:.3f},{a * 1e3:.4f},{d * 1e6:.3f}" for t, a, d in zip(time, x, guide(x), strict=True))
+    recording, survey, plot = tmp_path / "time.csv", tmp_path / "survey.csv", tmp_path / "survey.png"
+    recording.write_text(f"time_s,x_mm,deviation_um\n{rows}\n")
+    assert main(["map", "build", str(recording), "-o", str(survey), "--plot", str(plot), "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert first["forward_runs"] == first["backward_runs"] == 2
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert main(["map", "build", str(survey), "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["straightness_least_squares_um"] == pytest.approx(first["straightness_least_squares_um"], abs=2e-3)
+
+
+def other_bag(path, *, unit=1e6, header=True):
+    """A survey with somebody else's types: an axis by the name of `carriage`, a sensor that counts µm downwards."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    time_type, header_type = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    time, x = driven(0.0, LENGTH, 0.0, rate=100.0)
+    with BagWriter(path) as bag:
+        bag.add_topic("/axes", "sensor_msgs/msg/JointState")
+        sensor_type = "geometry_msgs/msg/PointStamped" if header else "std_msgs/msg/Float64"
+        bag.add_topic("/probe", sensor_type)
+        for t, a in zip(time, x, strict=True):
+            ns = 1_700_000_000_000_000_000 + round(t * 1e9)
+            stamp = header_type(time_type(*divmod(ns, 10**9)), "")
+            empty = np.empty(0)
+            joint = types["sensor_msgs/msg/JointState"](
+                stamp, ["spindle", "carriage"], np.array([1.0, a]), empty, empty
+            )
+            bag.write("/axes", bytes(store.serialize_cdr(joint, "sensor_msgs/msg/JointState")), ns, ns)
+            reading = -guide(a) * unit
+            if header:
+                point = types["geometry_msgs/msg/Point"](0.0, reading, 0.0)
+                message = types[sensor_type](stamp, point)
+            else:
+                message = types[sensor_type](reading)
+            bag.write("/probe", bytes(store.serialize_cdr(message, sensor_type)), ns, ns)
+
+
+@pytest.mark.parametrize("header, field", [(True, "point.y"), (False, "data")])
+def test_topics_and_types_of_others_are_named_by_options(tmp_path, capsys, header, field):
+    other_bag(tmp_path / "bag", header=header)
+    arguments = ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", "--unit", "um", "--json"]
+    assert main([*arguments, "--invert", "--sensor", f"/probe:{field}"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert np.array(found["mean_um"]) == pytest.approx(
+        (guide(np.array(found["x_mm"]) * 1e-3) - guide(np.array(found["x_mm"]) * 1e-3).mean()) * 1e6, abs=0.02
+    )
+    assert ("by time of sending" in found["provenance"]["sensor"]) is not header
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (["--sensor", "/probe:point.q"], "no field 'q'"),
+        (["--sensor", "/probe:point"], "is no number"),
+        (["--sensor", "/nothing:data"], "no topic '/nothing'"),
+        (["--sensor", "/probe:point.y", "--stage", "axes:position[gantry]"], "no element 'gantry'"),
+        (["--sensor", "/probe:po int"], "allowed: TOPIC or TOPIC:FIELD"),
+        (["--step", "0"], "--step 0; allowed"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path, capsys, options, words):
+    other_bag(tmp_path / "bag")
+    arguments = ["map", "build", str(tmp_path / "bag"), "--stage", "axes:position[carriage]", *options]
+    assert main(arguments) != 0
+    assert words in " ".join(capsys.readouterr().err.split())
+
+
+def test_platform_motion_is_taken_off_where_the_sensor_rides_on_it(tmp_path):
+    time, x = driven(0.0, LENGTH, rate=100.0)
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/encoder", ENCODER.layout.type_name)
+        bag.add_topic("/displacement", ENCODER.layout.type_name)
+        for t, a in zip(time, x, strict=True):
+            ns, y = 10**18 + round(t * 1e9), 3e-6 * math.sin(5.0 * t)
+            bag.write("/encoder", ENCODER.layout.pack(ns, a, y, math.nan, math.nan), ns, ns)
+            bag.write("/displacement", DISPLACEMENT.layout.pack(ns, float(guide(a)) + y), ns, ns)
+    found = series_of_bag(tmp_path / "bag", sensor=Sensor(on_platform=True))
+    assert found.deviation == pytest.approx(guide(found.x), abs=1e-12)
