@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.hardware.can.crc import crc8, start_value
+from straightcomp_ros.hardware.can.crc import crc_of_5, crc_of_8, crc_of_16, start_value
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     COUNTER_MODULUS,
@@ -135,7 +135,22 @@ def test_physical_values_and_identifiers_agree_with_the_dbc():
 
 @pytest.mark.parametrize("alive, crc", [(0, 0xCC), (1, 0x91)])
 def test_the_crc_gives_the_examples_of_autosar_for_data_id_0x123(alive, crc):
-    assert crc8(bytes([0, alive, 0, 0, 0, 0, 0, 0]), start_value(0x123)) == crc
+    assert crc_of_8(bytes([0, alive, 0, 0, 0, 0, 0, 0]), start_value(0x123)) == crc
+
+
+def crc_bit_by_bit(data):
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1D) & 0xFF if crc & 0x80 else crc << 1
+    return crc
+
+
+@given(st.integers(0, 0xFFFF), st.sampled_from([crc_of_5, crc_of_8, crc_of_16]), st.binary(min_size=16, max_size=16))
+def test_the_crc_by_table_is_the_one_taken_bit_by_bit_whatever_stands_in_its_place(data_id, crc, payload):
+    payload = payload[: int(crc.__name__.removeprefix("crc_of_"))]
+    assert crc(payload, start_value(data_id)) == crc_bit_by_bit(data_id.to_bytes(2, "little") + payload[1:])
 
 
 @pytest.mark.parametrize("codec", [CLASSIC, FD], ids=["classic", "fd"])
