@@ -95,6 +95,8 @@ class CanHardware(Hardware):
         if refusal:
             raise HardwareError(refusal)
         if not self._wanted:
+            # The board switches on at an edge: it has to have seen "off" before.
+            self._send(0, self._newest_number)
             self._wanted, self._was_on = True, False
             self._seen = self._upsets()
             self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)

@@ -6,7 +6,7 @@ import random
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from straightcomp_ros.hardware.can.faults import Faults
+from straightcomp_ros.hardware.can.faults import FLOOD, Faults
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     CURRENT_EVERY,
@@ -54,7 +54,7 @@ class Trial:
             "truncate": checks,
             "wrong_id": counts["foreign"] + checks,
             "error_frame": counts["error_frames"],
-            "babble": counts["foreign"] // 20,
+            "flood": counts["foreign"] // FLOOD,
         }[kind]
 
 

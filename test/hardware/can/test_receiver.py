@@ -17,7 +17,7 @@ from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 
-KINDS = ("drop", "duplicate", "reorder", "corrupt", "garble", "truncate", "wrong_id", "error_frame", "babble")
+KINDS = ("drop", "duplicate", "reorder", "corrupt", "garble", "truncate", "wrong_id", "error_frame", "flood")
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 PERIOD = 500_000
 
@@ -29,7 +29,7 @@ def test_each_fault_is_found_as_often_as_it_was_made_and_no_wrong_sample_is_used
     assert trial.injected[kind] > 200
     assert trial.detected(kind) == trial.injected[kind]
     assert trial.unflagged_wrong == 0
-    missing = 0 if kind in ("duplicate", "error_frame", "babble") else trial.injected[kind]
+    missing = 0 if kind in ("duplicate", "error_frame", "flood") else trial.injected[kind]
     # A swapped frame is late by one, and no new sample any more.
     assert trial.frames - BLOCK + 1 - trial.delivered == missing
 
