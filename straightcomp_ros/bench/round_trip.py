@@ -123,7 +123,7 @@ class _Host:
         self.receiver.receive(message.arbitration_id, bytes(message.data), arrival_ns)
         samples = self.receiver.samples
         if samples:
-            number, _ = samples.pop()
+            number, *_ = samples.pop()
             samples.clear()
             self.sent_s[number % self._echoes] = message.timestamp
             command = Command(self.answers % ALIVE_MODULUS, Switch.NO, Switch.NO, 0, number)

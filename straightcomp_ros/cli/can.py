@@ -7,7 +7,7 @@ import importlib
 
 SUMMARY = "a CAN bus between processes, and recorded buses"
 
-_TOOLS = ("hub",)
+_TOOLS = ("hub", "replay")
 """Each is a module ``can_<name>`` beside this one, with SUMMARY, add_arguments and run, as a verb is."""
 
 

@@ -98,7 +98,7 @@ def run_trial(
             for arrived in faults(frame) if hurt else [frame]:
                 _hand_over(receiver, arrived)
     wrong = 0
-    for index, sample in receiver.samples:
+    for index, sample, _ in receiver.samples:
         x, y = position(index)
         true_ns = taken.get(index, 0)
         good = (sample.x, sample.y) == (x * POSITION_COUNT, y * POSITION_COUNT)

@@ -83,10 +83,11 @@ class Identifiers:
         self.current = 0x280 + node
         self.command_fd = 0x300 + node
         self.encoder_fd = 0x380 + node
-        # A simulated stage only; no board uses them.
+        # An emulated machine only; no board uses them.
         self.stage_time = 0x400 + node
         self.stage_motion = 0x480 + node
         self.stage_start = 0x500 + node
+        self.truth = 0x580 + node
         self.heartbeat = 0x700 + node
 
 

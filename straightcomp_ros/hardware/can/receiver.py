@@ -25,7 +25,8 @@ from straightcomp_ros.hardware.can.frames import (
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
-from straightcomp_ros.hardware.interface import Sample
+from straightcomp_ros.hardware.can.truth_frame import truth_of
+from straightcomp_ros.hardware.interface import Sample, Truth
 
 _STRIKE = 4
 _UNSETTLED = 9.0
@@ -35,7 +36,7 @@ class Receiver:
     """Samples of one board; :attr:`samples` is filled, the caller empties it.
 
     Attributes:
-        samples: new samples, oldest first, with the number of each.
+        samples: new samples, oldest first: number, sample, and what an emulated board tells of it besides.
         amplifier: state that the newest good frame reports; None before the first.
         board_fault: why the board switched off.
         newest_ns: time of arrival of the newest sample that was good to use.
@@ -50,9 +51,9 @@ class Receiver:
         self._period_ns = period_ns = round(1e9 / parameters.rate)
         self.clock = SampleClock(period_ns)
         self.sequence = Sequence(self._elapsed)
-        self.samples: deque[tuple[int, Sample]] = deque()
+        self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
         self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
-        reasons = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "error_frames")
+        reasons = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "error_frames", "truth")
         self.counts = dict.fromkeys(reasons, 0)
         self.amplifier: Amplifier | None = None
         self.board_fault = BoardFault.NONE
@@ -67,10 +68,13 @@ class Receiver:
         self._alive = 0
         self._current = 0.0
         self._stamp_ns = 0
+        self._truth: tuple[int, Truth | None] = (-1, None)
         ids = self.codec.ids
         self._handlers = {self.codec.encoder_id: self._encoder, ids.heartbeat: self._heartbeat}
         if not self.codec.fd:
             self._handlers[ids.current] = self._coil_current
+        elif parameters.simulated_stage:
+            self._handlers[ids.truth] = self._hear_truth
 
     @property
     def identifiers(self) -> list[int]:
@@ -159,7 +163,9 @@ class Receiver:
         if frame.current is not None:
             self._current = frame.current * CURRENT_COUNT
         current = self._current if self.amplifier is Amplifier.ON else math.nan
-        self.samples.append((index, Sample(stamp_ns, frame.x * POSITION_COUNT, frame.y * POSITION_COUNT, current)))
+        sample = Sample(stamp_ns, frame.x * POSITION_COUNT, frame.y * POSITION_COUNT, current)
+        counter, truth = self._truth
+        self.samples.append((index, sample, truth if counter == frame.counter else None))
         if len(self.samples) > self._memory:
             self.samples.popleft()
             self.overflowed += 1
@@ -178,6 +184,13 @@ class Receiver:
                 self._place(waiting, number - self.sequence.index, waiting_ns)
             except FrameError as error:
                 self._strike(error.reason)
+
+    def _hear_truth(self, payload: bytes, _: int) -> None:
+        try:
+            self._truth = truth_of(payload)
+        except FrameError as error:
+            # Nobody acts on it: no reason for a strike.
+            self.counts[error.reason] += 1
 
     def _heartbeat(self, payload: bytes, arrival_ns: int) -> None:
         if len(payload) != 1:

@@ -93,7 +93,7 @@ def run_servo_trial(
 class _Trial:
     """Clock, bus and operator; also stands for the host's :class:`~straightcomp_ros.hardware.can.link.Link`."""
 
-    openings, transmit_full, overloads, problem = 1, 0, 0, ""
+    openings, transmit_full, overloads, problem, log = 1, 0, 0, "", None
 
     def __init__(self, rates: Mapping[str, float], guide: StraightnessMap, fd: bool, seed: int) -> None:
         self.now = _START_NS

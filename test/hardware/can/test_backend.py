@@ -43,7 +43,7 @@ class World:
     def _link(self, parameters, identifiers, receive, clock):
         self._receive, self._identifiers = receive, identifiers
         return SimpleNamespace(
-            start=lambda: None, send=self._from_host, problem="", openings=1, transmit_full=0, overloads=0
+            start=lambda: None, send=self._from_host, problem="", openings=1, transmit_full=0, overloads=0, log=None
         )
 
     def power_up(self):

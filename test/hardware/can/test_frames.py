@@ -26,7 +26,8 @@ from straightcomp_ros.hardware.can.frames import (
     status_bits,
 )
 from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payloads
-from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.hardware.can.truth_frame import truth_of, truth_payload
+from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.share import share_path
 
@@ -113,6 +114,15 @@ def test_a_command_frame_is_what_the_dbc_says(alive, enable, reset, current, cou
     assert codec.unpack_command(payload) == Command(alive, enable, reset, current, echo)
 
 
+@given(counter, st.lists(st.floats(allow_nan=False), min_size=6, max_size=6))
+def test_a_truth_frame_is_what_the_dbc_says_to_the_last_bit(counter, numbers):
+    payload = truth_payload(counter, Truth(*numbers))
+    assert [*raw("Truth", payload).values()] == [counter, int.from_bytes(payload[4:8], "little"), *numbers]
+    assert truth_of(payload) == (counter, Truth(*numbers))
+    with pytest.raises(FrameError):
+        truth_of(bytes([payload[0] ^ 1]) + payload[1:])
+
+
 def test_physical_values_and_identifiers_agree_with_the_dbc():
     payload = FD.pack_encoder(Encoder(3, 33, 17_600_000, -224, -5000, 3))
     values = DBC.get_message_by_name("EncoderFd").decode(payload)
@@ -130,6 +140,7 @@ def test_physical_values_and_identifiers_agree_with_the_dbc():
         ids.stage_time: ("StageTime", 8, False),
         ids.stage_motion: ("StageMotion", 8, False),
         ids.stage_start: ("StageStart", 5, False),
+        ids.truth: ("Truth", 64, True),
     }
 
 
