@@ -67,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
 def _figures(values: dict[str, dict[str, Any]], options: argparse.Namespace) -> dict[str, Any]:
     driver = node_parameters("driver", values["driver"])
     fd = driver.can.fd
+    guide = load_map(driver.guide)
     costs = codec_costs(_REPEATS)
     # A socket's path has room for about a hundred characters.
     with tempfile.TemporaryDirectory(prefix="straightcomp_") as folder, progress_bar() as bar:
@@ -74,7 +75,7 @@ def _figures(values: dict[str, dict[str, Any]], options: argparse.Namespace) -> 
         trip = measure_round_trip(values, Path(folder), options.seconds, options.cuts)
         bar.update(task, description="faults", total=1.0)
         counts, loops, wrong = fault_run(
-            load_map(driver.guide), options.frames, options.seed, lambda done: bar.update(task, completed=done)
+            guide, options.frames, options.seed, lambda done: bar.update(task, completed=done)
         )
     times_us = trip.times * 1e6
     return {

@@ -138,7 +138,10 @@ def test_the_servo_holds_the_platform_through_the_frames(world):
 def test_silence_of_the_board_latches_a_fault_until_reset_and_a_new_enable(world):
     world.on()
     world.board = None
-    world.run(0.02)
+    # The last frame came 0.1 ms after its sample: 5 ms of silence are complete in the eleventh period.
+    world.run(0.005)
+    assert world.host.state is State.ON
+    world.run(0.0005)
     assert world.host.state is State.FAULT and "no good sample" in world.host.fault
     world.power_up()
     world.run(0.3)
