@@ -176,7 +176,7 @@ class CanHardware(Hardware):
 
     def _receive(self, message: can.Message, arrival_ns: int) -> None:
         if message.is_error_frame:
-            self._receiver.receive_error_frame()
+            self._receiver.receive_error_frame(message.arbitration_id, bytes(message.data))
         elif not message.is_remote_frame and not message.is_extended_id:
             self._receiver.receive(message.arbitration_id, bytes(message.data), arrival_ns)
 
@@ -187,6 +187,7 @@ class CanHardware(Hardware):
             "the board restarted (boot-up message)": receiver.boot_ups,
             "too many frames failed their checks": receiver.strike_outs,
             "the board's sample counter jumped": receiver.sequence.jumps,
+            "the CAN controller is bus-off": receiver.counts["bus_off"],
         }
 
     def _watch(self, now_ns: int) -> None:

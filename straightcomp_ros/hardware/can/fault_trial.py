@@ -120,6 +120,6 @@ def _frames(codec: Codec, index: int, stamp_ns: int) -> list[Frame]:
 
 def _hand_over(receiver: Receiver, frame: Frame) -> None:
     if frame.flags & Flag.ERROR:
-        receiver.receive_error_frame()
+        receiver.receive_error_frame(frame.identifier, frame.data)
     else:
         receiver.receive(frame.identifier, frame.data, frame.stamp_ns)

@@ -30,6 +30,9 @@ from straightcomp_ros.hardware.interface import Sample, Truth
 
 _STRIKE = 4
 _UNSETTLED = 9.0
+_CONTROLLER, _BUS_OFF = 0x04, 0x40
+"""Classes of errors: the second byte of the payload has the controller's state; bus-off."""
+_PASSIVE = 0x10 | 0x20
 
 
 class Receiver:
@@ -43,7 +46,7 @@ class Receiver:
         heartbeat_ns: time of arrival of the newest heartbeat, and ``node_state``, what it said.
         boot_ups: boot-up messages since the start.
         strikes: count of bad frames, see ``strike_limit``; ``strike_outs``, how often it reached that.
-        counts: frames that were refused, by reason.
+        counts: frames that were refused, by reason, and errors that the interface reported.
     """
 
     def __init__(self, parameters: CanParameters) -> None:
@@ -53,7 +56,8 @@ class Receiver:
         self.sequence = Sequence(self._elapsed)
         self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
         self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
-        reasons = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "error_frames", "truth")
+        reasons = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth")
+        reasons += ("error_frames", "error_passive", "bus_off")
         self.counts = dict.fromkeys(reasons, 0)
         self.amplifier: Amplifier | None = None
         self.board_fault = BoardFault.NONE
@@ -100,9 +104,18 @@ class Receiver:
         except FrameError as error:
             self._strike(error.reason)
 
-    def receive_error_frame(self) -> None:
-        """The interface reports an error on the bus. The controller repeats what it concerned."""
+    def receive_error_frame(self, classes: int, details: bytes) -> None:
+        """The interface reports an error on the bus. The controller repeats what it concerned, unless it is bus-off.
+
+        Args:
+            classes: the frame's identifier, where Linux has the classes of errors (linux/can/error.h).
+            details: its payload.
+        """
         self.counts["error_frames"] += 1
+        if classes & _BUS_OFF:
+            self.counts["bus_off"] += 1
+        if classes & _CONTROLLER and len(details) > 1 and details[1] & _PASSIVE:
+            self.counts["error_passive"] += 1
 
     def _strike(self, reason: str) -> None:
         self.counts[reason] += 1

@@ -169,6 +169,24 @@ def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(world):
     assert world.board.amplifier is Amplifier.OFF
 
 
+def test_bus_off_latches_a_fault_and_error_passive_is_counted(world):
+    def report(classes, state):
+        data = bytes([0, state, 0, 0, 0, 0, 0, 0])
+        world._receive(can.Message(arbitration_id=classes, is_error_frame=True, data=data), world.now)
+
+    world.on()
+    report(0x04, 0x10)
+    world.run(0.01)
+    assert world.host.state is State.ON
+    report(0x40, 0)
+    world.run(0.001)
+    assert world.host.fault == "the CAN controller is bus-off" and world.board.amplifier is Amplifier.OFF
+    counters = world.host.counters()
+    assert (counters["can_error_passive"], counters["can_bus_off"], counters["can_error_frames"]) == (1, 1, 2)
+    world.host.reset_fault()
+    world.on()
+
+
 def test_without_commands_the_board_switches_off_by_itself_and_says_why(world):
     world.on()
     world.to_board = False

@@ -70,6 +70,16 @@ def test_frames_of_all_kinds_arrive_at_the_others_unchanged_and_in_order(hub):
         assert sender.recv(0) is None and hub.hub.dropped == 0
 
 
+def test_error_frames_pass_the_filters(hub):
+    with (
+        hub.bus() as sender,
+        hub.bus(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}]) as receiver,
+    ):
+        until(lambda: len(hub.hub._nodes) == 2)
+        sender.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+        assert receiver.recv(10).is_error_frame
+
+
 def test_filters_keep_others_frames_away(hub):
     with hub.bus() as sender, hub.bus(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF}]) as receiver:
         until(lambda: len(hub.hub._nodes) == 2)
