@@ -8,7 +8,7 @@ each node takes part with its oldest. They take no time on the bus.
 from __future__ import annotations
 
 import contextlib
-import selectors
+import select
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -45,8 +45,8 @@ class Hub:
         """Frames that a node did not get because its buffer was full."""
         self.cuts = 0
         """Times that the link was cut."""
-        self._selector = selectors.DefaultSelector()
-        self._nodes: list[socket.socket] = []
+        self._readable = select.poll()
+        self._nodes: dict[int, socket.socket] = {}
         self._waiting: dict[socket.socket, bytes] = {}
         """The oldest frame of each node that has one to send."""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -57,7 +57,7 @@ class Hub:
             raise HardwareError(f"hub: socket '{path}': {error.strerror or error}") from error
         self._listener.listen()
         self._listener.setblocking(False)
-        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._readable.register(self._listener, select.POLLIN)
 
     def _bind(self) -> None:
         if self._path.is_socket():
@@ -70,14 +70,14 @@ class Hub:
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Serve until ``stopped()``, which is asked ten times a second at least."""
-        waiting = self._waiting
+        waiting, nodes, listener = self._waiting, self._nodes, self._listener.fileno()
         while not stopped():
-            for key, _ in self._selector.select(timeout=0.0 if waiting else 0.1):
-                node = key.fileobj
-                if node is self._listener:
+            for descriptor, _ in self._readable.poll(0 if waiting else 100):
+                if descriptor == listener:
                     self._accept()
-                elif isinstance(node, socket.socket) and node not in waiting:
-                    self._fetch(node)
+                elif descriptor in nodes and nodes[descriptor] not in waiting:
+                    # Otherwise it has gone while others were served, or its frame has its turn below.
+                    self._fetch(nodes[descriptor])
             for _ in range(_AT_ONCE):
                 if not waiting:
                     break
@@ -88,14 +88,13 @@ class Hub:
     def cut(self) -> None:
         """Cut the link: every node loses its connection, and may connect again."""
         self.cuts += 1
-        for node in list(self._nodes):
+        for node in list(self._nodes.values()):
             self._forget(node)
 
     def close(self) -> None:
         """End the bus."""
-        for node in list(self._nodes):
+        for node in list(self._nodes.values()):
             self._forget(node)
-        self._selector.close()
         self._listener.close()
         self._path.unlink(missing_ok=True)
 
@@ -103,12 +102,12 @@ class Hub:
         node, _ = self._listener.accept()
         node.setblocking(False)
         node.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
-        self._nodes.append(node)
-        self._selector.register(node, selectors.EVENT_READ)
+        self._nodes[node.fileno()] = node
+        self._readable.register(node, select.POLLIN)
 
     def _forget(self, node: socket.socket) -> None:
-        self._selector.unregister(node)
-        self._nodes.remove(node)
+        self._readable.unregister(node)
+        del self._nodes[node.fileno()]
         self._waiting.pop(node, None)
         with contextlib.suppress(OSError):
             node.shutdown(socket.SHUT_RDWR)
@@ -123,7 +122,7 @@ class Hub:
             packet = b""
         if packet:
             self._waiting[node] = packet
-        elif node in self._nodes:
+        elif node.fileno() in self._nodes:
             self._forget(node)
 
     def _pass_on(self, sender: socket.socket, packet: bytes) -> None:
@@ -140,7 +139,7 @@ class Hub:
             self._spread(sender, to_packet(frame))
 
     def _spread(self, sender: socket.socket, packet: bytes) -> None:
-        for node in self._nodes:
+        for node in self._nodes.values():
             if node is not sender:
                 try:
                     node.send(packet)
