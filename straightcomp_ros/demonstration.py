@@ -82,7 +82,7 @@ def demonstrate(
             logs,
             duration,
             progress,
-            beside=_emulated_machine(values["driver"], parameter_file),
+            beside=emulated_machine(values["driver"], parameter_file),
         )
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
@@ -117,12 +117,15 @@ def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
     }
 
 
-def _emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
-    """Programs that stand for the bus and the board where the driver's bus is a hub."""
+def emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
+    """Commands of the programs that stand for the bus and the board where the driver's bus is a hub, by name."""
     parameters = node_parameters("driver", driver)
     if parameters.hardware != "can" or parameters.can.interface != INTERFACE:
         return {}
     return {
-        "hub": verb_command("can", "hub", "--socket", parameters.can.channel),
+        # As soon as the nodes: a bus that waits for a CPU is none.
+        "hub": verb_command(
+            "can", "hub", "--socket", parameters.can.channel, "--fifo", str(parameters.realtime.priority)
+        ),
         "board": verb_command("dsp", "--params-file", str(parameter_file)),
     }

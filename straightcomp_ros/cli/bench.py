@@ -7,7 +7,7 @@ import importlib
 
 SUMMARY = "measure the graph's timing, or what its parts cost"
 
-_BENCHES = ("bags", "graph", "step")
+_BENCHES = ("bags", "can", "graph", "step")
 """Each is a module ``bench_<name>`` beside this one, with SUMMARY, add_arguments and run, as a verb is."""
 
 

@@ -9,11 +9,11 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-import can
-
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.hardware.can.link import check_interface
+from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "emulate the DSP board on a CAN bus"
@@ -37,14 +37,10 @@ def run(options: argparse.Namespace) -> int:
         raise CommandFailed(
             f"--drift-ppm {options.drift_ppm:g} is not allowed; allowed: ±{_MOST_DRIFT_PPM:g}", exit_code=2
         )
-    if parameters.can.interface not in can.interfaces.BACKENDS:
-        known = ", ".join(sorted(can.interfaces.BACKENDS))
-        raise CommandFailed(
-            f"parameter 'can.interface': '{parameters.can.interface}' is not known; allowed: {known}", exit_code=2
-        )
     try:
+        check_interface(parameters.can)
         return emulate(parameters, options.drift_ppm * 1e-6)
-    except SurveyError as error:
+    except (ParameterError, SurveyError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
 
 

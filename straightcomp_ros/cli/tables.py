@@ -72,3 +72,31 @@ def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
     for number, figures in enumerate(cycles, 1):
         table.add_row(str(number), f"{figures['true_pp_um']:.3f}", f"{figures['true_rms_um']:.4f}")
     return table
+
+
+def can_tables(figures: Mapping[str, Any]) -> list[Table]:
+    """Costs and times, faults, and the closed loop under faults; ``figures`` as `straightcomp bench can --json`."""
+    costs = Table(title="CAN path", title_justify="left")
+    costs.add_column("part")
+    costs.add_column("µs", justify="right")
+    for name, cost in figures["codec"].items():
+        costs.add_row(f"pack {name}", f"{cost['pack_us']:.2f}")
+        costs.add_row(f"unpack {name}", f"{cost['unpack_us']:.2f}")
+    costs.add_row("send a frame to the hub", f"{figures['send_us']:.1f}")
+    costs.add_row("receive a frame from the hub", f"{figures['receive_us']:.1f}")
+    for key in ("p50", "p99", "max"):
+        costs.add_row(f"round trip {key}", f"{figures['round_trip_us'][key]:.0f}")
+    faults = Table(title=f"Faults, {figures['frames']} frames of each kind on each kind of bus", title_justify="left")
+    faults.add_column("kind")
+    for column in ("injected", "detected"):
+        faults.add_column(column, justify="right")
+    for kind, count in figures["faults"].items():
+        faults.add_row(kind, str(count["injected"]), str(count["detected"]))
+    faults.add_row("wrong samples used unflagged", "", str(figures["unflagged_wrong"]))
+    loops = Table(title="Closed loop under all faults together", title_justify="left")
+    for column in ("bus", "faults", "latched", "servo on", "on beyond a fault"):
+        loops.add_column(column, justify="left" if column == "bus" else "right")
+    for bus, loop in figures["closed_loop"].items():
+        latched = sum(loop["latched"].values())
+        loops.add_row(bus, str(loop["injected"]), str(latched), f"{loop['on']:.0%}", str(loop["unsafe"]))
+    return [costs, faults, loops]

@@ -6,13 +6,13 @@ import contextlib
 import signal
 import sys
 import time
-from typing import Any
 
 import can
 
 from straightcomp_ros.configuration import DriverNodeParameters
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.frames import Codec
+from straightcomp_ros.hardware.can.link import opened_bus
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.periodic import PeriodicLoop
@@ -47,6 +47,7 @@ class Emulator:
             parameters.simulated.plant.drive.current_range,
             self._send,
             self._now_ns(),
+            tells_truth=parameters.can.simulated_stage,
         )
         self.loop = PeriodicLoop(round(machine.period_ns / self._rate), self._cycle)
 
@@ -67,17 +68,8 @@ class Emulator:
         if time.monotonic() < self._next_open_s:
             return
         self._next_open_s = time.monotonic() + _REOPEN_EVERY_S
-        parameters = self._parameters.can
-        rates: dict[str, Any] = {"data_bitrate": parameters.data_bitrate} if parameters.fd else {}
         try:
-            self._bus = can.Bus(
-                interface=parameters.interface,
-                channel=parameters.channel,
-                bitrate=parameters.bitrate,
-                fd=parameters.fd,
-                **rates,
-                **parameters.further_options(),
-            )
+            self._bus = opened_bus(self._parameters.can)
             self._complained = ""
         except (can.CanError, OSError) as error:
             if str(error) != self._complained:

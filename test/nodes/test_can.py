@@ -1,8 +1,10 @@
 """The graph with the board in a process of its own, and what is left of it when a process is killed."""
 
+import contextlib
 import math
 import signal
 import time
+from pathlib import Path
 
 import can
 import numpy as np
@@ -16,6 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
 from straightcomp_ros.demonstration import demonstrate, on_hub
+from straightcomp_ros.hardware.can.frame_replay import DamagedLog, recorded_frames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, amplifier_of, fault_of
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.launcher import verb_command
@@ -82,17 +85,47 @@ def values(short_cycle, tmp_path):
     return short_cycle
 
 
+class Watch:
+    """A node on the bus that follows a board and its host; times in s on the system's clock."""
+
+    def __init__(self, bus, codec):
+        self._bus, self._codec = bus, codec
+        self._start_s, self.commanded_s = math.inf, math.nan
+
+    def until(self, condition):
+        """The first encoder frame that fulfils ``condition(frame)``, and when its sample was taken."""
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            message = self._bus.recv(1.0)
+            if message is None:
+                continue
+            if message.arbitration_id == self._codec.command_id:
+                self.commanded_s = message.timestamp
+            elif message.arbitration_id == self._codec.encoder_id:
+                frame = self._codec.unpack_encoder(bytes(message.data))
+                # Frames may be sent late, but never early.
+                self._start_s = min(self._start_s, message.timestamp - frame.counter / RATE)
+                if condition(frame):
+                    return frame, self._start_s + frame.counter / RATE
+        raise AssertionError("the board never did what was waited for")
+
+
 def test_a_stroke_through_hub_and_board_is_recorded(tmp_path, values):
     result = demonstrate(values, tmp_path)
     figures = result.figures()
     assert figures["expected_samples"] >= RATE * 3
     assert figures["lost_samples"] < 0.05 * figures["expected_samples"]
-    assert result.evaluation.record.x.max() == pytest.approx(0.1, abs=1e-4)
+    record = result.evaluation.record
+    assert record.x.max() == pytest.approx(0.1, abs=1e-4)
+    # The truth comes over the bus too, each with its sample.
+    assert figures["true_pp_um"] > 0
+    assert np.abs(record.true_x - record.x).max() <= 0.51e-7 and np.abs(record.true_y - record.y).max() <= 0.51e-7
 
 
 def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_switch_off(
     graph, operator, values, tmp_path
 ):
+    frame_log = values["driver"]["can.log"] = str(tmp_path / "frames.log")
     file = tmp_path / "parameters.yaml"
     file.write_text(yaml.safe_dump({f"/**/{node}": {"ros__parameters": values[node]} for node in NODES}))
     channel = values["driver"]["can.channel"]
@@ -121,14 +154,20 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
 
     codec = Codec(values["driver"].get("can.node", 1), fd=True)
     with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus:
+        watch = Watch(bus, codec)
+        # On, and commanded, before the kill: what follows is an answer to it.
+        watch.until(lambda frame: amplifier_of(frame.status) == Amplifier.ON and watch.commanded_s > 0)
         processes["driver"].send_signal(signal.SIGKILL)
-        end = time.monotonic() + PATIENCE_S
-        frame = None
-        while (frame is None or amplifier_of(frame.status) != Amplifier.FAULT) and time.monotonic() < end:
-            message = bus.recv(1.0)
-            if message is not None and message.arbitration_id == codec.encoder_id:
-                frame = codec.unpack_encoder(bytes(message.data))
+        frame, sampled_s = watch.until(lambda frame: amplifier_of(frame.status) == Amplifier.FAULT)
     assert fault_of(frame.status) is BoardFault.COMMAND_TIMEOUT
+    # By the board's own clock, so that a computer that stands still takes no part.
+    timeout = values["driver"]["simulated.command_timeout"]
+    assert timeout - 0.1 < sampled_s - watch.commanded_s < timeout + 0.1
+    # What the killed driver had written is there.
+    frames = []
+    with contextlib.suppress(DamagedLog):
+        frames += recorded_frames(Path(frame_log))
+    assert {codec.encoder_id, codec.command_id, codec.ids.heartbeat} <= {frame.arbitration_id for frame in frames}
     assert graph.stop(["logger"]) == {"logger": 0}
     recorded = read_streams(bag, {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp
     # From both sides of the board's death.

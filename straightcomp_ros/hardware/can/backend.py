@@ -21,7 +21,7 @@ from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.stage_frames import stage_payloads
-from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State
+from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.stage import Trajectory
 
 _REMEMBERED = 512
@@ -41,6 +41,7 @@ class CanHardware(Hardware):
 
     Raises:
         ParameterError: python-can knows no such interface.
+        HardwareError: the frame log cannot be made.
     """
 
     def __init__(
@@ -65,14 +66,15 @@ class CanHardware(Hardware):
     def start(self, now_ns: int) -> None:
         self._link.start()
 
-    def read(self, now_ns: int) -> list[tuple[Sample, None]]:
+    def read(self, now_ns: int) -> list[tuple[Sample, Truth | None]]:
         self._watch(now_ns)
-        waiting, samples = self._receiver.samples, []
+        waiting = self._receiver.samples
+        samples: list[tuple[Sample, Truth | None]] = []
         # Bounded: what comes in meanwhile is for the next call.
         for _ in range(len(waiting)):
-            number, sample = waiting.popleft()
+            number, sample, truth = waiting.popleft()
             self._numbers[sample.stamp_ns] = self._newest_number = number
-            samples.append((sample, None))
+            samples.append((sample, truth))
         while len(self._numbers) > _REMEMBERED:
             del self._numbers[next(iter(self._numbers))]
         return samples
@@ -95,6 +97,8 @@ class CanHardware(Hardware):
         if refusal:
             raise HardwareError(refusal)
         if not self._wanted:
+            # The board switches on at an edge: it has to have seen "off" before.
+            self._send(0, self._newest_number)
             self._wanted, self._was_on = True, False
             self._seen = self._upsets()
             self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
@@ -164,11 +168,15 @@ class CanHardware(Hardware):
         }
         if link.problem:
             counters["can_link"] = link.problem
+        if link.log:
+            counters |= {"can_logged": link.log.written, "can_log_dropped": link.log.dropped}
+            if link.log.problem:
+                counters["can_log"] = link.log.problem
         return counters
 
     def _receive(self, message: can.Message, arrival_ns: int) -> None:
         if message.is_error_frame:
-            self._receiver.receive_error_frame()
+            self._receiver.receive_error_frame(message.arbitration_id, bytes(message.data))
         elif not message.is_remote_frame and not message.is_extended_id:
             self._receiver.receive(message.arbitration_id, bytes(message.data), arrival_ns)
 
@@ -179,6 +187,7 @@ class CanHardware(Hardware):
             "the board restarted (boot-up message)": receiver.boot_ups,
             "too many frames failed their checks": receiver.strike_outs,
             "the board's sample counter jumped": receiver.sequence.jumps,
+            "the CAN controller is bus-off": receiver.counts["bus_off"],
         }
 
     def _watch(self, now_ns: int) -> None:

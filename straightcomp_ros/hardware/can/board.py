@@ -31,7 +31,8 @@ from straightcomp_ros.hardware.can.frames import (
     status_bits,
 )
 from straightcomp_ros.hardware.can.stage_frames import StageInbox
-from straightcomp_ros.hardware.interface import HardwareError, Sample, State
+from straightcomp_ros.hardware.can.truth_frame import truth_payload
+from straightcomp_ros.hardware.interface import HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 
 _STRIKE, _STRIKE_LIMIT = 4, 16
@@ -51,13 +52,24 @@ class Board:
         current_range: largest control current in A that the board accepts.
         send: ``send(identifier, payload, fd)``.
         now_ns: time of the first sample.
+        tells_truth: send before each sample what only a simulation knows of it; on CAN FD only.
     """
 
-    def __init__(self, machine: SimulatedHardware, codec: Codec, current_range: float, send: Send, now_ns: int) -> None:
+    def __init__(
+        self,
+        machine: SimulatedHardware,
+        codec: Codec,
+        current_range: float,
+        send: Send,
+        now_ns: int,
+        *,
+        tells_truth: bool = False,
+    ) -> None:
         self.machine = machine
         self._codec = codec
         self._range = current_range
         self._send = send
+        self._tells_truth = tells_truth and codec.fd
         self._start_ns = now_ns
         # An answer to a sample older than the timeout is as good as none.
         oldest = machine.command_timeout_ns // machine.period_ns
@@ -79,8 +91,8 @@ class Board:
 
     def cycle(self, now_ns: int) -> None:
         """Take and send the samples up to ``now_ns``."""
-        for sample, _ in self.machine.read(now_ns):
-            self._send_sample(sample)
+        for sample, truth in self.machine.read(now_ns):
+            self._send_sample(sample, truth)
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + round(HEARTBEAT_PERIOD * 1e9)
             self._send(self._codec.ids.heartbeat, bytes((OPERATIONAL,)), False)
@@ -151,7 +163,7 @@ class Board:
         self._seen_off = self._seen_off and command.enable == Switch.NO
         self.machine.write(current, at_ns)
 
-    def _send_sample(self, sample: Sample) -> None:
+    def _send_sample(self, sample: Sample, truth: Truth) -> None:
         codec = self._codec
         self._counter = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns) % COUNTER_MODULUS
         x, y = round(sample.x / POSITION_COUNT), round(sample.y / POSITION_COUNT)
@@ -162,6 +174,8 @@ class Board:
         frame = Encoder(
             self._counter % ALIVE_MODULUS, status, x if valid else 0, y if valid else 0, current, self._counter
         )
+        if self._tells_truth:
+            self._send(codec.ids.truth, truth_payload(self._counter, truth), True)
         self._send(codec.encoder_id, codec.pack_encoder(frame), codec.fd)
         if not codec.fd and self._counter % CURRENT_EVERY == 0:
             self._send(

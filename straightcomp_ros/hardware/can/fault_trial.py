@@ -6,7 +6,7 @@ import random
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from straightcomp_ros.hardware.can.faults import Faults
+from straightcomp_ros.hardware.can.faults import FLOOD, Faults
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     CURRENT_EVERY,
@@ -54,7 +54,7 @@ class Trial:
             "truncate": checks,
             "wrong_id": counts["foreign"] + checks,
             "error_frame": counts["error_frames"],
-            "babble": counts["foreign"] // 20,
+            "flood": counts["foreign"] // FLOOD,
         }[kind]
 
 
@@ -98,7 +98,7 @@ def run_trial(
             for arrived in faults(frame) if hurt else [frame]:
                 _hand_over(receiver, arrived)
     wrong = 0
-    for index, sample in receiver.samples:
+    for index, sample, _ in receiver.samples:
         x, y = position(index)
         true_ns = taken.get(index, 0)
         good = (sample.x, sample.y) == (x * POSITION_COUNT, y * POSITION_COUNT)
@@ -120,6 +120,6 @@ def _frames(codec: Codec, index: int, stamp_ns: int) -> list[Frame]:
 
 def _hand_over(receiver: Receiver, frame: Frame) -> None:
     if frame.flags & Flag.ERROR:
-        receiver.receive_error_frame()
+        receiver.receive_error_frame(frame.identifier, frame.data)
     else:
         receiver.receive(frame.identifier, frame.data, frame.stamp_ns)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from straightcomp_ros.hardware.can.hub_packet import Flag, Frame
 
-_BABBLE = 20
+FLOOD = 20
 """Frames that a babbling node sends for one of ours."""
 _FOREIGN_ID = 0x7
 
@@ -92,8 +92,8 @@ class Faults:
     def _error_frame(self, frame: Frame) -> list[Frame]:
         return [Frame(frame.stamp_ns, 0x20, Flag.ERROR, bytes(8)), frame]
 
-    def _babble(self, frame: Frame) -> list[Frame]:
-        return [frame._replace(identifier=_FOREIGN_ID)] * _BABBLE + [frame]
+    def _flood(self, frame: Frame) -> list[Frame]:
+        return [frame._replace(identifier=_FOREIGN_ID)] * FLOOD + [frame]
 
     def _cut(self, _: Frame) -> list[Frame]:
         self.injected["cut"] += 1
@@ -109,7 +109,7 @@ KINDS: Mapping[str, Callable[[Faults, Frame], list[Frame]]] = {
     "truncate": Faults._truncate,
     "wrong_id": Faults._wrong_id,
     "error_frame": Faults._error_frame,
-    "babble": Faults._babble,
+    "flood": Faults._flood,
     "cut": Faults._cut,
 }
 """Kinds of faults, and what each does to a frame."""

@@ -1,22 +1,24 @@
 """The hub: takes packets from each node of its bus and hands them to all others, through faults if asked for.
 
 A SOCK_SEQPACKET socket keeps packets whole and in order, and shows when a node is gone. A node that does not fetch
-its frames loses them; the others go on.
+its frames loses them; the others go on. Of the frames that wait, the one of highest priority goes first, as on a bus:
+each node takes part with its oldest. They take no time on the bus.
 """
 
 from __future__ import annotations
 
 import contextlib
-import selectors
+import select
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
 from straightcomp_ros.hardware.can.faults import LinkCut
-from straightcomp_ros.hardware.can.hub_packet import LONGEST, Frame, from_packet, to_packet
+from straightcomp_ros.hardware.can.hub_packet import LONGEST, Frame, from_packet, priority, to_packet
 from straightcomp_ros.hardware.interface import HardwareError
 
-_AT_ONCE = 64
+_AT_ONCE = 16
+"""Frames between two looks for those of others."""
 _BUFFER = 1 << 20
 
 FaultHook = Callable[[Frame], list[Frame]]
@@ -43,8 +45,10 @@ class Hub:
         """Frames that a node did not get because its buffer was full."""
         self.cuts = 0
         """Times that the link was cut."""
-        self._selector = selectors.DefaultSelector()
-        self._nodes: list[socket.socket] = []
+        self._readable = select.poll()
+        self._nodes: dict[int, socket.socket] = {}
+        self._waiting: dict[socket.socket, bytes] = {}
+        """The oldest frame of each node that has one to send."""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._bind()
@@ -53,7 +57,7 @@ class Hub:
             raise HardwareError(f"hub: socket '{path}': {error.strerror or error}") from error
         self._listener.listen()
         self._listener.setblocking(False)
-        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._readable.register(self._listener, select.POLLIN)
 
     def _bind(self) -> None:
         if self._path.is_socket():
@@ -66,24 +70,31 @@ class Hub:
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Serve until ``stopped()``, which is asked ten times a second at least."""
+        waiting, nodes, listener = self._waiting, self._nodes, self._listener.fileno()
         while not stopped():
-            for key, _ in self._selector.select(timeout=0.1):
-                if key.fileobj is self._listener:
+            for descriptor, _ in self._readable.poll(0 if waiting else 100):
+                if descriptor == listener:
                     self._accept()
-                elif isinstance(key.fileobj, socket.socket) and key.fileobj.fileno() >= 0:
-                    self._serve(key.fileobj)
+                elif descriptor in nodes and nodes[descriptor] not in waiting:
+                    # Otherwise it has gone while others were served, or its frame has its turn below.
+                    self._fetch(nodes[descriptor])
+            for _ in range(_AT_ONCE):
+                if not waiting:
+                    break
+                sender = next(iter(waiting)) if len(waiting) == 1 else min(waiting, key=lambda n: priority(waiting[n]))
+                self._pass_on(sender, waiting.pop(sender))
+                self._fetch(sender)
 
     def cut(self) -> None:
         """Cut the link: every node loses its connection, and may connect again."""
         self.cuts += 1
-        for node in list(self._nodes):
+        for node in list(self._nodes.values()):
             self._forget(node)
 
     def close(self) -> None:
         """End the bus."""
-        for node in list(self._nodes):
+        for node in list(self._nodes.values()):
             self._forget(node)
-        self._selector.close()
         self._listener.close()
         self._path.unlink(missing_ok=True)
 
@@ -91,38 +102,44 @@ class Hub:
         node, _ = self._listener.accept()
         node.setblocking(False)
         node.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
-        self._nodes.append(node)
-        self._selector.register(node, selectors.EVENT_READ)
+        self._nodes[node.fileno()] = node
+        self._readable.register(node, select.POLLIN)
 
     def _forget(self, node: socket.socket) -> None:
-        self._selector.unregister(node)
-        self._nodes.remove(node)
+        self._readable.unregister(node)
+        del self._nodes[node.fileno()]
+        self._waiting.pop(node, None)
         with contextlib.suppress(OSError):
             node.shutdown(socket.SHUT_RDWR)
         node.close()
 
-    def _serve(self, sender: socket.socket) -> None:
-        for _ in range(_AT_ONCE):
-            try:
-                packet = sender.recv(LONGEST)
-            except BlockingIOError:
-                return
-            except OSError:
-                packet = b""
-            if not packet:
-                self._forget(sender)
-                return
-            self.passed += 1
-            try:
-                packets = [packet] if self._fault is None else map(to_packet, self._fault(from_packet(packet)))
-            except LinkCut:
-                self.cut()
-                return
-            for arriving in packets:
-                self._spread(sender, arriving)
+    def _fetch(self, node: socket.socket) -> None:
+        try:
+            packet = node.recv(LONGEST)
+        except BlockingIOError:
+            return
+        except OSError:
+            packet = b""
+        if packet:
+            self._waiting[node] = packet
+        elif node.fileno() in self._nodes:
+            self._forget(node)
+
+    def _pass_on(self, sender: socket.socket, packet: bytes) -> None:
+        self.passed += 1
+        if self._fault is None:
+            self._spread(sender, packet)
+            return
+        try:
+            arriving = self._fault(from_packet(packet))
+        except LinkCut:
+            self.cut()
+            return
+        for frame in arriving:
+            self._spread(sender, to_packet(frame))
 
     def _spread(self, sender: socket.socket, packet: bytes) -> None:
-        for node in self._nodes:
+        for node in self._nodes.values():
             if node is not sender:
                 try:
                     node.send(packet)

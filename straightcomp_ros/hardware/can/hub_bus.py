@@ -63,7 +63,9 @@ class HubBus(can.BusABC):
             raise can.CanOperationError(f"hub: {error.strerror}") from error
         if not packet:
             raise can.CanOperationError("the hub closed the connection")
-        return _message(from_packet(packet)), False
+        message = _message(from_packet(packet))
+        # Filters are for identifiers, and an error frame has none: it passes, as with socketcan.
+        return message, message.is_error_frame
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand a frame to the hub; its stamp is the time of this call.

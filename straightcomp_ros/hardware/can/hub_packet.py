@@ -37,3 +37,12 @@ def to_packet(frame: Frame) -> bytes:
 def from_packet(packet: bytes) -> Frame:
     """The frame of a packet."""
     return Frame(*_HEAD.unpack_from(packet), packet[_HEAD.size :])
+
+
+def priority(packet: bytes) -> tuple[int, int, int]:
+    """Order in which frames win the bus, the lowest first: as the bits of their identifiers go out."""
+    _, identifier, flags = _HEAD.unpack_from(packet)
+    if flags & Flag.EXTENDED:
+        # The first eleven bits are sent alike; then a standard frame wins.
+        return identifier >> 18, 1, identifier & 0x3FFFF
+    return identifier, 0, 0

@@ -10,9 +10,12 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import can
 
+from straightcomp_ros.hardware.can.frame_log import FrameLog
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.parameters import ParameterError
 
@@ -21,6 +24,31 @@ _RECEIVE_TIMEOUT_S = 0.1
 _AT_ONCE = 256
 _PAUSE_S = 0.0005
 _SAME_CLOCK_S = 5.0
+
+
+def check_interface(parameters: CanParameters) -> None:
+    """Raise ParameterError if python-can knows no such interface."""
+    if parameters.interface not in can.interfaces.BACKENDS:
+        known = ", ".join(sorted(can.interfaces.BACKENDS))
+        raise ParameterError(f"parameter 'can.interface': '{parameters.interface}' is not known; allowed: {known}")
+
+
+def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | None = None) -> can.BusABC:
+    """Open the bus; ``filters`` as in python-can, None lets all frames through.
+
+    Raises:
+        can.CanError, OSError: the interface does not open; some raise what their drivers do.
+    """
+    rates = {"data_bitrate": parameters.data_bitrate} if parameters.fd else {}
+    return can.Bus(
+        interface=parameters.interface,
+        channel=parameters.channel,
+        bitrate=parameters.bitrate,
+        fd=parameters.fd,
+        can_filters=filters,
+        **rates,
+        **parameters.further_options(),
+    )
 
 
 class Link:
@@ -34,6 +62,7 @@ class Link:
 
     Raises:
         ParameterError: python-can knows no such interface.
+        HardwareError: the frame log cannot be made.
     """
 
     def __init__(
@@ -43,10 +72,9 @@ class Link:
         receive: Callable[[can.Message, int], None],
         clock: Callable[[], int],
     ) -> None:
-        if parameters.interface not in can.interfaces.BACKENDS:
-            known = ", ".join(sorted(can.interfaces.BACKENDS))
-            raise ParameterError(f"parameter 'interface': '{parameters.interface}' is not known; allowed: {known}")
+        check_interface(parameters)
         self._parameters = parameters
+        self.log = FrameLog(Path(parameters.log).expanduser(), parameters.channel) if parameters.log else None
         self._filters = [{"can_id": identifier, "can_mask": 0x7FF, "extended": False} for identifier in identifiers]
         self._receive = receive
         self._clock = clock
@@ -64,6 +92,10 @@ class Link:
 
     def start(self) -> None:
         """Start the thread: it takes this thread's scheduling."""
+        # Both threads have the same priority: one that held the interpreter and got no CPU would hold up the other, and
+        # the driver's loop.
+        if self.log:
+            self.log.start()
         self._thread.start()
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
@@ -79,6 +111,9 @@ class Link:
         try:
             if bus is not None:
                 bus.send(message, timeout=0)
+                if self.log:
+                    message.timestamp, message.is_rx = time.time(), False
+                    self.log.put(message)
                 return True
         except (can.CanError, OSError, ValueError):
             # The thread finds out what is wrong, if it is more than a full queue.
@@ -91,12 +126,14 @@ class Link:
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
+        if self.log:
+            self.log.close()
 
     def _run(self) -> None:
         wait_s = _SHORTEST_WAIT_S
         while not self._closing.is_set():
             try:
-                self._bus = self._opened()
+                self._bus = opened_bus(self._parameters, self._filters)
                 self.openings += 1
                 self.problem = ""
                 wait_s = _SHORTEST_WAIT_S
@@ -113,25 +150,14 @@ class Link:
             self._closing.wait(wait_s)
             wait_s = min(2.0 * wait_s, _LONGEST_WAIT_S)
 
-    def _opened(self) -> can.BusABC:
-        parameters = self._parameters
-        rates = {"data_bitrate": parameters.data_bitrate} if parameters.fd else {}
-        return can.Bus(
-            interface=parameters.interface,
-            channel=parameters.channel,
-            bitrate=parameters.bitrate,
-            fd=parameters.fd,
-            can_filters=self._filters,
-            **rates,
-            **parameters.further_options(),
-        )
-
     def _read(self, bus: can.BusABC) -> None:
         while not self._closing.is_set():
             message = bus.recv(_RECEIVE_TIMEOUT_S)
             taken = 0
             while message is not None:
                 self._receive(message, self._arrival(message))
+                if self.log:
+                    self.log.put(message)
                 taken += 1
                 if taken >= _AT_ONCE:
                     # A babbling node must not keep the driver's own loop from running.

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.parameters import ParameterError, parameter
 
+LOG_ENDINGS = (".log", ".blf")
+"""Formats of the frame log."""
+
 
 @dataclass(frozen=True)
 class CanParameters:
@@ -56,11 +59,17 @@ class CanParameters:
     )
     sample_memory: int = parameter(256, "Samples that wait for a late driver", minimum=1, maximum=100_000)
     simulated_stage: bool = parameter(
-        False, "Send stage trajectories to the emulator's stage; a real stage takes none over this bus"
+        False,
+        "The board is the emulator: send it stage trajectories, and on CAN FD take the simulation's truth from it",
+    )
+    log: str = parameter(
+        "", "File for all frames that come in and go out: candump's .log or .blf, by its ending; empty for none"
     )
 
     def __post_init__(self) -> None:
         self.further_options()
+        if self.log and not self.log.lower().endswith(LOG_ENDINGS):
+            raise ParameterError(f"parameter 'log': '{self.log}' is not allowed; allowed: *{' or *'.join(LOG_ENDINGS)}")
 
     def further_options(self) -> dict[str, str]:
         """The pairs in ``options``.

@@ -25,24 +25,28 @@ from straightcomp_ros.hardware.can.frames import (
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
-from straightcomp_ros.hardware.interface import Sample
+from straightcomp_ros.hardware.can.truth_frame import truth_of
+from straightcomp_ros.hardware.interface import Sample, Truth
 
 _STRIKE = 4
 _UNSETTLED = 9.0
+_CONTROLLER, _BUS_OFF = 0x04, 0x40
+"""Classes of errors: the second byte of the payload has the controller's state; bus-off."""
+_PASSIVE = 0x10 | 0x20
 
 
 class Receiver:
     """Samples of one board; :attr:`samples` is filled, the caller empties it.
 
     Attributes:
-        samples: new samples, oldest first, with the number of each.
+        samples: new samples, oldest first: number, sample, and what an emulated board tells of it besides.
         amplifier: state that the newest good frame reports; None before the first.
         board_fault: why the board switched off.
         newest_ns: time of arrival of the newest sample that was good to use.
         heartbeat_ns: time of arrival of the newest heartbeat, and ``node_state``, what it said.
         boot_ups: boot-up messages since the start.
         strikes: count of bad frames, see ``strike_limit``; ``strike_outs``, how often it reached that.
-        counts: frames that were refused, by reason.
+        counts: frames that were refused, by reason, and errors that the interface reported.
     """
 
     def __init__(self, parameters: CanParameters) -> None:
@@ -50,9 +54,10 @@ class Receiver:
         self._period_ns = period_ns = round(1e9 / parameters.rate)
         self.clock = SampleClock(period_ns)
         self.sequence = Sequence(self._elapsed)
-        self.samples: deque[tuple[int, Sample]] = deque()
+        self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
         self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
-        reasons = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "error_frames")
+        reasons = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth")
+        reasons += ("error_frames", "error_passive", "bus_off")
         self.counts = dict.fromkeys(reasons, 0)
         self.amplifier: Amplifier | None = None
         self.board_fault = BoardFault.NONE
@@ -67,10 +72,13 @@ class Receiver:
         self._alive = 0
         self._current = 0.0
         self._stamp_ns = 0
+        self._truth: tuple[int, Truth | None] = (-1, None)
         ids = self.codec.ids
         self._handlers = {self.codec.encoder_id: self._encoder, ids.heartbeat: self._heartbeat}
         if not self.codec.fd:
             self._handlers[ids.current] = self._coil_current
+        elif parameters.simulated_stage:
+            self._handlers[ids.truth] = self._hear_truth
 
     @property
     def identifiers(self) -> list[int]:
@@ -96,9 +104,18 @@ class Receiver:
         except FrameError as error:
             self._strike(error.reason)
 
-    def receive_error_frame(self) -> None:
-        """The interface reports an error on the bus. The controller repeats what it concerned."""
+    def receive_error_frame(self, classes: int, details: bytes) -> None:
+        """The interface reports an error on the bus. The controller repeats what it concerned, unless it is bus-off.
+
+        Args:
+            classes: the frame's identifier, where Linux has the classes of errors (linux/can/error.h).
+            details: its payload.
+        """
         self.counts["error_frames"] += 1
+        if classes & _BUS_OFF:
+            self.counts["bus_off"] += 1
+        if classes & _CONTROLLER and len(details) > 1 and details[1] & _PASSIVE:
+            self.counts["error_passive"] += 1
 
     def _strike(self, reason: str) -> None:
         self.counts[reason] += 1
@@ -159,7 +176,9 @@ class Receiver:
         if frame.current is not None:
             self._current = frame.current * CURRENT_COUNT
         current = self._current if self.amplifier is Amplifier.ON else math.nan
-        self.samples.append((index, Sample(stamp_ns, frame.x * POSITION_COUNT, frame.y * POSITION_COUNT, current)))
+        sample = Sample(stamp_ns, frame.x * POSITION_COUNT, frame.y * POSITION_COUNT, current)
+        counter, truth = self._truth
+        self.samples.append((index, sample, truth if counter == frame.counter else None))
         if len(self.samples) > self._memory:
             self.samples.popleft()
             self.overflowed += 1
@@ -178,6 +197,13 @@ class Receiver:
                 self._place(waiting, number - self.sequence.index, waiting_ns)
             except FrameError as error:
                 self._strike(error.reason)
+
+    def _hear_truth(self, payload: bytes, _: int) -> None:
+        try:
+            self._truth = truth_of(payload)
+        except FrameError as error:
+            # Nobody acts on it: no reason for a strike.
+            self.counts[error.reason] += 1
 
     def _heartbeat(self, payload: bytes, arrival_ns: int) -> None:
         if len(payload) != 1:

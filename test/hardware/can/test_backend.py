@@ -43,7 +43,7 @@ class World:
     def _link(self, parameters, identifiers, receive, clock):
         self._receive, self._identifiers = receive, identifiers
         return SimpleNamespace(
-            start=lambda: None, send=self._from_host, problem="", openings=1, transmit_full=0, overloads=0
+            start=lambda: None, send=self._from_host, problem="", openings=1, transmit_full=0, overloads=0, log=None
         )
 
     def power_up(self):
@@ -138,7 +138,10 @@ def test_the_servo_holds_the_platform_through_the_frames(world):
 def test_silence_of_the_board_latches_a_fault_until_reset_and_a_new_enable(world):
     world.on()
     world.board = None
-    world.run(0.02)
+    # The last frame came 0.1 ms after its sample: 5 ms of silence are complete in the eleventh period.
+    world.run(0.005)
+    assert world.host.state is State.ON
+    world.run(0.0005)
     assert world.host.state is State.FAULT and "no good sample" in world.host.fault
     world.power_up()
     world.run(0.3)
@@ -164,6 +167,24 @@ def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(world):
     assert world.board.amplifier is Amplifier.OFF
     world.run(0.3)
     assert world.board.amplifier is Amplifier.OFF
+
+
+def test_bus_off_latches_a_fault_and_error_passive_is_counted(world):
+    def report(classes, state):
+        data = bytes([0, state, 0, 0, 0, 0, 0, 0])
+        world._receive(can.Message(arbitration_id=classes, is_error_frame=True, data=data), world.now)
+
+    world.on()
+    report(0x04, 0x10)
+    world.run(0.01)
+    assert world.host.state is State.ON
+    report(0x40, 0)
+    world.run(0.001)
+    assert world.host.fault == "the CAN controller is bus-off" and world.board.amplifier is Amplifier.OFF
+    counters = world.host.counters()
+    assert (counters["can_error_passive"], counters["can_bus_off"], counters["can_error_frames"]) == (1, 1, 2)
+    world.host.reset_fault()
+    world.on()
 
 
 def test_without_commands_the_board_switches_off_by_itself_and_says_why(world):

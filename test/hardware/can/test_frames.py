@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.hardware.can.crc import crc8, start_value
+from straightcomp_ros.hardware.can.crc import crc_of_5, crc_of_8, crc_of_16, start_value
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     COUNTER_MODULUS,
@@ -26,7 +26,8 @@ from straightcomp_ros.hardware.can.frames import (
     status_bits,
 )
 from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payloads
-from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.hardware.can.truth_frame import truth_of, truth_payload
+from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.share import share_path
 
@@ -113,6 +114,15 @@ def test_a_command_frame_is_what_the_dbc_says(alive, enable, reset, current, cou
     assert codec.unpack_command(payload) == Command(alive, enable, reset, current, echo)
 
 
+@given(counter, st.lists(st.floats(allow_nan=False), min_size=6, max_size=6))
+def test_a_truth_frame_is_what_the_dbc_says_to_the_last_bit(counter, numbers):
+    payload = truth_payload(counter, Truth(*numbers))
+    assert [*raw("Truth", payload).values()] == [counter, int.from_bytes(payload[4:8], "little"), *numbers]
+    assert truth_of(payload) == (counter, Truth(*numbers))
+    with pytest.raises(FrameError):
+        truth_of(bytes([payload[0] ^ 1]) + payload[1:])
+
+
 def test_physical_values_and_identifiers_agree_with_the_dbc():
     payload = FD.pack_encoder(Encoder(3, 33, 17_600_000, -224, -5000, 3))
     values = DBC.get_message_by_name("EncoderFd").decode(payload)
@@ -130,12 +140,28 @@ def test_physical_values_and_identifiers_agree_with_the_dbc():
         ids.stage_time: ("StageTime", 8, False),
         ids.stage_motion: ("StageMotion", 8, False),
         ids.stage_start: ("StageStart", 5, False),
+        ids.truth: ("Truth", 64, True),
     }
 
 
 @pytest.mark.parametrize("alive, crc", [(0, 0xCC), (1, 0x91)])
 def test_the_crc_gives_the_examples_of_autosar_for_data_id_0x123(alive, crc):
-    assert crc8(bytes([0, alive, 0, 0, 0, 0, 0, 0]), start_value(0x123)) == crc
+    assert crc_of_8(bytes([0, alive, 0, 0, 0, 0, 0, 0]), start_value(0x123)) == crc
+
+
+def crc_bit_by_bit(data):
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1D) & 0xFF if crc & 0x80 else crc << 1
+    return crc
+
+
+@given(st.integers(0, 0xFFFF), st.sampled_from([crc_of_5, crc_of_8, crc_of_16]), st.binary(min_size=16, max_size=16))
+def test_the_crc_by_table_is_the_one_taken_bit_by_bit_whatever_stands_in_its_place(data_id, crc, payload):
+    payload = payload[: int(crc.__name__.removeprefix("crc_of_"))]
+    assert crc(payload, start_value(data_id)) == crc_bit_by_bit(data_id.to_bytes(2, "little") + payload[1:])
 
 
 @pytest.mark.parametrize("codec", [CLASSIC, FD], ids=["classic", "fd"])

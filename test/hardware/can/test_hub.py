@@ -9,7 +9,7 @@ import pytest
 from straightcomp_ros.hardware.can.faults import KINDS, Faults
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
-from straightcomp_ros.hardware.can.hub_packet import Flag, Frame
+from straightcomp_ros.hardware.can.hub_packet import Flag, Frame, priority, to_packet
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.interface import HardwareError
@@ -70,6 +70,16 @@ def test_frames_of_all_kinds_arrive_at_the_others_unchanged_and_in_order(hub):
         assert sender.recv(0) is None and hub.hub.dropped == 0
 
 
+def test_error_frames_pass_the_filters(hub):
+    with (
+        hub.bus() as sender,
+        hub.bus(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}]) as receiver,
+    ):
+        until(lambda: len(hub.hub._nodes) == 2)
+        sender.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+        assert receiver.recv(10).is_error_frame
+
+
 def test_filters_keep_others_frames_away(hub):
     with hub.bus() as sender, hub.bus(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF}]) as receiver:
         until(lambda: len(hub.hub._nodes) == 2)
@@ -88,6 +98,29 @@ def test_a_node_that_does_not_fetch_loses_frames_and_holds_nobody_up(hub):
             for _ in range(50):
                 assert attentive.recv(10) is not None
         assert hub.hub.dropped > 0
+
+
+def test_of_the_frames_that_wait_the_lowest_identifier_goes_first_and_each_node_keeps_its_order(tmp_path):
+    hub = Hub(tmp_path / "bus")
+    first, second, receiver = (can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus")) for _ in range(3))
+    hub.run(lambda: len(hub._nodes) == 3)
+    for sender, identifiers in ((first, (0x300, 0x100)), (second, (0x200, 0x50))):
+        for identifier in identifiers:
+            sender.send(can.Message(arbitration_id=identifier, is_extended_id=False))
+    hub.run(lambda: hub.passed == 4)
+    assert [receiver.recv(10).arbitration_id for _ in range(4)] == [0x200, 0x50, 0x300, 0x100]
+    for bus in (first, second, receiver):
+        bus.shutdown()
+    hub.close()
+
+
+def test_identifiers_win_the_bus_as_their_bits_go_out():
+    def packet(identifier, flags):
+        return to_packet(Frame(0, identifier, flags, b""))
+
+    extended, standard = packet(0x123 << 18 | 5, Flag.EXTENDED), packet(0x123, Flag(0))
+    order = [packet(0x122 << 18, Flag.EXTENDED), standard, extended, packet(0x124, Flag.FD)]
+    assert sorted(reversed(order), key=priority) == order
 
 
 def test_a_hub_takes_over_a_socket_that_was_left_but_not_one_in_use(tmp_path, hub):

@@ -17,7 +17,7 @@ from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 
-KINDS = ("drop", "duplicate", "reorder", "corrupt", "garble", "truncate", "wrong_id", "error_frame", "babble")
+KINDS = ("drop", "duplicate", "reorder", "corrupt", "garble", "truncate", "wrong_id", "error_frame", "flood")
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 PERIOD = 500_000
 
@@ -29,7 +29,7 @@ def test_each_fault_is_found_as_often_as_it_was_made_and_no_wrong_sample_is_used
     assert trial.injected[kind] > 200
     assert trial.detected(kind) == trial.injected[kind]
     assert trial.unflagged_wrong == 0
-    missing = 0 if kind in ("duplicate", "error_frame", "babble") else trial.injected[kind]
+    missing = 0 if kind in ("duplicate", "error_frame", "flood") else trial.injected[kind]
     # A swapped frame is late by one, and no new sample any more.
     assert trial.frames - BLOCK + 1 - trial.delivered == missing
 
@@ -67,7 +67,7 @@ def receiver(request):
 def test_a_gap_of_any_length_costs_no_certainty_about_the_number_of_a_sample(receiver, gap):
     feed(receiver, range(500))
     feed(receiver, range(500 + gap, 1000 + gap))
-    assert [index for index, _ in receiver.samples][-500:] == list(range(500 + gap, 1000 + gap))[-500:]
+    assert [index for index, *_ in receiver.samples][-500:] == list(range(500 + gap, 1000 + gap))[-500:]
     assert receiver.sequence.lost == gap and receiver.sequence.jumps == 0
 
 
@@ -76,7 +76,7 @@ def test_numbers_run_on_over_the_end_of_the_counter(receiver):
     for number in range(last - 500, last + 500):
         for identifier, payload in frames(receiver.codec, number):
             receiver.receive(identifier, payload, 10**18 + (number - last) * PERIOD)
-    assert [index for index, _ in receiver.samples][-800:] == list(range(last - 300, last + 500))
+    assert [index for index, *_ in receiver.samples][-800:] == list(range(last - 300, last + 500))
     assert receiver.sequence.lost == 0 and not any(receiver.counts.values())
 
 
@@ -85,7 +85,7 @@ def test_a_sample_too_far_from_the_one_before_is_refused(receiver):
     feed(receiver, [500], jump=4000)
     feed(receiver, [501])
     assert receiver.counts["implausible"] == 1
-    assert [index for index, _ in receiver.samples][-2:] == [499, 501]
+    assert [index for index, *_ in receiver.samples][-2:] == [499, 501]
 
 
 def test_the_coil_current_is_a_number_only_while_the_amplifier_is_on(receiver):
@@ -119,11 +119,11 @@ def test_a_boot_up_forgets_the_counter_of_the_board_before(receiver):
     receiver.receive(receiver.codec.ids.heartbeat, b"\0", 10**18 + 5500 * PERIOD)
     assert receiver.boot_ups == 1 and receiver.amplifier is None
     feed(receiver, range(300), start_ns=10**18 + 5600 * PERIOD)
-    assert [index for index, _ in receiver.samples][-100:] == list(range(200, 300))
+    assert [index for index, *_ in receiver.samples][-100:] == list(range(200, 300))
 
 
 def test_samples_that_nobody_fetches_are_dropped_and_counted_oldest_first():
     receiver = Receiver(CanParameters(sample_memory=10))
     feed(receiver, range(500))
-    assert [index for index, _ in receiver.samples] == list(range(490, 500))
+    assert [index for index, *_ in receiver.samples] == list(range(490, 500))
     assert receiver.overflowed == 500 - BLOCK + 1 - 10

@@ -1,0 +1,88 @@
+"""Be a bus between processes of this computer, where the kernel has no CAN: programs that use python-can join it with
+interface straightcomp_hub and the socket as the channel. It can spoil frames on purpose; SIGUSR1 cuts all links once.
+SIGINT or SIGTERM ends it; it then prints its counters as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+
+from straightcomp_ros.cli.output import CommandFailed, print_json
+from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.hardware.can.faults import KINDS, Faults
+from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.interface import HardwareError
+
+SUMMARY = "be a bus between processes, with faults if wanted"
+_MOST_FIFO = 98
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--socket", required=True, metavar="PATH", help="socket file, the channel of interface straightcomp_hub"
+    )
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="KIND=RATE",
+        help=f"spoil frames at this rate, 0 to 1; may be repeated. KIND: {', '.join(KINDS)}",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the faults (default: %(default)s)")
+    parser.add_argument(
+        "--fifo",
+        type=int,
+        default=0,
+        metavar="N",
+        help="SCHED_FIFO priority; best that of the nodes (default: normal scheduling)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve until a signal."""
+    from straightcomp_ros.nodes import realtime
+
+    if not 0 <= options.fifo <= _MOST_FIFO:
+        raise CommandFailed(f"--fifo {options.fifo}: allowed: 0 to {_MOST_FIFO}", exit_code=2)
+    rates = _rates(options.fault)
+    try:
+        faults = Faults(rates, options.seed) if rates else None
+        hub = Hub(options.socket, faults)
+    except (ValueError, HardwareError) as error:
+        raise CommandFailed(str(error), exit_code=2) from error
+    stopping: list[int] = []
+    cutting: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: stopping.append(number))
+    signal.signal(signal.SIGUSR1, lambda number, _: cutting.append(number))
+
+    def stopped() -> bool:
+        # Here no frame is under way.
+        if cutting:
+            cutting.pop()
+            hub.cut()
+        return bool(stopping)
+
+    for refusal in realtime.apply(RealtimeParameters(priority=options.fifo)):
+        print(f"hub: {refusal}", file=sys.stderr)
+    print("ready", flush=True)
+    try:
+        hub.run(stopped)
+    finally:
+        hub.close()
+    counters = {"passed": hub.passed, "dropped": hub.dropped, "cuts": hub.cuts}
+    print_json({**counters, "injected": faults.injected if faults else {}})
+    return 0
+
+
+def _rates(texts: list[str]) -> dict[str, float]:
+    rates = {}
+    for text in texts:
+        kind, _, rate = text.partition("=")
+        try:
+            rates[kind] = float(rate)
+        except ValueError as error:
+            raise CommandFailed(f"--fault {text!r}: allowed: KIND=RATE, e.g. drop=0.01", exit_code=2) from error
+    return rates

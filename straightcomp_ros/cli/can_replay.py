@@ -1,0 +1,65 @@
+"""Send the board's frames of a recorded bus again, at their recorded distances, to a driver that listens.
+
+LOG is a candump log, a BLF file, or another format of python-can. The bus and the board's node id are those of the
+node `driver` in the parameter file (can.*). The host's frames in LOG are left out. The driver numbers and dates the
+samples as it did then; with --speed other than 1 its can.rate has to be the recorded one times that speed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+
+from straightcomp_ros.cli.output import CommandFailed, notes, print_json
+from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
+from straightcomp_ros.hardware.can.link import check_interface, opened_bus
+from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.parameters import ParameterError
+
+SUMMARY = "send a recorded board's frames to a driver"
+_SLOWEST, _FASTEST = 0.01, 100.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("log", metavar="LOG", type=Path, help="recorded frames: .log, .blf, .asc, .trc …")
+    add_parameter_options(parser)
+    parser.add_argument("--speed", type=float, default=1.0, help="speed of the play (default: as recorded)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Play to the end."""
+    if not _SLOWEST <= options.speed <= _FASTEST:
+        raise CommandFailed(f"--speed {options.speed:g}: allowed: {_SLOWEST:g} to {_FASTEST:g}", exit_code=2)
+    parameters = node_parameters("driver", chosen_parameters(options)["driver"]).can
+    damage = ""
+
+    def frames() -> Iterator[can.Message]:
+        nonlocal damage
+        try:
+            yield from recorded_frames(options.log)
+        except DamagedLog as error:
+            damage = str(error)
+
+    try:
+        check_interface(parameters)
+        with opened_bus(parameters) as bus:
+            sent = play(of_the_board(frames(), parameters.node), bus, options.speed)
+    except (ParameterError, HardwareError) as error:
+        raise CommandFailed(str(error), exit_code=2) from error
+    except (can.CanError, OSError) as error:
+        raise CommandFailed(f"CAN {parameters.interface} {parameters.channel}: {error}") from error
+    if not sent:
+        raise CommandFailed(damage or f"log '{options.log}': has no frame of board {parameters.node}", exit_code=2)
+    if damage:
+        notes.print(f"{damage}; played up to there")
+    if options.json:
+        print_json({"sent": sent, "damaged": bool(damage)})
+    else:
+        notes.print(f"{sent} frames sent")
+    return 0

@@ -1,0 +1,258 @@
+"""Recorded buses: what the driver's link writes, what a crash leaves of it, and a driver that is fed from it."""
+
+import contextlib
+import itertools
+import shutil
+import threading
+import time
+from types import SimpleNamespace
+
+import can
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.hardware.can.backend import CanHardware
+from straightcomp_ros.hardware.can.board import Board
+from straightcomp_ros.hardware.can.frame_log import FrameLog
+from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
+from straightcomp_ros.hardware.can.frames import Codec
+from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.hardware.can.link import Link
+from straightcomp_ros.hardware.can.parameters import CanParameters
+from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.straightness.map import MapParameters, load_map
+
+GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
+FORMATS = pytest.mark.parametrize("ending", [".log", ".blf"])
+START_S = 1_700_000_000.0
+SAMPLES = 1000
+
+
+def until(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.005)
+    assert condition()
+
+
+@pytest.fixture
+def channel(tmp_path):
+    stop = threading.Event()
+    hub = Hub(tmp_path / "bus")
+    thread = threading.Thread(target=hub.run, args=(stop.is_set,))
+    thread.start()
+    yield str(tmp_path / "bus")
+    stop.set()
+    thread.join()
+    hub.close()
+
+
+def message(number, **options):
+    return can.Message(
+        timestamp=START_S + number * 0.25e-3,
+        arbitration_id=0x381,
+        is_extended_id=False,
+        is_fd=True,
+        bitrate_switch=True,
+        data=number.to_bytes(16, "little"),
+        **options,
+    )
+
+
+def frames_of_a_moving_board(fd):
+    """Half a second of a board whose stage moves."""
+    frames, now = [], [0]
+
+    def send(identifier, payload, fd):
+        stamp = START_S + now[0] * 1e-9
+        frames.append(
+            can.Message(
+                timestamp=stamp,
+                arbitration_id=identifier,
+                is_extended_id=False,
+                is_fd=fd,
+                bitrate_switch=fd,
+                data=payload,
+            )
+        )
+
+    machine = SimulatedHardware(SimulatedParameters(), GUIDE)
+    board = Board(machine, Codec(1, fd), 1.0, send, 0, tells_truth=True)
+    machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
+    for number in range(SAMPLES):
+        now[0] = number * machine.period_ns
+        board.cycle(now[0])
+    return frames
+
+
+@FORMATS
+def test_frames_are_recorded_as_they_were(tmp_path, ending):
+    sent = [message(k, is_rx=k % 3 > 0) for k in range(3000)]
+    sent.insert(7, can.Message(timestamp=START_S + 1e-3, is_error_frame=True, is_extended_id=False, data=bytes(8)))
+    log = FrameLog(tmp_path / f"bus{ending}", "can0")
+    log.start()
+    for frame in sent:
+        log.put(frame)
+    log.close()
+    read = list(recorded_frames(log.file))
+    assert log.written == len(sent) == len(read) and log.dropped == 0
+    assert [frame.timestamp for frame in read] == pytest.approx([frame.timestamp for frame in sent], abs=2e-6)
+    del sent[7], read[7]
+    for written, frame in zip(sent, read, strict=True):
+        assert written.equals(frame, timestamp_delta=None, check_channel=False)
+
+
+@FORMATS
+def test_a_log_that_was_never_finished_can_be_read_up_to_its_last_second(tmp_path, ending):
+    log = FrameLog(tmp_path / f"bus{ending}", "can0")
+    log.start()
+    for number in range(2000):
+        log.put(message(number))
+    until(lambda: len(copied(log.file, tmp_path / f"killed{ending}")) == 2000)
+    # The head of a BLF file tells the time at which it begins.
+    first = copied(log.file, tmp_path / f"killed{ending}")[0]
+    assert first.timestamp == pytest.approx(START_S, abs=1e-3)
+    log.close()
+
+
+def copied(file, destination):
+    shutil.copy(file, destination)
+    read = []
+    with contextlib.suppress(DamagedLog, HardwareError):
+        read += recorded_frames(destination)
+    return read
+
+
+def test_an_earlier_log_is_kept_and_frames_beyond_the_queue_are_counted(tmp_path):
+    logs = [FrameLog(tmp_path / "bus.log", "can0") for _ in range(3)]
+    assert [log.file.name for log in logs] == ["bus.log", "bus-1.log", "bus-2.log"]
+    for number in range(20_005):
+        logs[0].put(message(number))
+    assert logs[0].dropped == 5
+    for log in logs:
+        log.close()
+
+
+def test_a_log_that_cannot_be_made_or_has_no_known_ending_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(HardwareError, match=r"frame log '.*file/bus.log'"):
+        FrameLog(tmp_path / "file" / "bus.log", "can0")
+    with pytest.raises(ParameterError, match=r"'bus.txt' is not allowed; allowed: \*\.log or \*\.blf"):
+        CanParameters(log="bus.txt")
+
+
+def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path, channel):
+    parameters = CanParameters(interface=INTERFACE, channel=channel, log=str(tmp_path / "logs" / "bus.log"))
+    link = Link(parameters, [0x381], lambda *_: None, time.time_ns)
+    link.start()
+    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as other:
+        until(lambda: link.openings == 1)
+        assert link.send(0x301, b"\1\2", fd=True)
+        assert other.recv(30).arbitration_id == 0x301
+        for number in range(5):
+            other.send(message(number))
+        until(lambda: link.log.written == 6)
+    link.close()
+    read = list(recorded_frames(link.log.file))
+    assert [(frame.arbitration_id, frame.is_rx) for frame in read] == [(0x301, False)] + [(0x381, True)] * 5
+    assert abs(read[0].timestamp - time.time()) < 300
+
+
+def recorded_board(file, fd):
+    """A log of the moving board, and the encoder frames in it."""
+    frames, codec = frames_of_a_moving_board(fd), Codec(1, fd)
+    log = FrameLog(file, "can0")
+    log.start()
+    for frame in frames:
+        log.put(frame)
+    log.close()
+    encoder = [frame for frame in frames if frame.arbitration_id == codec.encoder_id]
+    return log.file, [codec.unpack_encoder(bytes(frame.data)) for frame in encoder]
+
+
+@FORMATS
+@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, ending, fd):
+    file, recorded = recorded_board(tmp_path / f"board{ending}", fd)
+    feeds = []
+
+    def link(parameters, identifiers, receive, clock):
+        feeds.append(receive)
+        return SimpleNamespace(start=lambda: None, send=lambda *_, **__: True, problem="")
+
+    parameters = CanParameters(fd=fd, sample_memory=SAMPLES, simulated_stage=True)
+    driver = CanHardware(parameters, lambda: round(START_S * 1e9), link)
+    for message in of_the_board(recorded_frames(file), 1):
+        feeds[0](message, round(message.timestamp * 1e9))
+    read = driver.read(round(START_S * 1e9))
+    assert [(sample.x, sample.y) for sample, _ in read] == [(f.x * 1e-7, f.y * 1e-7) for f in recorded[BLOCK - 1 :]]
+    steps = [b[0].stamp_ns - a[0].stamp_ns for a, b in itertools.pairwise(read)]
+    # A log has microseconds.
+    assert all(abs(step - 500_000) < 2_000 for step in steps)
+    for sample, truth in read:
+        assert (truth is not None) == fd
+        assert truth is None or abs(truth.x - sample.x) <= 0.51e-7
+
+
+def test_a_log_is_played_to_a_driver_on_a_bus(tmp_path, channel):
+    file, recorded = recorded_board(tmp_path / "board.log", True)
+    parameters = CanParameters(interface=INTERFACE, channel=channel, sample_memory=SAMPLES)
+    driver = CanHardware(parameters, time.time_ns)
+    driver.start(time.time_ns())
+    until(lambda: driver.counters()["can_openings"] == 1)
+    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus:
+        assert play(of_the_board(recorded_frames(file), 1), bus, 1.0) == len(recorded_frames_of(file))
+        until(lambda: driver.counters()["can_received"] > SAMPLES / 2)
+    read = [(sample.x, sample.y) for sample, _ in driver.read(time.time_ns())]
+    driver.close()
+    # How many come in time is the computer's affair; what comes is right, and in order.
+    assert read and read == [frame for frame in [(f.x * 1e-7, f.y * 1e-7) for f in recorded] if frame in set(read)]
+
+
+def recorded_frames_of(file):
+    return list(of_the_board(recorded_frames(file), 1))
+
+
+def test_frames_of_others_are_left_out(tmp_path):
+    board = [message(0), can.Message(arbitration_id=0x701, is_extended_id=False, data=[5])]
+    others = [can.Message(arbitration_id=number, is_extended_id=False) for number in (0x301, 0x382, 0x7)]
+    extended = can.Message(arbitration_id=0x381, is_extended_id=True)
+    assert list(of_the_board([*others, *board, extended], 1)) == board
+
+
+def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, channel, capsys):
+    file = tmp_path / "bus.log"
+    lines = "".join(f"({START_S + k * 1e-3:f}) can0 701#05 R\n" for k in range(50))
+    file.write_text(lines + "(1700000001.0")
+    options = ["--set", f"driver.can.interface={INTERFACE}", "--set", f"driver.can.channel={channel}", "--json"]
+    with can.Bus(interface=INTERFACE, channel=channel) as listener:
+        begin_s = time.time()
+        assert main(["can", "replay", str(file), "--speed", "2", *options]) == 0
+        arrived = [listener.recv(30) for _ in range(50)]
+    printed = capsys.readouterr()
+    assert printed.out == '{"sent": 50, "damaged": true}\n' and "damaged after frame 50" in printed.err
+    assert arrived[-1].timestamp - begin_s > 0.0245
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "options", "words"),
+    [
+        (None, "none.log", [], "none.log': No such file"),
+        ("x", "bus.txt", [], "unknown log format"),
+        ("", "bus.log", [], "has no frame of board 1"),
+        ("", "bus.blf", [], "bus.blf'"),
+        ("", "bus.log", ["--speed", "0"], "--speed 0: allowed: 0.01 to 100"),
+        ("", "bus.log", ["--set", "driver.can.interface=pigeon"], "'pigeon' is not known"),
+    ],
+)
+def test_what_cannot_be_replayed_is_refused_with_the_reason(tmp_path, channel, capsys, content, name, options, words):
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    bus = ["--set", f"driver.can.interface={INTERFACE}", "--set", f"driver.can.channel={channel}"]
+    assert main(["can", "replay", str(tmp_path / name), *bus, *options]) == 2
+    assert words in capsys.readouterr().err
