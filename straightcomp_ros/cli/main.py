@@ -16,11 +16,13 @@ _VERBS = (
     "dsp",
     "evaluate",
     "friction",
+    "opcua",
     "recover",
     "replay",
     "reproduce",
     "robustness",
     "simulate",
+    "view",
 )
 
 
