@@ -41,7 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="can: the machine is an emulated board in a process of its own, on a CAN bus between processes",
     )
     parser.add_argument(
-        "--opcua", action="store_true", help="a client of the OPC UA gateway runs the cycle, in place of the cell's node"
+        "--opcua",
+        action="store_true",
+        help="a client of the OPC UA gateway runs the cycle, in place of the cell's node",
     )
     parser.add_argument(
         "--strokes", type=int, default=1, help="strokes forward and back, with --opcua (default: %(default)s)"

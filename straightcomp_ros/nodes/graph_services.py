@@ -32,6 +32,10 @@ _UPWARDS: Mapping[int, int] = {
 }
 
 
+Answer = Callable[[str], None]
+"""Takes why something was refused, or an empty text."""
+
+
 class GraphServices:
     """Asks without waiting, and keeps the answers.
 
@@ -66,25 +70,23 @@ class GraphServices:
         for lifecycle in self._lifecycles.values():
             lifecycle.rise()
 
-    def switch_on(self, then: Callable[[str], None] = lambda refusal: None) -> None:
-        """Ask for the amplifier; ``then`` gets why it was refused, or an empty text."""
+    def switch_on(self, then: Answer = lambda refusal: None) -> None:
+        """Ask for the amplifier; ``then`` gets why that was refused, or an empty text."""
         self.refusal = ""
 
-        def answered(response: Any) -> None:
-            self.refusal = "" if response.success else response.message
-            then(self.refusal)
+        def answered(refusal: str) -> None:
+            self.refusal = refusal
+            then(refusal)
 
-        if not self._enable(SetBool.Request(data=True), answered):
-            self.refusal = "the driver's service 'enable' is not there"
-            then(self.refusal)
+        self._enable.ask(SetBool.Request(data=True), answered)
 
-    def switch_off(self) -> None:
+    def switch_off(self, then: Answer = lambda refusal: None) -> None:
         """Switch the amplifier off."""
-        self._enable(SetBool.Request(data=False))
+        self._enable.ask(SetBool.Request(data=False), then)
 
-    def reset_faults(self) -> None:
+    def reset_faults(self, then: Answer = lambda refusal: None) -> None:
         """Clear what is latched."""
-        self._reset(Trigger.Request())
+        self._reset.ask(Trigger.Request(), then)
 
     def move(self, waypoints: Sequence[Waypoint]) -> None:
         """Move the stage, starting when this arrives."""
@@ -137,6 +139,11 @@ class _Caller:
     @property
     def ready(self) -> bool:
         return bool(self._client.service_is_ready())
+
+    def ask(self, request: Any, then: Answer) -> None:
+        """Ask a service whose answer has ``success`` and ``message``; ``then`` gets why it refused, or an empty text."""
+        if not self(request, lambda response: then("" if response.success else response.message or "refused")):
+            then(f"service {self._client.srv_name} is not there")
 
     def __call__(self, request: Any, then: Callable[[Any], None] = lambda response: None) -> bool:
         """Ask; whether the service is there. ``then`` gets the answer."""

@@ -45,9 +45,10 @@ class OpcuaNode:
     def _tick(self) -> None:
         self._watch.fetch()
         seen = self._watch.observation(self._services.states)
+        answers = []
         for request in self._server.requests():
             self._commands += 1
-            request.answer.set_result(self._sequence.command(request.command, request.strokes))
+            answers.append((request, self._sequence.command(request.command, request.strokes)))
         self._sequence.tick(seen)
         self._tell()
         sequence = self._sequence
@@ -62,6 +63,9 @@ class OpcuaNode:
                 limits=self._limits(),
             )
         )
+        # Afterwards: a client that reads the state when its call has returned sees what the call has done.
+        for request, refusal in answers:
+            request.answer.set_result(refusal)
         if not self._server.alive and not self.done.done():
             self.node.get_logger().error("the OPC UA server has ended")
             self.done.set_result(EXIT_FAILURE)

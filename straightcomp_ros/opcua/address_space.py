@@ -36,7 +36,9 @@ class Value:
 _STATUS: Mapping[str, Value] = {
     "StateCurrent": Value(ua.VariantType.Int32, "State, PackML's number", lambda s: int(s.state)),
     "StateName": Value(ua.VariantType.String, "State, PackML's name", lambda s: name(s.state)),
-    "Message": Value(ua.VariantType.String, "Why the state is what it is, or a command was refused", lambda s: s.message),
+    "Message": Value(
+        ua.VariantType.String, "Why the state is what it is, or a command was refused", lambda s: s.message
+    ),
     "StrokesAsked": Value(ua.VariantType.UInt32, "Strokes forward and back of the last Start", lambda s: s.strokes),
     "StrokesDone": Value(ua.VariantType.UInt32, "Of these", lambda s: s.strokes_done),
     "AmplifierOn": Value(ua.VariantType.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
@@ -118,7 +120,9 @@ class AddressSpace:
         await self._add(
             await self._folder(cell, "Alarms"),
             {
-                key: Value(ua.VariantType.String, f"{text}; empty: not active", lambda s, key=key: s.alarms.get(key, ""))
+                key: Value(
+                    ua.VariantType.String, f"{text}; empty: not active", lambda s, key=key: s.alarms.get(key, "")
+                )
                 for key, (_, text) in ALARMS.items()
             },
         )

@@ -111,15 +111,15 @@ class GatewayServer:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         server = await self._make_server()
-        space = AddressSpace(server)
-        await space.build(self._nodes, self._command)
+        self._space = AddressSpace(server)
+        await self._space.build(self._nodes, self._command)
         async with server:
             self._started.set_result(None)
             if sys.platform == "linux":
                 # Clients that ask much get what the control loop leaves over.
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
             while not self._stopping.is_set():
-                await space.write(self._snapshot)
+                await self._space.write(self._snapshot)
                 await asyncio.sleep(_PERIOD_S)
 
     async def _make_server(self) -> Server:
@@ -156,6 +156,8 @@ class GatewayServer:
         except queue.Full:
             return "too many commands at once"
         try:
-            return await asyncio.wait_for(asyncio.wrap_future(request.answer), _ANSWER_WITHIN_S)
+            refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), _ANSWER_WITHIN_S)
         except asyncio.TimeoutError as error:  # noqa: UP041 (before 3.11 it is not the built-in one)
             raise TimeoutError from error
+        await self._space.write(self._snapshot)
+        return refusal
