@@ -81,8 +81,8 @@ STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
 POSITION = Stream(
     "position",
     joint_state([STAGE, PLATFORM], position=["x", "y"]),
-    "Every eighth sample of both encoders in m, for those who only watch: a reader of the encoder's own topic costs the "
-    "driver a wake-up in each period. Not recorded.",
+    "Every eighth sample of both encoders in m, for those who only watch: a reader of the encoder's own topic costs "
+    "the driver a wake-up in each period. Not recorded.",
 )
 POSITION_EVERY = 8
 """Samples to one message of ``position``."""

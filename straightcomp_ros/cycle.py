@@ -49,7 +49,7 @@ def run_cycle(
         started: called once with the process id of each node.
         commands: by node, what to start in its place.
         beside: further programs by name that the nodes need, started before them: a bus, an emulated board.
-        in_place_of_cell: a program that runs the cycle instead, from outside the graph, and prints progress as the cell does.
+        in_place_of_cell: a program that runs the cycle from outside the graph, and prints progress as the cell does.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.

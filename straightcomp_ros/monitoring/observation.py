@@ -17,7 +17,7 @@ class Observation:
     """What the nodes say of themselves and what their streams show.
 
     Attributes:
-        nodes: state of each node that belongs to the graph: ``absent``, ``plain``, or its lifecycle state in lower case.
+        nodes: state of each node of the graph: ``absent``, ``plain``, ``silent``, or its lifecycle state in lower case.
         faults: by node, what is wrong; empty where all is well.
         unrecorded: topics that the logger, where there is one, is not connected to.
         fresh: samples are coming in.

@@ -141,7 +141,7 @@ class _Caller:
         return bool(self._client.service_is_ready())
 
     def ask(self, request: Any, then: Answer) -> None:
-        """Ask a service whose answer has ``success`` and ``message``; ``then`` gets why it refused, or an empty text."""
+        """Ask a service that answers with ``success`` and ``message``; ``then`` gets its refusal, or an empty text."""
         if not self(request, lambda response: then("" if response.success else response.message or "refused")):
             then(f"service {self._client.srv_name} is not there")
 

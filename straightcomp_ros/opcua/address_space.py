@@ -66,7 +66,7 @@ LIMITS: Mapping[str, tuple[str, str]] = {
 """By name: unit and meaning."""
 _COMMANDS: Mapping[Command, str] = {
     Command.RESET: "Bring all nodes up; to Idle",
-    Command.START: "Amplifier on and so many strokes forward and back; 0: compensate until Complete, others move the stage",
+    Command.START: "Amplifier on, so many strokes; 0: compensate until Complete, others move the stage",
     Command.STOP: "End at the end of the present movement, amplifier off; to Stopped",
     Command.HOLD: "Rest at the end of the present movement, amplifier on; to Held",
     Command.UNHOLD: "Go on",

@@ -1,9 +1,9 @@
 """Who may do what on the server: enforced in the session, whatever the connection.
 
-asyncua's own rules hang on the secure channel, and do not hold where a client opens none: it takes unsecured messages even
-where no unsecured endpoint is offered, lets any connection take over a session whose (consecutive) token it guesses, checks
-a client's certificate only where the client shows it a second time, and lets anybody register servers. So each session
-here asks for itself.
+asyncua's own rules hang on the secure channel, and do not hold where a client opens none: it takes unsecured messages
+even where no unsecured endpoint is offered, lets any connection take over a session whose (consecutive) token it
+guesses, checks a client's certificate only where the client shows it a second time, and lets anybody register servers.
+So each session here asks for itself.
 """
 
 from __future__ import annotations

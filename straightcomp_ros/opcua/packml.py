@@ -75,7 +75,7 @@ FAILED: Mapping[State, State] = {
     **dict.fromkeys((State.CLEARING, State.EXECUTE, State.HOLDING, State.UNHOLDING), State.ABORTING),
     **dict.fromkeys((State.COMPLETING, State.STOPPING), State.ABORTING),
 }
-"""Where a state leads whose work cannot be done; a fault leads to Aborting from every state but Aborting and Aborted."""
+"""Where a state leads whose work cannot be done. Trouble in the graph leads to Aborting wherever it is counted on."""
 
 
 def refusal(command: Command, state: State) -> str:

@@ -157,7 +157,7 @@ class GatewayServer:
             return "too many commands at once"
         try:
             refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), _ANSWER_WITHIN_S)
-        except asyncio.TimeoutError as error:  # noqa: UP041 (before 3.11 it is not the built-in one)
+        except asyncio.TimeoutError as error:
             raise TimeoutError from error
         await self._space.write(self._snapshot)
         return refusal

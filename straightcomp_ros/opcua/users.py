@@ -1,4 +1,4 @@
-"""Users of the gateway: a text file with one user a line, ``name:role:salt:hash``; passwords are kept as scrypt hashes."""
+"""Users of the gateway: a text file with one user a line, ``name:role:salt:hash``, the password as a scrypt hash."""
 
 from __future__ import annotations
 

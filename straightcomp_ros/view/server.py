@@ -1,7 +1,7 @@
 """The page's server: the standard library's, on the loopback interface only; news by server-sent events.
 
-Reading needs the page's address alone. Buttons need the token that `straightcomp view` prints, and come as POST requests
-of JSON: another site's page can send neither the token nor, without asking first, JSON.
+Reading needs the page's address alone. Buttons need the token that `straightcomp view` prints, and come as POST
+requests of JSON: another site's page can send neither the token nor, without asking first, JSON.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import json
 import math
 import secrets
 import threading
-import time
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
