@@ -102,7 +102,6 @@ async def around(url):
     made = client(url)
     await made.connect_socket()
     await made.send_hello()
-    made.uaclient.protocol.state = made.uaclient.protocol.OPEN
     await outcome(made.create_session())
     await outcome(made.activate_session())
     commands = made.get_node(path("Commands"))
