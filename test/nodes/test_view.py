@@ -32,7 +32,7 @@ def test_it_shows_the_graph_and_its_buttons_reach_the_driver(page):
     connection = HTTPConnection("127.0.0.1", page.port, timeout=30)
     connection.request("GET", "/news")
     answer = connection.getresponse()
-    slots, state, end = [], {}, time.monotonic() + 40
+    slots, state, end = [], {}, time.monotonic() + 90
     while time.monotonic() < end and not (len(slots) > 5 and state["nodes"]["driver"]["rate_hz"]):
         line = answer.readline()
         if line.startswith(b"data: "):
