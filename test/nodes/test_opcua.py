@@ -50,5 +50,5 @@ def test_a_gateway_without_users_serves_readers_on_this_machine():
 
 def test_wrong_parameters_end_the_node_with_one_sentence(graph, tmp_path):
     node = graph.start("opcua", {"opcua.users": str(tmp_path / "none")})
-    assert node.wait(60) == EXIT_CONFIGURATION
+    assert node.wait(90) == EXIT_CONFIGURATION
     assert "users file" in graph.last_words("opcua") and "Traceback" not in graph.log("opcua").read_text()
