@@ -27,6 +27,7 @@ setup(
     maintainer=MANIFEST.findtext("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").get("email"),
     packages=find_packages(exclude=["test", "test.*"]),
+    package_data={f"{NAME}.view": ["*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -60,6 +61,9 @@ setup(
             "ros-jazzy-std-srvs",
             "ros-jazzy-trajectory-msgs",
         ],
+        # The node opcua. asyncua is LGPL-3: it is used as a library, unchanged, and only where this extra is asked for.
+        # The guard of sessions (opcua/guard.py) overrides its internals: a newer one needs a look first.
+        "opcua": ["asyncua>=2.1,<2.2"],
         # Sweeps on other machines' cores.
         "dask": ["dask[distributed]"],
         "test": [
@@ -67,6 +71,7 @@ setup(
             # Live graphs on shared machines: see test/nodes/conftest.py.
             "pytest-rerunfailures",
             "hypothesis",
+            "asyncua>=2.1,<2.2",
             "cantools",
             "dask[distributed]",
             "colcon-common-extensions",
@@ -80,7 +85,7 @@ setup(
         "console_scripts": [
             *(
                 f"{node}_node = {NAME}.nodes.{node}_node:main"
-                for node in ("driver", "feedforward", "controller", "logger", "cell", "player")
+                for node in ("driver", "feedforward", "controller", "logger", "cell", "player", "opcua")
             ),
             f"dsp_emulator = {NAME}.cli.dsp:main",
             f"straightcomp = {NAME}.cli.main:main",

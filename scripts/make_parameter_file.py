@@ -13,7 +13,7 @@ from straightcomp_ros.parameters import declarations
 FILE = Path(__file__).resolve().parent.parent / "config" / "straightcomp.yaml"
 PRIORITY = {"realtime.priority": 40}
 CHANGED: dict[str, dict[str, Any]] = {
-    **dict.fromkeys(("feedforward", "controller", "logger", "cell"), PRIORITY),
+    **dict.fromkeys(("feedforward", "controller", "logger", "cell", "opcua"), PRIORITY),
     "driver": {"simulated.command_timeout": 0.25, **PRIORITY, "realtime.keep_awake": True},
 }
 """Values that differ from the default; the head of the file says why."""

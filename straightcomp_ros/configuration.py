@@ -16,6 +16,7 @@ from straightcomp_ros.hardware.can.frames import CURRENT_COUNT, CURRENT_LIMIT
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters
+from straightcomp_ros.opcua.parameters import OpcuaParameters
 from straightcomp_ros.parameters import ParameterError, flatten, from_mapping, group, parameter
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.map import MapParameters
@@ -196,6 +197,22 @@ class PlayerNodeParameters:
     realtime: RealtimeParameters = group(RealtimeParameters)
 
 
+@dataclass(frozen=True)
+class OpcuaNodeParameters:
+    """Parameters of the node `opcua`."""
+
+    nodes: str = parameter("driver feedforward controller logger", "Nodes that must work, separated by blanks")
+    start_timeout: float = parameter(
+        30.0, "Longest wait for the nodes, for the amplifier, and for a fault to be cleared", unit="s", above=0.0
+    )
+    error_limit: float = parameter(
+        2e-6, "Peak-to-peak error of a movement of the stage above which there is an alarm", unit="m", above=0.0
+    )
+    opcua: OpcuaParameters = group(OpcuaParameters)
+    motion: MotionParameters = group(MotionParameters)
+    realtime: RealtimeParameters = group(RealtimeParameters)
+
+
 NODE_PARAMETERS: Mapping[str, type] = {
     "driver": DriverNodeParameters,
     "feedforward": FeedforwardNodeParameters,
@@ -203,6 +220,7 @@ NODE_PARAMETERS: Mapping[str, type] = {
     "logger": LoggerNodeParameters,
     "cell": CellNodeParameters,
     "player": PlayerNodeParameters,
+    "opcua": OpcuaNodeParameters,
 }
 """Parameter set of each node, by the node's name."""
 

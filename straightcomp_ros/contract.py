@@ -85,6 +85,15 @@ DISPLACEMENT = Stream(
     "node publishes it; no node of ours needs it.",
 )
 
+POSITION = Stream(
+    "position",
+    joint_state([STAGE, PLATFORM], position=["x", "y"]),
+    "Every eighth sample of both encoders in m, for those who only watch: a reader of the encoder's own topic costs "
+    "the driver a wake-up in each period. Not recorded.",
+)
+POSITION_EVERY = 8
+"""Samples to one message of ``position``."""
+
 STAGE_TRAJECTORY = "stage_trajectory"
 """trajectory_msgs/JointTrajectory: motion asked of the stage (joint `stage_x`)."""
 DIAGNOSTICS = "diagnostics"

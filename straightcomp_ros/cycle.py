@@ -36,6 +36,7 @@ def run_cycle(
     started: Callable[[Mapping[str, int]], None] = lambda process_ids: None,
     commands: Mapping[str, Sequence[str]] | None = None,
     beside: Mapping[str, Sequence[str]] | None = None,
+    in_place_of_cell: Sequence[str] | None = None,
 ) -> None:
     """Run the graph until the cell has finished its cycle, and record it.
 
@@ -48,6 +49,7 @@ def run_cycle(
         started: called once with the process id of each node.
         commands: by node, what to start in its place.
         beside: further programs by name that the nodes need, started before them: a bus, an emulated board.
+        in_place_of_cell: a program that runs the cycle from outside the graph, and prints progress as the cell does.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
@@ -60,7 +62,12 @@ def run_cycle(
         for name in RECORDED:
             extra = {"output": str(bag)} if name == "logger" else {}
             ids[name] = graph.start(name, extra, parameter_file, command=commands.get(name)).pid
-        cell = graph.start("cell", {"progress": True}, parameter_file, command=commands.get("cell"), read_output=True)
+        if in_place_of_cell:
+            cell = graph.start_program("cell", in_place_of_cell, read_output=True)
+        else:
+            cell = graph.start(
+                "cell", {"progress": True}, parameter_file, command=commands.get("cell"), read_output=True
+            )
         started(ids)
         _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
         codes = graph.stop(RECORDED)

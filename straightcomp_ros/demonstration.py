@@ -18,6 +18,7 @@ from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.launcher import LaunchError, verb_command
 from straightcomp_ros.model.stage import forward_and_back
+from straightcomp_ros.opcua.demonstrated import driven_by_opcua
 from straightcomp_ros.straightness.map import StraightnessMap, load_map
 from straightcomp_ros.timing.report import NodeTiming, amplifier_on, summarise
 
@@ -54,7 +55,10 @@ class Demonstration:
 
 
 def demonstrate(
-    values: Mapping[str, Mapping[str, Any]], output: Path, progress: Callable[[float], None] = lambda fraction: None
+    values: Mapping[str, Mapping[str, Any]],
+    output: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
+    opcua_strokes: int = 0,
 ) -> Demonstration:
     """Run the graph for one cycle and evaluate the bag.
 
@@ -62,6 +66,7 @@ def demonstrate(
         values: parameters by node and dotted name.
         output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; an earlier bag there is replaced.
         progress: called with the fraction of the cycle that is done.
+        opcua_strokes: instead of one stroke run by the cell, so many run by a client of the OPC UA gateway.
 
     Raises:
         DemonstrationFailed: a node died, the cycle failed, or the bag is short.
@@ -73,17 +78,20 @@ def demonstrate(
     straightness = load_map(node_parameters("feedforward", values["feedforward"]).map)
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
-    parameter_file.write_text(as_parameter_file(values))
     logs = output / "logs"
+    duration *= max(opcua_strokes, 1)
     try:
-        run_cycle(
-            bag,
-            parameter_file,
-            logs,
-            duration,
-            progress,
-            beside=emulated_machine(values["driver"], parameter_file),
-        )
+        with driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
+            parameter_file.write_text(as_parameter_file(values))
+            run_cycle(
+                bag,
+                parameter_file,
+                logs,
+                duration,
+                progress,
+                beside={**emulated_machine(values["driver"], parameter_file), **gateway},
+                in_place_of_cell=client,
+            )
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
     try:

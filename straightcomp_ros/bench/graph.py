@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from straightcomp_ros.bench.window import Window, growth_mb_per_hour
 from straightcomp_ros.configuration import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.contract import DEFAULT_RATE, PACKAGE, STROKE
 from straightcomp_ros.cycle import RECORDED, as_parameter_file, run_cycle
-from straightcomp_ros.launcher import LaunchError
+from straightcomp_ros.launcher import LaunchError, verb_command
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.timing.report import NodeTiming, summarise
 
@@ -135,6 +136,21 @@ def baseline_commands() -> dict[str, Sequence[str]]:
     return {node: [sys.executable, "-m", f"{PACKAGE}.nodes.baseline", node] for node in RECORDED}
 
 
+def view_beside(priority: int) -> dict[str, Sequence[str]]:
+    """The live view and a page that is open on it, as programs to run beside the graph.
+
+    Args:
+        priority: SCHED_FIFO priority of the graph's nodes, and so of the view's.
+    """
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    return {
+        "view": verb_command("view", "--port", port, "--priority", str(priority)),
+        "page": [sys.executable, "-m", f"{PACKAGE}.view.reader", port],
+    }
+
+
 def measure(
     values: Mapping[str, Mapping[str, Any]],
     folder: Path,
@@ -142,6 +158,7 @@ def measure(
     *,
     progress: Callable[[float], None] = lambda fraction: None,
     commands: Mapping[str, Sequence[str]] | None = None,
+    beside: Mapping[str, Sequence[str]] | None = None,
     look_interval: float = 10.0,
 ) -> Measurement:
     """Run the graph once and measure it.
@@ -152,6 +169,7 @@ def measure(
         seconds: length of the window.
         progress: called with the fraction of the stage's motion that is done.
         commands: by node, what to start in its place.
+        beside: further programs by name that run meanwhile.
         look_interval: time between two looks at the nodes' memory, s.
 
     Raises:
@@ -184,6 +202,7 @@ def measure(
             follow,
             started=process_ids.update,
             commands={**_CELL, **(commands or {})},
+            beside=beside,
         )
         begin, end = window.looks[0], window.looks[-1]
         recording = read_window(bag, values["driver"]["simulated.rate"], begin.time_ns, end.time_ns)

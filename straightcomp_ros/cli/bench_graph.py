@@ -13,7 +13,14 @@ from typing import Any
 
 from rich.table import Table
 
-from straightcomp_ros.bench.graph import BenchFailed, Measurement, baseline_commands, bench_parameters, measure
+from straightcomp_ros.bench.graph import (
+    BenchFailed,
+    Measurement,
+    baseline_commands,
+    bench_parameters,
+    measure,
+    view_beside,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import rounded
@@ -47,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--baseline", action="store_true", help="afterwards the same with plain rclpy nodes, and the ratio of both"
     )
+    parser.add_argument("--view", action="store_true", help="afterwards the same with the live view open beside it")
     parser.add_argument("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -74,6 +82,9 @@ def run(options: argparse.Namespace) -> int:
         figures = measured.to_display()
         if options.soak is not None:
             figures["soak"] = {"minutes": options.soak, "growth_mb_per_hour": dict(measured.growth_mb_per_hour)}
+        if options.view:
+            beside = view_beside(options.fifo)
+            figures["with_view"] = _measured(values, folder / "view", seconds, "with view", beside=beside).to_display()
         if options.baseline:
             try:
                 plain = _measured(values, folder / "baseline", seconds, "baseline", baseline_commands())
@@ -90,7 +101,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _measured(
-    values: dict[str, dict[str, Any]], folder: Path, seconds: float, words: str, commands: Any = None
+    values: dict[str, dict[str, Any]],
+    folder: Path,
+    seconds: float,
+    words: str,
+    commands: Any = None,
+    beside: Any = None,
 ) -> Measurement:
     if (folder / "bag").exists():
         raise CommandFailed(f"--output: {folder} holds a bag; name another folder", exit_code=2)
@@ -98,7 +114,12 @@ def _measured(
         with progress_bar() as bar:
             task = bar.add_task(f"measuring {words}", total=1.0)
             return measure(
-                values, folder, seconds, progress=lambda done: bar.update(task, completed=done), commands=commands
+                values,
+                folder,
+                seconds,
+                progress=lambda done: bar.update(task, completed=done),
+                commands=commands,
+                beside=beside,
             )
     except BenchFailed as error:
         raise CommandFailed(f"{words}: {error}") from error
@@ -131,6 +152,9 @@ def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
     if "soak" in figures:
         slopes = figures["soak"]["growth_mb_per_hour"]
         console.print("growth of memory [MB/h]: " + ", ".join(f"{node} {slopes[node]:.1f}" for node in RECORDED))
+    if "with_view" in figures:
+        console.print(_table(figures["with_view"], "With the live view open"))
+        _print_whole(figures["with_view"])
     baseline = figures.get("baseline")
     if baseline and "failed" in baseline:
         console.print(f"baseline failed: {baseline['failed']}", markup=False)

@@ -6,6 +6,7 @@ cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the out
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import tempfile
 from datetime import datetime
 from pathlib import Path
@@ -39,6 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("simulated", "can"),
         help="can: the machine is an emulated board in a process of its own, on a CAN bus between processes",
     )
+    parser.add_argument(
+        "--opcua",
+        action="store_true",
+        help="a client of the OPC UA gateway runs the cycle, in place of the cell's node",
+    )
+    parser.add_argument(
+        "--strokes", type=int, default=1, help="strokes forward and back, with --opcua (default: %(default)s)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -49,6 +58,12 @@ def run(options: argparse.Namespace) -> int:
             "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
             exit_code=2,
         )
+    if options.strokes < 1 or (options.strokes > 1 and not options.opcua):
+        raise CommandFailed(f"--strokes {options.strokes}: allowed: 1, or any number from 1 with --opcua", exit_code=2)
+    if options.opcua and options.lockstep:
+        raise CommandFailed("--opcua runs in real time; allowed without --lockstep", exit_code=2)
+    if options.opcua and importlib.util.find_spec("asyncua") is None:
+        raise CommandFailed("asyncua is not there; remedy: pip install 'straightcomp_ros[opcua]'", exit_code=2)
     values = chosen_parameters(options)
     if options.lockstep:
         values["driver"]["lockstep"] = True
@@ -64,7 +79,12 @@ def run(options: argparse.Namespace) -> int:
             elif options.hardware:
                 values["driver"]["hardware"] = options.hardware
             task = bar.add_task("stage moves", total=1.0)
-            result = demonstrate(values, output, lambda fraction: bar.update(task, completed=fraction))
+            result = demonstrate(
+                values,
+                output,
+                lambda fraction: bar.update(task, completed=fraction),
+                opcua_strokes=options.strokes if options.opcua else 0,
+            )
     except (ParameterError, SurveyError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
     except DemonstrationFailed as error:

@@ -17,11 +17,13 @@ _VERBS = (
     "evaluate",
     "friction",
     "map",
+    "opcua",
     "recover",
     "replay",
     "reproduce",
     "robustness",
     "simulate",
+    "view",
 )
 
 

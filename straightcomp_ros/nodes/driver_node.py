@@ -12,7 +12,15 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.configuration import DriverNodeParameters
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY, TRUTH
+from straightcomp_ros.contract import (
+    COMMAND,
+    DRIVER_STATE,
+    ENCODER,
+    POSITION,
+    POSITION_EVERY,
+    STAGE_TRAJECTORY,
+    TRUTH,
+)
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
@@ -45,6 +53,7 @@ class DriverNode:
         period_ns = round(1e9 / parameters.machine.rate)
         self._phase = PhaseLock(period_ns, _SAMPLE_WAIT_NS)
         self._publish_sample = publisher(node, ENCODER)
+        self._publish_position = publisher(node, POSITION)
         self._publish_truth = BurstPublisher(node, TRUTH)
         self._publish_state = BurstPublisher(node, DRIVER_STATE)
         self._samples = self._commands = self._stale_commands = 0
@@ -87,6 +96,8 @@ class DriverNode:
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
         lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
         self._publish_sample(*sample[:3], math.nan, sample.current)
+        if self._samples % POSITION_EVERY == 0:
+            self._publish_position(*sample[:3])
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
         on = 1.0 if self._hardware.state is State.ON else 0.0

@@ -11,12 +11,12 @@ import pytest
 PACKAGE = "straightcomp_ros"
 SOURCE = Path(__file__).resolve().parents[2] / PACKAGE
 INNER = ("model", "control", "straightness")
-MIDDLE = ("hardware", "bags", "analysis", "timing")
+MIDDLE = ("hardware", "bags", "analysis", "timing", "monitoring")
 OUTER = ("nodes", "cli")
 FORBIDDEN = {
     **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),
     **dict.fromkeys(MIDDLE, ("sweep", *OUTER)),
-    **dict.fromkeys(("sweep", "paper", "identification", "replay", "bench"), OUTER),
+    **dict.fromkeys(("sweep", "paper", "identification", "replay", "bench", "opcua", "view"), OUTER),
     "nodes": ("cli",),
     "cli": (),
 }

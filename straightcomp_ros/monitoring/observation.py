@@ -1,0 +1,71 @@
+"""The graph as seen from outside at one moment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+ACTIVE = "active"
+ABSENT = "absent"
+READY_STATES = (ACTIVE, "plain")
+"""A node in one of these states works. ``plain``: it is there and has no lifecycle."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What the nodes say of themselves and what their streams show.
+
+    Attributes:
+        nodes: state of each node of the graph: ``absent``, ``plain``, ``silent``, or its lifecycle state in lower case.
+        faults: by node, what is wrong; empty where all is well.
+        unrecorded: topics that the logger, where there is one, is not connected to.
+        fresh: samples are coming in.
+        amplifier_on: samples come in, and the newest was taken with the amplifier on.
+        stamp_ns: of the newest sample, ns since the epoch; 0 before the first.
+        x, y: newest position in m; NaN before the first.
+        still: the stage has not moved for a tenth of a second.
+        error: newest compensation error in m.
+        sliding_variable: newest, m/s.
+        stroke_error_pp: peak-to-peak error over the last finished movement of the stage, m; NaN before the first.
+        samples: that the controller has handled since its start.
+        lost_samples: that did not come to the controller since its start.
+    """
+
+    nodes: Mapping[str, str] = field(default_factory=dict)
+    faults: Mapping[str, str] = field(default_factory=dict)
+    unrecorded: tuple[str, ...] = ()
+    fresh: bool = False
+    amplifier_on: bool = False
+    stamp_ns: int = 0
+    x: float = math.nan
+    y: float = math.nan
+    still: bool = True
+    error: float = math.nan
+    sliding_variable: float = math.nan
+    stroke_error_pp: float = math.nan
+    samples: int = 0
+    lost_samples: int = 0
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Nodes that do not work, with their state, e.g. ``logger (absent)``."""
+        return tuple(f"{name} ({state})" for name, state in self.nodes.items() if state not in READY_STATES)
+
+    @property
+    def fault(self) -> str:
+        """All faults in one line; empty where there is none."""
+        return "; ".join(f"{node}: {text}" for node, text in self.faults.items())
+
+    @property
+    def obstacle(self) -> str:
+        """Why a cycle cannot start now; empty where it can."""
+        if self.fault:
+            return self.fault
+        if self.missing:
+            return f"nodes that do not work: {', '.join(self.missing)}"
+        if not self.fresh:
+            return "no samples come in"
+        if self.unrecorded:
+            return f"not recorded: {', '.join(self.unrecorded)}"
+        return "" if self.still else "the stage moves"

@@ -1,0 +1,124 @@
+"""opcua: an OPC UA server through which a PLC runs the cell. Needs the extra `opcua`."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+
+from rclpy.node import Node
+from rclpy.task import Future
+
+from straightcomp_ros.configuration import OpcuaNodeParameters
+from straightcomp_ros.nodes.declare import declare
+from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.graph_services import GraphServices
+from straightcomp_ros.nodes.graph_watch import GraphWatch
+from straightcomp_ros.nodes.remote_parameters import RemoteParameters
+from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
+from straightcomp_ros.opcua.sequence import CellSequence
+from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
+from straightcomp_ros.parameters import ParameterError
+
+_TICK_S = 0.02
+
+
+class OpcuaNode:
+    """Joins the graph, the state machine and the server; see those three."""
+
+    def __init__(self, node: Node) -> None:
+        self._parameters = parameters = declare(node, OpcuaNodeParameters)
+        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
+        names = parameters.nodes.split()
+        self._watch, self._services = GraphWatch(node), GraphServices(node, names)
+        self._remote = RemoteParameters(node, ["driver"])
+        self._sequence = CellSequence(self._services, parameters.motion, parameters.start_timeout)
+        self._alarms = Alarms(parameters.error_limit)
+        self._commands = 0
+        self._told = ""
+        self._server = _server(parameters, names)
+        Diagnostics(node, lambda: {"samples": self._commands, "state": self._sequence.state.name.lower()})
+        node.create_timer(_TICK_S, self._tick)
+        security = "encrypted" if parameters.opcua.encrypted else "not encrypted"
+        node.get_logger().info(f"OPC UA at {parameters.opcua.endpoint}, {security}")
+
+    def _tick(self) -> None:
+        self._watch.fetch()
+        seen = self._watch.observation(self._services.states)
+        answers = []
+        for request in self._server.requests():
+            self._commands += 1
+            answers.append((request, self._sequence.command(request.command, request.strokes)))
+        self._sequence.tick(seen)
+        self._tell()
+        sequence = self._sequence
+        self._server.show(
+            Snapshot(
+                state=sequence.state,
+                message=sequence.message,
+                strokes=sequence.strokes,
+                strokes_done=sequence.strokes_done,
+                seen=seen,
+                alarms=self._alarms.active(seen, sequence.state, time.monotonic()),
+                limits=self._limits(),
+            )
+        )
+        # Afterwards: a client that reads the state when its call has returned sees what the call has done.
+        for request, refusal in answers:
+            request.answer.set_result(refusal)
+        if not self._server.alive and not self.done.done():
+            self.node.get_logger().error("the OPC UA server has ended")
+            self.done.set_result(EXIT_FAILURE)
+
+    def _tell(self) -> None:
+        told = f"{self._sequence.state.name.lower()}: {self._sequence.message}"
+        if told != self._told:
+            self._told = told
+            self.node.get_logger().info(told)
+
+    def _limits(self) -> dict[str, float]:
+        driver, motion = self._remote.values.get("driver", {}), self._parameters.motion
+        backend = "can" if driver.get("hardware") == "can" else "simulated"
+
+        def limit(name: str) -> float:
+            value = driver.get(name)
+            return float(value) if isinstance(value, int | float) else math.nan
+
+        return {
+            "ControlCurrent": limit("current_limit"),
+            "CommandTimeout": limit(f"{backend}.command_timeout"),
+            "ErrorPeakToPeak": self._parameters.error_limit,
+            "StrokeStart": motion.start,
+            "Stroke": motion.stroke,
+            "Speed": motion.speed,
+            "Acceleration": motion.acceleration,
+        }
+
+    def close(self) -> None:
+        """A cycle that nobody can hold or stop any more is ended; the server stops."""
+        if self._sequence.at_work:
+            self._services.switch_off()
+        self._server.close()
+
+
+def _server(parameters: OpcuaNodeParameters, names: list[str]):
+    try:
+        from straightcomp_ros.opcua.certificates import CertificateError
+        from straightcomp_ros.opcua.server import GatewayServer
+    except ImportError as error:
+        raise ParameterError(f"{error.name} is not there; remedy: pip install 'straightcomp_ros[opcua]'") from error
+    from straightcomp_ros.opcua.users import UsersError
+
+    try:
+        return GatewayServer(parameters.opcua, names)
+    except (UsersError, CertificateError) as error:
+        raise ParameterError(f"parameter group 'opcua': {error}") from error
+
+
+def main() -> int:
+    """Entry point of `ros2 run straightcomp_ros opcua_node`."""
+    return run("opcua", OpcuaNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

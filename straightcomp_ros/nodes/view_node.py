@@ -1,0 +1,136 @@
+"""Feeds the live view: reads the graph's streams, decimates them, passes the page's buttons on to the driver."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from rclpy.node import Node
+from rclpy.task import Future
+
+from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
+from straightcomp_ros.nodes.graph_services import GraphServices
+from straightcomp_ros.nodes.graph_watch import GraphWatch
+from straightcomp_ros.nodes.runner import run
+from straightcomp_ros.nodes.streams import Inbox, unspun_node
+from straightcomp_ros.timing.report import LOST, OVERRUNS, RATE
+from straightcomp_ros.view.series import Board, Series
+from straightcomp_ros.view.server import ActionRefused, ViewServer
+
+_FETCH_S = 0.05
+_SLOT_S = 0.02
+_ANSWER_WITHIN_S = 2.0
+_NODES = ("driver", "feedforward", "controller", "logger")
+_ERROR = CONTROLLER_STATE.layout.columns.index("error")
+_SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
+_LATENCY = DRIVER_STATE.layout.columns.index("command_latency")
+_SHOWN = {"deviation": 1e6, "y": 1e6, "error": 1e6, "sigma": 1e3, "latency": 1e6, "x": 1e3}
+"""Series and their scales: µm, mm/s, µs, mm."""
+
+
+class ViewNode:
+    """All work of the middleware is done on the main thread; pages are served on others, at their leisure.
+
+    Args:
+        node: watches.
+        port: of the page.
+        ready: called with the page's address.
+        realtime: must be as that of the graph's nodes: see docs/realtime.md.
+    """
+
+    def __init__(self, node: Node, port: int, ready: Callable[[str], object], realtime: RealtimeParameters) -> None:
+        self.node, self.done, self.realtime, self.loop = node, Future(), realtime, None
+        self._watch, self._services = GraphWatch(node), GraphServices(node, _NODES)
+        self._reference = Inbox(node, unspun_node(node), REFERENCE)
+        self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
+        self._wanted: list[Callable[[], None]] = []
+        self._server = ViewServer(
+            port,
+            self._board,
+            {
+                "enable": lambda: self._ask(self._enable),
+                "disable": lambda: self._ask(self._disable),
+                "reset": lambda: self._ask(self._reset),
+            },
+        )
+        node.create_timer(_FETCH_S, self._fetch)
+        ready(self._server.url)
+
+    def _fetch(self) -> None:
+        fetched, add = self._watch.fetch(), self._board.add
+        add("x", [(stamp_ns, numbers[0]) for stamp_ns, numbers, _ in fetched.positions])
+        add("y", [(stamp_ns, numbers[1]) for stamp_ns, numbers, _ in fetched.positions])
+        add("error", [(stamp_ns, numbers[_ERROR]) for stamp_ns, numbers, _ in fetched.controller])
+        add("sigma", [(stamp_ns, numbers[_SIGMA]) for stamp_ns, numbers, _ in fetched.controller])
+        add("latency", [(stamp_ns, numbers[_LATENCY]) for stamp_ns, numbers, _ in fetched.driver])
+        # What the map says of the guide: the reference is its mirror image.
+        add("deviation", [(stamp_ns, -numbers[0]) for stamp_ns, numbers, _ in self._reference.fetch()])
+        while self._wanted:
+            self._wanted.pop(0)()
+        self._show()
+
+    def _show(self) -> None:
+        seen, reports = self._watch.observation(self._services.states), self._watch.reports()
+        self._board.show(
+            {
+                "fresh": seen.fresh,
+                "amplifier_on": seen.amplifier_on,
+                "x_mm": seen.x * 1e3,
+                "stroke_error_pp_um": seen.stroke_error_pp * 1e6,
+                "faults": dict(seen.faults),
+                "nodes": {
+                    node: {
+                        "state": state,
+                        "rate_hz": reports.get(node, {}).get(RATE, ""),
+                        "overruns": reports.get(node, {}).get(OVERRUNS, ""),
+                        "lost": reports.get(node, {}).get(LOST, ""),
+                        "late_p99_us": reports.get(node, {}).get("timer_error_p99_us", ""),
+                    }
+                    for node, state in seen.nodes.items()
+                },
+            }
+        )
+
+    def _ask(self, action: Callable[[Callable[[str, str], None]], None]) -> str:
+        """Called by a page's thread: has the main thread do it, and waits for the answer."""
+        answered, answer = threading.Event(), ["", ""]
+
+        def take(refusal: str, message: str) -> None:
+            answer[:] = refusal, message
+            answered.set()
+
+        self._wanted.append(lambda: action(take))
+        if not answered.wait(_ANSWER_WITHIN_S):
+            raise ActionRefused("the driver does not answer")
+        if answer[0]:
+            raise ActionRefused(answer[0])
+        return answer[1]
+
+    def _enable(self, take: Callable[[str, str], None]) -> None:
+        self._services.switch_on(lambda refusal: take(refusal, "amplifier on"))
+
+    def _disable(self, take: Callable[[str, str], None]) -> None:
+        self._services.switch_off(lambda refusal: take(refusal, "amplifier off"))
+
+    def _reset(self, take: Callable[[str, str], None]) -> None:
+        self._services.reset_faults(lambda refusal: take(refusal, "faults reset"))
+
+    def close(self) -> None:
+        """The page goes away; the graph is left as it is."""
+        self._server.close()
+
+
+def view(port: int, ready: Callable[[str], object], realtime: RealtimeParameters, arguments: list[str]) -> int:
+    """Serve the view until SIGINT or SIGTERM.
+
+    Args:
+        port: of the page; 0 takes a free one.
+        ready: called with the page's address.
+        realtime: scheduling.
+        arguments: ROS arguments, e.g. a namespace.
+
+    Returns:
+        Exit code.
+    """
+    return run("view", lambda node: ViewNode(node, port, ready, realtime), arguments)

@@ -1,0 +1,215 @@
+"""The nodes that clients see, and how a snapshot is written to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Any
+
+from asyncua import Server, ua
+from asyncua.common.node import Node
+
+from straightcomp_ros.opcua import CELL, NAMESPACE
+from straightcomp_ros.opcua.packml import Command, name
+from straightcomp_ros.opcua.snapshot import ALARMS, Snapshot
+
+Commander = Callable[[Command, int], Awaitable[str]]
+"""Takes a command and the number of strokes; gives why it is refused, or an empty text."""
+# UNECE Recommendation 20, as OPC UA numbers it: three characters, base 256.
+_UNITS = {"m": "MTR", "m/s": "MTS", "m/s²": "MSK", "A": "AMP", "s": "SEC"}
+
+
+@dataclass(frozen=True)
+class Value:
+    """One variable: OPC UA type, what it means, unit, and where a snapshot has it."""
+
+    kind: ua.VariantType
+    description: str
+    read: Callable[[Snapshot], Any]
+    unit: str = ""
+    live: bool = False
+    """Without samples it has no value."""
+
+
+_STATUS: Mapping[str, Value] = {
+    "StateCurrent": Value(ua.VariantType.Int32, "State, PackML's number", lambda s: int(s.state)),
+    "StateName": Value(ua.VariantType.String, "State, PackML's name", lambda s: name(s.state)),
+    "Message": Value(
+        ua.VariantType.String, "Why the state is what it is, or a command was refused", lambda s: s.message
+    ),
+    "StrokesAsked": Value(ua.VariantType.UInt32, "Strokes forward and back of the last Start", lambda s: s.strokes),
+    "StrokesDone": Value(ua.VariantType.UInt32, "Of these", lambda s: s.strokes_done),
+    "AmplifierOn": Value(ua.VariantType.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
+}
+_LIVE: Mapping[str, Value] = {
+    "X": Value(ua.VariantType.Double, "Position of the stage", lambda s: s.seen.x, "m", True),
+    "Y": Value(ua.VariantType.Double, "Position of the platform", lambda s: s.seen.y, "m", True),
+    "Error": Value(ua.VariantType.Double, "Compensation error r − y", lambda s: s.seen.error, "m", True),
+    "SlidingVariable": Value(ua.VariantType.Double, "σ of the law", lambda s: s.seen.sliding_variable, "m/s", True),
+    "ErrorPeakToPeak": Value(
+        ua.VariantType.Double, "Error over the last movement of the stage", lambda s: s.seen.stroke_error_pp, "m"
+    ),
+    "Samples": Value(ua.VariantType.UInt64, "Samples since the controller's start", lambda s: s.seen.samples),
+    "LostSamples": Value(ua.VariantType.UInt64, "That did not come to it", lambda s: s.seen.lost_samples),
+}
+LIMITS: Mapping[str, tuple[str, str]] = {
+    "ControlCurrent": ("A", "Command beyond ± this: fault"),
+    "CommandTimeout": ("s", "No command for so long: fault"),
+    "ErrorPeakToPeak": ("m", "Error of a stroke above this: alarm"),
+    "StrokeStart": ("m", "Where strokes begin"),
+    "Stroke": ("m", "Length of a stroke"),
+    "Speed": ("m/s", "Cruising speed of a stroke"),
+    "Acceleration": ("m/s²", "Acceleration and deceleration of a stroke"),
+}
+"""By name: unit and meaning."""
+_COMMANDS: Mapping[Command, str] = {
+    Command.RESET: "Bring all nodes up; to Idle",
+    Command.START: "Amplifier on, so many strokes; 0: compensate until Complete, others move the stage",
+    Command.STOP: "End at the end of the present movement, amplifier off; to Stopped",
+    Command.HOLD: "Rest at the end of the present movement, amplifier on; to Held",
+    Command.UNHOLD: "Go on",
+    Command.ABORT: "Amplifier off at once; to Aborted",
+    Command.CLEAR: "Reset faults; to Stopped",
+    Command.COMPLETE: "End at the end of the present movement, amplifier off; to Complete",
+}
+
+
+class AddressSpace:
+    """All nodes below Objects/StraightnessCell; make it with :meth:`build`."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._index = 0
+        self._values: list[tuple[Node, Value]] = []
+        self._written: dict[Node, object] = {}
+        self._graph: dict[str, Node] = {}
+        self._alarms: dict[str, Node] = {}
+        self._active: Mapping[str, str] = {}
+        self._heartbeat = 0
+
+    async def build(self, nodes: Sequence[str], command: Commander) -> None:
+        """Make all nodes.
+
+        Args:
+            nodes: of the graph whose state is shown.
+            command: what the methods do.
+        """
+        self._index = await self._server.register_namespace(NAMESPACE)
+        cell = await self._server.nodes.objects.add_object(self._id(""), self._named(CELL))
+        status = await self._folder(cell, "Status")
+        await self._add(status, _STATUS)
+        counter = Value(ua.VariantType.UInt32, "Counts up ten times a second", lambda _: self._heartbeat)
+        await self._add(status, {"Heartbeat": counter})
+        await self._add(await self._folder(cell, "Live"), _LIVE)
+        await self._add(
+            await self._folder(cell, "Limits"),
+            {
+                key: Value(ua.VariantType.Double, text, lambda s, key=key: s.limits.get(key, math.nan), unit)
+                for key, (unit, text) in LIMITS.items()
+            },
+        )
+        await self._add(
+            await self._folder(cell, "Nodes"),
+            {
+                node: Value(ua.VariantType.String, "State", lambda s, node=node: s.seen.nodes.get(node, "absent"))
+                for node in nodes
+            },
+        )
+        await self._add(
+            await self._folder(cell, "Alarms"),
+            {
+                key: Value(
+                    ua.VariantType.String, f"{text}; empty: not active", lambda s, key=key: s.alarms.get(key, "")
+                )
+                for key, (_, text) in ALARMS.items()
+            },
+        )
+        commands = await self._folder(cell, "Commands")
+        for kind, text in _COMMANDS.items():
+            await self._add_method(commands, kind, text, command)
+        self._events = await self._server.get_event_generator(ua.ObjectIds.SystemEventType, cell)
+
+    async def write(self, snapshot: Snapshot) -> None:
+        """Write what has changed, and send an event for each alarm that came or went."""
+        self._heartbeat = (self._heartbeat + 1) % 2**32
+        now = datetime.now(timezone.utc)
+        for node, value in self._values:
+            number = value.read(snapshot)
+            absent = isinstance(number, float) and not math.isfinite(number)
+            status = ua.StatusCodes.Good
+            if absent or (value.live and not snapshot.seen.fresh):
+                status = ua.StatusCodes.BadNoCommunication if value.live else ua.StatusCodes.BadWaitingForInitialData
+            if self._written.get(node) == (number, status):
+                continue
+            self._written[node] = (number, status)
+            variant = ua.Variant(None if absent else number, ua.VariantType.Null if absent else value.kind)
+            await self._server.write_attribute_value(
+                node.nodeid, ua.DataValue(variant, ua.StatusCode(status), SourceTimestamp=now)
+            )
+        before, self._active = self._active, dict(snapshot.alarms)
+        for alarm in ALARMS:
+            if (alarm in before) != (alarm in self._active):
+                self._events.event.Severity = ALARMS[alarm][0] if alarm in self._active else 1
+                await self._events.trigger(message=f"{alarm}: {self._active.get(alarm, 'over')}")
+
+    def _id(self, path: str) -> ua.NodeId:
+        """Named by its path: such ids stay what they are from start to start."""
+        return ua.NodeId(f"{CELL}.{path}" if path else CELL, self._index)
+
+    def _named(self, text: str) -> ua.QualifiedName:
+        return ua.QualifiedName(text, self._index)
+
+    async def _folder(self, cell: Node, title: str) -> Node:
+        return await cell.add_folder(self._id(title), self._named(title))
+
+    async def _add(self, folder: Node, values: Mapping[str, Value]) -> None:
+        title = (await folder.read_browse_name()).Name
+        for key, value in values.items():
+            node = await folder.add_variable(
+                self._id(f"{title}.{key}"), self._named(key), ua.get_default_value(value.kind), varianttype=value.kind
+            )
+            await node.write_attribute(
+                ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(value.description)))
+            )
+            if value.unit:
+                await node.add_property(
+                    self._id(f"{title}.{key}.EngineeringUnits"),
+                    ua.QualifiedName("EngineeringUnits"),
+                    _unit(value.unit),
+                )
+            self._values.append((node, value))
+
+    async def _add_method(self, folder: Node, kind: Command, text: str, command: Commander) -> None:
+        async def called(_: ua.NodeId, *given: ua.Variant) -> ua.StatusCode | list[ua.Variant]:
+            inputs = [variant.Value for variant in given]
+            if len(inputs) != len(arguments):
+                return ua.StatusCode(ua.StatusCodes.BadArgumentsMissing)
+            if any(variant.VariantType is not ua.VariantType.UInt32 for variant in given):
+                return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
+            try:
+                refused = await command(kind, *(inputs or [0]))
+            except TimeoutError:
+                return ua.StatusCode(ua.StatusCodes.BadTimeout)
+            return ua.StatusCode(ua.StatusCodes.BadInvalidState) if refused else []
+
+        arguments = []
+        if kind is Command.START:
+            strokes = ua.Argument()
+            strokes.Name, strokes.DataType = "Strokes", ua.NodeId(ua.ObjectIds.UInt32)
+            strokes.ValueRank, strokes.Description = -1, ua.LocalizedText("Forward and back; 0: until Complete")
+            arguments.append(strokes)
+        title = name(kind)
+        method = await folder.add_method(self._id(f"Commands.{title}"), self._named(title), called, arguments, [])
+        await method.write_attribute(ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(text))))
+
+
+def _unit(text: str) -> ua.EUInformation:
+    code = _UNITS[text]
+    return ua.EUInformation(
+        NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
+        UnitId=int.from_bytes(code.encode(), "big"),
+        DisplayName=ua.LocalizedText(text),
+        Description=ua.LocalizedText(code),
+    )

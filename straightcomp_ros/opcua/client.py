@@ -1,0 +1,124 @@
+"""A reference client: what a PLC does to run a cycle. Copy from here."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+from asyncua import Client, ua
+from asyncua.common.node import Node
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+
+from straightcomp_ros.opcua import CELL, NAMESPACE
+from straightcomp_ros.opcua.packml import Command, State, name
+
+_LOOK_EVERY_S = 0.1
+_CONNECT_WITHIN_S = 60.0
+
+
+class CycleFailed(Exception):
+    """The gateway refused something, or the machine went where it should not; the message says what."""
+
+
+class CellClient:
+    """The cell behind a gateway.
+
+    Args:
+        client: connected.
+        index: of the gateway's namespace.
+    """
+
+    def __init__(self, client: Client, index: int) -> None:
+        self._client, self._index = client, index
+
+    async def read(self, path: str) -> object:
+        """Value of a variable, e.g. ``Status.StateName``; None where it has none now."""
+        return (await self._node(path).read_data_value(raise_on_bad_status=False)).Value.Value
+
+    async def state(self) -> State:
+        """Present state."""
+        return State(int(await self.read("Status.StateCurrent")))
+
+    async def command(self, command: Command, strokes: int | None = None) -> None:
+        """Give a command; raises CycleFailed where it is refused."""
+        arguments = [] if strokes is None else [ua.Variant(strokes, ua.VariantType.UInt32)]
+        try:
+            await self._node("Commands").call_method(self._node(f"Commands.{name(command)}").nodeid, *arguments)
+        except ua.UaStatusCodeError as error:
+            await asyncio.sleep(2 * _LOOK_EVERY_S)
+            raise CycleFailed(f"{name(command)} refused: {error} {await self.read('Status.Message')}") from error
+
+    async def until(self, wanted: State, on_the_way: set[State], progress: Callable[[float], None]) -> None:
+        """Wait for a state; raises CycleFailed where the machine leaves the way."""
+        while (state := await self.state()) is not wanted:
+            if state not in on_the_way:
+                raise CycleFailed(f"{name(state)} instead of {name(wanted)}: {await self.read('Status.Message')}")
+            asked, done = await self.read("Status.StrokesAsked"), await self.read("Status.StrokesDone")
+            progress(done / asked if asked and state is not State.RESETTING else 0.0)
+            await asyncio.sleep(_LOOK_EVERY_S)
+
+    def _node(self, path: str) -> Node:
+        return self._client.get_node(ua.NodeId(f"{CELL}.{path}", self._index))
+
+
+async def connected(
+    url: str, user: str, password: str, certificates: Path | None = None, server_certificate: Path | None = None
+) -> tuple[Client, CellClient]:
+    """Connect, as soon as the gateway is there.
+
+    Args:
+        url: endpoint.
+        user, password: an operator's.
+        certificates: folder with this client's certificate.der and key.pem; None: not encrypted.
+        server_certificate: the gateway's, with encryption.
+
+    Raises:
+        CycleFailed: it is not there in time, or refuses.
+    """
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)
+    deadline = asyncio.get_running_loop().time() + _CONNECT_WITHIN_S
+    while True:
+        client = Client(url)
+        client.set_user(user)
+        client.set_password(password)
+        try:
+            if certificates is not None:
+                client.application_uri = "urn:straightcomp_ros:client"
+                await client.set_security(
+                    SecurityPolicyBasic256Sha256,
+                    certificate=certificates / "certificate.der",
+                    private_key=certificates / "key.pem",
+                    server_certificate=server_certificate,
+                )
+            await client.connect()
+            return client, CellClient(client, await client.get_namespace_index(NAMESPACE))
+        except ua.UaError as error:
+            raise CycleFailed(f"{url} refuses: {error}") from error
+        except (OSError, asyncio.TimeoutError, ValueError) as error:
+            if asyncio.get_running_loop().time() > deadline:
+                raise CycleFailed(f"{url} does not answer: {error}") from error
+            await asyncio.sleep(0.5)
+
+
+async def run_cycle(client: CellClient, strokes: int, progress: Callable[[float], None] = lambda done: None) -> None:
+    """Bring the machine up, run strokes, wait for the end.
+
+    Args:
+        client: connected.
+        strokes: forward and back, at least 1.
+        progress: called some ten times a second with the fraction of the strokes that is done.
+
+    Raises:
+        CycleFailed: a command is refused, or the machine stops or aborts.
+    """
+    if await client.state() is State.ABORTED:
+        await client.command(Command.CLEAR)
+        await client.until(State.STOPPED, {State.CLEARING}, progress)
+    await client.command(Command.RESET)
+    await client.until(State.IDLE, {State.RESETTING}, progress)
+    await client.command(Command.START, strokes)
+    under_way = {State.STARTING, State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING, State.COMPLETING}
+    await client.until(State.COMPLETE, under_way, progress)
+    progress(1.0)

@@ -1,0 +1,49 @@
+"""The live view beside a running driver, as a browser uses it."""
+
+import json
+import time
+from http.client import HTTPConnection
+from urllib.parse import urlsplit
+
+import pytest
+
+from straightcomp_ros.launcher import verb_command
+
+
+@pytest.fixture
+def page(graph):
+    graph.start("driver", {"simulated.rate": 200})
+    view = graph.start_program("view", verb_command("view", "--port", "0"), read_output=True)
+    return urlsplit(view.stdout.readline().strip())
+
+
+def press(page, action):
+    connection = HTTPConnection("127.0.0.1", page.port, timeout=30)
+    try:
+        headers = {"X-Token": page.fragment, "Content-Type": "application/json"}
+        connection.request("POST", "/action", json.dumps({"action": action}), headers)
+        answer = connection.getresponse()
+        return answer.status, json.loads(answer.read())["message"]
+    finally:
+        connection.close()
+
+
+def test_it_shows_the_graph_and_its_buttons_reach_the_driver(page):
+    connection = HTTPConnection("127.0.0.1", page.port, timeout=30)
+    connection.request("GET", "/news")
+    answer = connection.getresponse()
+    slots, state, end = [], {}, time.monotonic() + 90
+    while time.monotonic() < end and not (len(slots) > 5 and state["nodes"]["driver"]["rate_hz"]):
+        line = answer.readline()
+        if line.startswith(b"data: "):
+            news = json.loads(line[6:])
+            state = news["state"]
+            slots += news["series"]["x"]
+    answer.close()
+    assert state["fresh"] and not state["amplifier_on"]
+    assert state["nodes"]["driver"]["state"] != "absent" and state["nodes"]["logger"]["state"] == "absent"
+    assert float(state["nodes"]["driver"]["rate_hz"]) > 0
+    assert [slot[0] for slot in slots] == sorted({slot[0] for slot in slots})
+    status, message = press(page, "enable")
+    assert status == 409 and message
+    assert press(page, "reset")[0] == 200 and press(page, "disable") == (200, "amplifier off")

@@ -1,0 +1,185 @@
+"""Clients of the gateway for its tests, run as a process of their own: python probes.py PROBE URL ARGUMENTS.
+
+Prints one JSON object: by name of what was tried, ``done`` or the name of the status that refused it.
+"""
+
+import asyncio
+import json
+import logging
+import struct
+import sys
+import time
+from pathlib import Path
+
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+
+CELL = "StraightnessCell"
+OPERATOR = ("ann", "correct horse")
+
+
+def path(text):
+    return ua.NodeId(f"{CELL}.{text}", 2)
+
+
+async def outcome(awaitable):
+    try:
+        await awaitable
+        return "done"
+    except ua.UaStatusCodeError as error:
+        return ua.StatusCode(error.code).name
+    except (ua.UaError, OSError, asyncio.TimeoutError) as error:
+        return type(error).__name__
+
+
+def client(url, user=None):
+    made = Client(url, timeout=20)
+    if user:
+        made.set_user(user[0])
+        made.set_password(user[1])
+    return made
+
+
+async def connect(url, user=None, certificates=None):
+    made = client(url, user)
+    if certificates:
+        made.application_uri = "urn:straightcomp_ros:client"
+        await made.set_security(
+            SecurityPolicyBasic256Sha256,
+            certificate=certificates / "certificate.der",
+            private_key=certificates / "key.pem",
+            server_certificate=certificates.parent / "own" / "certificate.der",
+        )
+    await made.connect()
+    return made
+
+
+async def logins(url, *certificates):
+    folder = Path(certificates[0]) if certificates else None
+    results = {}
+    for name, user in {
+        "operator": OPERATOR,
+        "wrong password": ("ann", "wrong horse"),
+        "unknown": ("eve", "correct horse"),
+        "anonymous": None,
+    }.items():
+
+        async def once(user=user):
+            await (await connect(url, user, folder)).disconnect()
+
+        results[name] = await outcome(once())
+    if folder:
+        results["unencrypted"] = await outcome(connect(url, OPERATOR))
+        results["untrusted"] = await outcome(connect(url, OPERATOR, folder.parent / "stranger"))
+    return results
+
+
+async def rights(url):
+    """What each kind of user may do."""
+    results = {}
+    for name, user in {"operator": OPERATOR, "viewer": ("bob", "battery staple"), "anonymous": None}.items():
+        made = await connect(url, user)
+        state = made.get_node(path("Status.StateCurrent"))
+        commands = made.get_node(path("Commands"))
+        start = commands.call_method(path("Commands.Start"), ua.Variant(3, ua.VariantType.UInt32))
+        results[name] = {
+            "read": await outcome(state.read_value()),
+            "write": await outcome(state.write_value(ua.Variant(17, ua.VariantType.Int32))),
+            "reset": await outcome(commands.call_method(path("Commands.Reset"))),
+            "start": await outcome(start),
+            "start without strokes": await outcome(commands.call_method(path("Commands.Start"))),
+            "add": await outcome(made.nodes.objects.add_object(2, "Intruder")),
+            "delete": await outcome(made.delete_nodes([state])),
+        }
+        await made.disconnect()
+    return results
+
+
+async def around(url):
+    """Ways around the rules of the secure channel."""
+    results = {}
+    # No channel is opened: messages carry channel 0 and token 0.
+    made = client(url)
+    await made.connect_socket()
+    await made.send_hello()
+    await outcome(made.create_session())
+    await outcome(made.activate_session())
+    commands = made.get_node(path("Commands"))
+    results["command without channel"] = await outcome(
+        asyncio.wait_for(commands.call_method(path("Commands.Reset")), 5)
+    )
+    made.disconnect_socket()
+    # Tokens of sessions are consecutive: take over the operator's.
+    victim = await connect(url, OPERATOR)
+    token = victim.uaclient.protocol.authentication_token
+    thief = client(url)
+    await thief.connect_socket()
+    await thief.send_hello()
+    await thief.open_secure_channel()
+    thief.uaclient.protocol.authentication_token = token
+    await outcome(thief.activate_session())
+    commands = thief.get_node(path("Commands"))
+    results["command in another's session"] = await outcome(
+        asyncio.wait_for(commands.call_method(path("Commands.Reset")), 5)
+    )
+    thief.disconnect_socket()
+    results["victim goes on"] = await outcome(victim.get_node(path("Status.StateCurrent")).read_value())
+    subscription = await victim.create_subscription(100, None)
+    made = await connect(url, ("bob", "battery staple"))
+    results["end another's subscription"] = await outcome(
+        made.uaclient.delete_subscriptions([subscription.subscription_id])
+    )
+    await made.disconnect()
+    await victim.disconnect()
+    return results
+
+
+async def flood(url, count):
+    """More connections than there are places, garbage, and reads as fast as they go, until this is killed."""
+    made = []
+    for _ in range(int(count)):
+        try:
+            made.append(await connect(url))
+        except (ua.UaError, OSError, asyncio.TimeoutError):
+            break
+    for garbage in (b"\0" * 64, b"HELF" + struct.pack("<I", 2**31 - 1), b"GET / HTTP/1.1\r\n\r\n"):
+        _, writer = await asyncio.open_connection("127.0.0.1", int(url.split(":")[2].split("/")[0]))
+        writer.write(garbage)
+    print(json.dumps({"connections": len(made)}), flush=True)
+    nodes = [ua.NodeId(i) for i in range(2000, 2300)]
+
+    async def read(one):
+        while True:
+            await outcome(one.uaclient.read_attributes(nodes, ua.AttributeIds.BrowseName))
+
+    await asyncio.wait_for(asyncio.gather(*map(read, made)), 60)
+
+
+async def watch(url, seconds):
+    """Counts the changes of the heartbeat for a while, and the events."""
+    seen, events = [], []
+
+    class Handler:
+        def datachange_notification(self, node, value, data):
+            seen.append(value)
+
+        def event_notification(self, event):
+            events.append([event.Message.Text, event.Severity])
+
+    made = await connect(url)
+    subscription = await made.create_subscription(100, Handler())
+    await subscription.subscribe_data_change(made.get_node(path("Status.Heartbeat")))
+    await subscription.subscribe_events(made.get_node(ua.NodeId(CELL, 2)))
+    print("ready", flush=True)
+    end = time.monotonic() + float(seconds)
+    while time.monotonic() < end and not (len(seen) > 5 and events):
+        await asyncio.sleep(0.05)
+    live = await made.get_node(path("Live.X")).read_data_value(raise_on_bad_status=False)
+    await made.disconnect()
+    return {"heartbeats": len(seen), "events": events, "x": live.Value.Value, "quality": live.StatusCode.name}
+
+
+if __name__ == "__main__":
+    logging.disable(logging.CRITICAL)
+    probe, *arguments = sys.argv[1:]
+    print(json.dumps(asyncio.run(globals()[probe](*arguments))), flush=True)

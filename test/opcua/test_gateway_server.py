@@ -1,0 +1,176 @@
+"""The gateway's server, as asyncua clients in processes of their own find it."""
+
+import asyncio
+import json
+import socket
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+asyncua = pytest.importorskip("asyncua", reason="the extra 'opcua' is not installed")
+
+from asyncua.crypto.cert_gen import setup_self_signed_certificate  # noqa: E402
+from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: E402
+
+from straightcomp_ros.monitoring.observation import Observation  # noqa: E402
+from straightcomp_ros.opcua.packml import Command  # noqa: E402
+from straightcomp_ros.opcua.parameters import OpcuaParameters  # noqa: E402
+from straightcomp_ros.opcua.server import GatewayServer  # noqa: E402
+from straightcomp_ros.opcua.snapshot import Snapshot  # noqa: E402
+from straightcomp_ros.opcua.users import add_user  # noqa: E402
+
+PROBES = Path(__file__).with_name("probes.py")
+WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fresh=True, x=0.25))
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def start(probe, *arguments):
+    return subprocess.Popen(
+        [sys.executable, str(PROBES), probe, *map(str, arguments)], stdout=subprocess.PIPE, text=True
+    )
+
+
+def probed(probe, *arguments):
+    process = start(probe, *arguments)
+    output, _ = process.communicate(timeout=90)
+    assert process.returncode == 0, output
+    return json.loads(output.splitlines()[-1])
+
+
+class Served:
+    """A server whose commands are all accepted, and noted."""
+
+    def __init__(self, parameters):
+        self.url = parameters.endpoint
+        self.server = GatewayServer(parameters, ["driver"])
+        self.server.show(WELL)
+        self.commands = []
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._answer)
+        self._thread.start()
+
+    def _answer(self):
+        while not self._stopping.wait(0.01):
+            for request in self.server.requests():
+                self.commands.append((request.command, request.strokes))
+                request.answer.set_result("")
+
+    def close(self):
+        self._stopping.set()
+        self._thread.join()
+        self.server.close()
+        assert not self.server.alive
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("gateway")
+    add_user(path / "users", "ann", "correct horse", "operator")
+    add_user(path / "users", "bob", "battery staple", "viewer")
+    return path
+
+
+@pytest.fixture(scope="module")
+def plain(folder):
+    served = Served(OpcuaParameters(port=free_port(), users=str(folder / "users"), max_clients=12))
+    yield served
+    served.close()
+
+
+def test_only_known_operators_command_and_nobody_writes(plain):
+    rights = probed("rights", plain.url)
+    refused = dict.fromkeys(("reset", "start", "start without strokes"), "BadUserAccessDenied")
+    for user in ("operator", "viewer", "anonymous"):
+        assert rights[user]["read"] == "done"
+        assert {rights[user][what] for what in ("write", "add", "delete")} == {"BadUserAccessDenied"}
+    for user in ("viewer", "anonymous"):
+        assert refused.items() <= rights[user].items()
+    assert (rights["operator"]["reset"], rights["operator"]["start"]) == ("done", "done")
+    assert rights["operator"]["start without strokes"] == "BadArgumentsMissing"
+    assert plain.commands == [(Command.RESET, 0), (Command.START, 3)]
+
+
+def test_wrong_credentials_are_refused(plain):
+    assert probed("logins", plain.url) == {
+        "operator": "done",
+        "wrong password": "BadUserAccessDenied",
+        "unknown": "BadUserAccessDenied",
+        "anonymous": "done",
+    }
+
+
+def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
+    plain.commands.clear()
+    results = probed("around", plain.url)
+    assert results.pop("victim goes on") == "done"
+    assert all(outcome != "done" for outcome in results.values()), results
+    assert len(results) == 3 and not plain.commands
+
+
+def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
+    flood = start("flood", plain.url, 30)
+    try:
+        connections = json.loads(flood.stdout.readline())["connections"]
+        assert 1 <= connections <= 12
+    finally:
+        flood.kill()
+        flood.wait()
+        flood.stdout.close()
+    watch = start("watch", plain.url, 60)
+    assert watch.stdout.readline() == "ready\n"
+    plain.server.show(replace(WELL, alarms={"Fault": "driver: coil burnt"}))
+    output, _ = watch.communicate(timeout=90)
+    plain.server.show(WELL)
+    seen = json.loads(output)
+    assert seen["heartbeats"] > 5 and seen["x"] == 0.25
+    assert ["Fault: driver: coil burnt", 900] in seen["events"]
+    assert plain.server.alive
+
+
+def test_without_encryption_nobody_gets_in_where_it_is_asked_for(folder):
+    for name in ("client", "stranger"):
+        (folder / name).mkdir()
+        asyncio.run(
+            setup_self_signed_certificate(
+                folder / name / "key.pem",
+                folder / name / "certificate.der",
+                "urn:straightcomp_ros:client",
+                "localhost",
+                [ExtendedKeyUsageOID.CLIENT_AUTH],
+                {"commonName": name},
+            )
+        )
+    (folder / "trusted").mkdir()
+    (folder / "trusted" / "client.der").write_bytes((folder / "client" / "certificate.der").read_bytes())
+    served = Served(
+        OpcuaParameters(
+            port=free_port(),
+            security="encrypted",
+            users=str(folder / "users"),
+            certificates=str(folder / "own"),
+            trusted=str(folder / "trusted"),
+        )
+    )
+    try:
+        results = probed("logins", served.url, folder / "client")
+    finally:
+        served.close()
+    assert results.pop("operator") == "done"
+    assert results["untrusted"] == "BadCertificateUntrusted"
+    assert all(outcome != "done" for outcome in results.values()) and len(results) == 5
+    assert (folder / "own" / "key.pem").stat().st_mode & 0o077 == 0
+
+
+def test_a_port_that_is_taken_is_said(plain, folder):
+    port = int(plain.url.split(":")[2].split("/")[0])
+    with pytest.raises(OSError, match="address already in use"):
+        GatewayServer(OpcuaParameters(port=port), ["driver"])

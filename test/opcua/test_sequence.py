@@ -1,0 +1,219 @@
+"""The cell's state machine, with a machine that is made of what it was told."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from straightcomp_ros.model.stage import MotionParameters
+from straightcomp_ros.monitoring.observation import Observation
+from straightcomp_ros.opcua.packml import ACCEPTED, DONE, FAILED, Command, State
+from straightcomp_ros.opcua.sequence import CellSequence
+
+MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
+TICK_S = 0.05
+AT_REST_WITHOUT_CURRENT = (State.STOPPED, State.IDLE, State.COMPLETE, State.ABORTED)
+
+
+class Bench:
+    """A graph that does what it is told within a tick, and a clock that ticks by hand."""
+
+    def __init__(self) -> None:
+        self.now, self.refusal = 100.0, ""
+        self.obeys, self.active = True, False
+        self.moves, self.told = [], []
+        self.seen = Observation(nodes={"driver": "inactive"}, fresh=True, x=0.0, stamp_ns=1)
+        self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now)
+
+    def activate(self):
+        self.seen = replace(self.seen, nodes={"driver": "active"})
+
+    def switch_on(self):
+        self.told.append("on")
+        if self.obeys:
+            self.seen = replace(self.seen, amplifier_on=True)
+        else:
+            self.refusal = "not today"
+
+    def switch_off(self):
+        self.told.append("off")
+        self.seen = replace(self.seen, amplifier_on=False)
+
+    def reset_faults(self):
+        if self.obeys:
+            self.seen = replace(self.seen, faults={})
+
+    def move(self, waypoints):
+        assert waypoints[0].position == self.seen.x
+        self.moves.append((self.now + waypoints[-1].time_ns * 1e-9, waypoints[-1].position))
+
+    def tick(self):
+        self.now += TICK_S
+        x, still = self.seen.x, True
+        if self.moves:
+            end, goal = self.moves[-1]
+            x, still = (goal, True) if self.now >= end else (x, False)
+        self.seen = replace(self.seen, stamp_ns=round(self.now * 1e9), x=x, still=still)
+        self.sequence.tick(self.seen)
+
+    def until(self, state, seconds=30.0):
+        """Tick until the state comes; returns the states on the way, each once in a row."""
+        way = [self.sequence.state]
+        end = self.now + seconds
+        while self.sequence.state is not state:
+            assert self.now < end, way
+            self.tick()
+            if self.sequence.state is not way[-1]:
+                way.append(self.sequence.state)
+        return way
+
+    def started(self, strokes):
+        assert not self.sequence.command(Command.RESET)
+        self.until(State.IDLE)
+        assert not self.sequence.command(Command.START, strokes)
+        self.until(State.EXECUTE)
+
+
+def test_a_cycle_runs_its_strokes_forward_and_back_and_ends_with_the_amplifier_off():
+    bench = Bench()
+    assert not bench.sequence.command(Command.RESET)
+    assert bench.until(State.IDLE) == [State.RESETTING, State.IDLE]
+    assert not bench.sequence.command(Command.START, 2)
+    assert bench.until(State.COMPLETE) == [State.STARTING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
+    assert [goal for _, goal in bench.moves] == [0.1, 0.0, 0.1, 0.0]
+    assert bench.sequence.strokes_done == 2 and not bench.seen.amplifier_on
+
+
+def test_hold_rests_at_the_end_of_the_movement_and_unhold_goes_on_with_the_next():
+    bench = Bench()
+    bench.started(1)
+    bench.tick()
+    assert not bench.sequence.command(Command.HOLD)
+    bench.until(State.HELD)
+    assert len(bench.moves) == 1 and bench.seen.x == 0.1 and bench.seen.amplifier_on
+    assert not bench.sequence.command(Command.UNHOLD)
+    bench.until(State.COMPLETE)
+    assert len(bench.moves) == 2
+
+
+def test_stop_lets_the_movement_end_and_abort_does_not():
+    for command, state, arrived in ((Command.STOP, State.STOPPED, True), (Command.ABORT, State.ABORTED, False)):
+        bench = Bench()
+        bench.started(3)
+        bench.tick()
+        assert not bench.sequence.command(command)
+        bench.until(state)
+        assert (bench.seen.x == 0.1) is arrived and not bench.seen.amplifier_on
+
+
+def test_with_no_strokes_it_compensates_until_complete():
+    bench = Bench()
+    bench.started(0)
+    for _ in range(200):
+        bench.tick()
+    assert bench.sequence.state is State.EXECUTE and not bench.moves
+    assert not bench.sequence.command(Command.COMPLETE)
+    bench.until(State.COMPLETE)
+
+
+@pytest.mark.parametrize(
+    "trouble, words",
+    [
+        ({"faults": {"driver": "coil burnt"}}, "coil burnt"),
+        ({"nodes": {"driver": "silent"}}, "driver (silent)"),
+        ({"fresh": False}, "no samples"),
+        ({"amplifier_on": False}, "amplifier went off"),
+    ],
+)
+def test_trouble_while_executing_aborts_with_the_reason(trouble, words):
+    bench = Bench()
+    bench.started(1)
+    bench.seen = replace(bench.seen, **trouble)
+    bench.until(State.ABORTED)
+    assert words in bench.sequence.message
+    assert bench.told[-1] == "off" and not bench.seen.amplifier_on
+
+
+def test_clear_resets_faults_and_gives_up_where_they_remain():
+    bench = Bench()
+    bench.started(1)
+    bench.seen = replace(bench.seen, faults={"driver": "coil burnt"})
+    bench.until(State.ABORTED)
+    bench.obeys = False
+    assert not bench.sequence.command(Command.CLEAR)
+    bench.until(State.ABORTED)
+    assert "coil burnt" in bench.sequence.message
+    bench.obeys = True
+    assert not bench.sequence.command(Command.CLEAR)
+    bench.until(State.STOPPED)
+
+
+def test_a_driver_that_refuses_the_amplifier_stops_the_machine_with_its_words():
+    bench = Bench()
+    assert not bench.sequence.command(Command.RESET)
+    bench.until(State.IDLE)
+    bench.obeys = False
+    assert not bench.sequence.command(Command.START, 1)
+    bench.until(State.STOPPED)
+    assert bench.told.count("on") > 2
+
+
+def test_a_stage_that_does_not_arrive_aborts():
+    bench = Bench()
+    bench.move = lambda waypoints: None
+    bench.started(1)
+    bench.until(State.ABORTED)
+    assert "did not arrive" in bench.sequence.message
+
+
+def test_faults_of_a_graph_that_others_run_change_nothing_while_stopped():
+    bench = Bench()
+    bench.seen = replace(bench.seen, faults={"driver": "coil burnt"}, amplifier_on=True)
+    for _ in range(20):
+        bench.tick()
+    assert bench.sequence.state is State.STOPPED and not bench.told
+
+
+@pytest.mark.parametrize("strokes", [-1, 10**7])
+def test_strokes_out_of_range_are_refused(strokes):
+    bench = Bench()
+    assert not bench.sequence.command(Command.RESET)
+    bench.until(State.IDLE)
+    assert "allowed: 0 to" in bench.sequence.command(Command.START, strokes)
+    assert bench.sequence.state is State.IDLE
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.sampled_from(list(Command)),
+            st.sampled_from([{"faults": {"driver": "x"}}, {"faults": {}}, {"fresh": False}, {"fresh": True}, {}]),
+        ),
+        max_size=40,
+    )
+)
+@settings(max_examples=60, deadline=None)
+def test_whatever_comes_only_transitions_of_the_tables_happen(events):
+    bench = Bench()
+    allowed = {(state, state) for state in State} | set(DONE.items()) | set(FAILED.items())
+    allowed |= {(state, State.ABORTING) for state in State}
+    # A state whose work is done at once is passed within a tick.
+    allowed |= {(a, d) for a, b in allowed for c, d in DONE.items() if b is c}
+    for event in events:
+        before = bench.sequence.state
+        if isinstance(event, Command):
+            refused = bench.sequence.command(event, 1)
+            assert bool(refused) == (before not in ACCEPTED[event])
+            after = bench.sequence.state
+            assert after is (before if refused else ACCEPTED[event][before])
+        else:
+            bench.seen = replace(bench.seen, **event)
+        for _ in range(10):
+            before = bench.sequence.state
+            bench.tick()
+            assert (before, bench.sequence.state) in allowed
+            if before is bench.sequence.state and before in AT_REST_WITHOUT_CURRENT:
+                assert not bench.seen.amplifier_on
+    assert math.isfinite(bench.seen.x)

@@ -1,0 +1,95 @@
+"""Users, and who is let in by which parameters."""
+
+import stat
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.monitoring.observation import Observation
+from straightcomp_ros.opcua.packml import State
+from straightcomp_ros.opcua.parameters import OpcuaParameters
+from straightcomp_ros.opcua.snapshot import Alarms
+from straightcomp_ros.opcua.users import Users, UsersError, add_user
+from straightcomp_ros.parameters import ParameterError
+
+
+def test_a_user_is_known_by_the_right_password_only_and_the_file_does_not_hold_it(tmp_path):
+    path = tmp_path / "users"
+    add_user(path, "ann", "correct horse", "operator")
+    add_user(path, "bob", "battery staple", "viewer")
+    add_user(path, "ann", "a new password", "operator")
+    users = Users(path)
+    assert (users.role("ann", "a new password"), users.role("bob", "battery staple")) == ("operator", "viewer")
+    assert users.role("ann", "correct horse") is None and users.role("eve", "") is None
+    assert "password" not in path.read_text() and stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_without_a_file_nobody_is_known():
+    assert Users().role("", "") is None
+
+
+@pytest.mark.parametrize(
+    "name, password, role, words",
+    [
+        ("a:b", "12345678", "viewer", "name"),
+        ("ann", "short", "viewer", "too short"),
+        ("ann", "12345678", "god", "role"),
+    ],
+)
+def test_what_is_no_user_is_refused(tmp_path, name, password, role, words):
+    with pytest.raises(UsersError, match=words):
+        add_user(tmp_path / "users", name, password, role)
+
+
+def test_a_damaged_line_is_named(tmp_path):
+    path = tmp_path / "users"
+    path.write_text("# ours\nann:operator:00\n")
+    with pytest.raises(UsersError, match="line 2"):
+        Users(path)
+
+
+def test_the_verb_writes_the_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "long enough")
+    assert main(["opcua", "user", str(tmp_path / "users"), "ann"]) == 0
+    assert Users(tmp_path / "users").role("ann", "long enough") == "operator"
+    monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "x")
+    assert main(["opcua", "user", str(tmp_path / "users"), "ann"]) == 2
+
+
+@pytest.mark.parametrize(
+    "given, encrypted",
+    [
+        ({}, False),
+        ({"host": "localhost"}, False),
+        ({"host": "0.0.0.0", "users": "u", "certificates": "c"}, True),
+        ({"host": "127.0.0.1", "security": "encrypted", "users": "u", "certificates": "c"}, True),
+    ],
+)
+def test_whatever_is_reached_from_outside_is_encrypted(given, encrypted):
+    assert OpcuaParameters(**given).encrypted is encrypted
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"host": "0.0.0.0", "security": "none"}, "security"),
+        ({"host": "192.168.0.1"}, "certificates"),
+        ({"host": "192.168.0.1", "certificates": "c"}, "users"),
+        ({"trusted": "t"}, "trusted"),
+    ],
+)
+def test_less_is_refused(given, words):
+    with pytest.raises(ParameterError, match=words):
+        OpcuaParameters(**given)
+
+
+def test_alarms_come_and_go():
+    alarms = Alarms(error_limit=1e-6)
+    well = Observation(nodes={"driver": "plain"}, fresh=True, stroke_error_pp=0.5e-6, lost_samples=7)
+    assert alarms.active(well, State.IDLE, 0.0) == {}
+    bad = Observation(nodes={"driver": "absent"}, faults={"driver": "coil"}, stroke_error_pp=1.5e-6, lost_samples=9)
+    found = alarms.active(bad, State.IDLE, 1.0)
+    assert set(found) == {"Fault", "NodeMissing", "NoSamples", "ErrorLimit", "SampleLoss"}
+    assert "2 samples" in found["SampleLoss"]
+    assert set(alarms.active(bad, State.STOPPED, 5.0)) == {"Fault", "ErrorLimit", "SampleLoss"}
+    assert "SampleLoss" not in alarms.active(bad, State.IDLE, 12.0)

@@ -1,0 +1,147 @@
+"""The view's server, as an HTTP client finds it, and the series behind it."""
+
+import json
+from http.client import HTTPConnection
+
+import pytest
+
+from straightcomp_ros.view.series import Board, Series
+from straightcomp_ros.view.server import ActionRefused, ViewServer
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def served():
+    pressed = []
+
+    def refuse():
+        raise ActionRefused("a fault is latched")
+
+    board = Board({"error": Series(0.02, 1e6)})
+    server = ViewServer(0, board, {"enable": refuse, "reset": lambda: pressed.append("reset") or "faults reset"})
+    server.pressed = pressed
+    yield server
+    server.close()
+
+
+def ask(server, method, path, body=None, **headers):
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=30)
+    try:
+        connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
+        answer = connection.getresponse()
+        return answer.status, answer.headers, answer.read()
+    finally:
+        connection.close()
+
+
+def press(server, action, **headers):
+    given = {"X_Token": server.token, "Content_Type": "application/json", **headers}
+    status, _, body = ask(server, "POST", "/action", json.dumps({"action": action}), **given)
+    return status, json.loads(body)["message"]
+
+
+def news(server, count):
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=30)
+    try:
+        connection.request("GET", "/news")
+        answer = connection.getresponse()
+        assert answer.headers["Content-Type"] == "text/event-stream"
+        found = []
+        while len(found) < count:
+            line = answer.readline()
+            assert line
+            if line.startswith(b"data: "):
+                found.append(json.loads(line[6:]))
+        return found
+    finally:
+        connection.close()
+
+
+def test_the_page_needs_nothing_from_elsewhere(served):
+    status, headers, body = ask(served, "GET", "/")
+    text = body.decode()
+    assert status == 200 and "default-src 'none'" in headers["Content-Security-Policy"]
+    assert "http://" not in text and "https://" not in text and "src=" not in text and "@import" not in text
+    assert served.token not in text
+    assert ask(served, "GET", "/etc/passwd")[0] == 404
+
+
+def test_news_hold_the_state_and_each_slot_once(served):
+    served.board.show({"fresh": True, "x_mm": float("nan")})
+    served.board.add("error", [(1000 * MS + k * MS, 1e-6 * k) for k in range(100)])
+    first, second = news(served, 2)
+    assert first["state"] == {"fresh": True, "x_mm": None}
+    assert [slot[2:] for slot in first["series"]["error"]] == [[0, 19], [20, 39], [40, 59], [60, 79]]
+    assert second["series"]["error"] == []
+
+
+def test_buttons_work_with_the_token_and_their_refusal_is_told(served):
+    assert press(served, "reset") == (200, "faults reset") and served.pressed == ["reset"]
+    assert press(served, "enable") == (409, "a fault is latched")
+    assert press(served, "explode")[0] == 400
+
+
+@pytest.mark.parametrize(
+    "headers, status",
+    [
+        ({"X_Token": "guess"}, 403),
+        ({"X_Token": ""}, 403),
+        ({"Content_Type": "text/plain"}, 415),
+        ({"Host": "evil.example:80"}, 403),
+        ({"Content_Length": "99999999"}, 400),
+        ({"Content_Length": "x"}, 400),
+    ],
+)
+def test_whatever_another_page_could_send_is_refused(served, headers, status):
+    assert press(served, "reset", **headers)[0] == status
+    assert not served.pressed
+
+
+def test_another_name_for_this_machine_is_refused(served):
+    assert ask(served, "GET", "/", Host=f"evil.example:{served.port}")[0] == 403
+    assert ask(served, "GET", "/", Host=f"localhost:{served.port}")[0] == 200
+
+
+def test_it_listens_on_this_machine_only(served):
+    assert served.server_address[0] == "127.0.0.1"
+
+
+def test_pages_beyond_the_limit_are_turned_away_and_get_in_when_others_leave(served):
+    pages = []
+    try:
+        for _ in range(16):
+            page = HTTPConnection("127.0.0.1", served.port, timeout=30)
+            page.request("GET", "/news")
+            # The answer owns the socket.
+            pages.append(page.getresponse())
+            pages[-1].readline()
+        with pytest.raises(OSError):
+            ask(served, "GET", "/")
+    finally:
+        for page in pages:
+            page.close()
+    for _ in range(100):
+        try:
+            assert ask(served, "GET", "/")[0] == 200
+            return
+        except OSError:
+            served.stopping.wait(0.2)
+    pytest.fail("no page gets in any more")
+
+
+def test_a_peak_of_one_sample_is_kept_and_what_is_not_finite_is_not():
+    series = Series(0.02, 1.0)
+    series.add([(k * MS, 50.0 if k == 7 else float("nan") if k == 8 else 1.0) for k in range(25)])
+    assert series.after(-1) == [[0, 0.0, 1.0, 50.0]]
+    assert series.after(0) == []
+
+
+def test_a_source_that_starts_anew_is_sent_from_its_start():
+    board = Board({"x": Series(0.02, 1.0)})
+    seen = {}
+    board.add("x", [(k * MS, 1.0) for k in range(5000, 5100)])
+    assert len(board.news(seen)["series"]["x"]) == 4
+    board.add("x", [(k * MS, 1.0) for k in range(0, 100)])
+    assert len(board.news(seen)["series"]["x"]) == 4
+    assert board.news(seen)["series"]["x"] == []
