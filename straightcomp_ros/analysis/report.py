@@ -15,6 +15,7 @@ from plotly.offline import get_plotlyjs
 from straightcomp_ros.analysis.assessment import Assessment, Interval, displayed_error
 from straightcomp_ros.analysis.limits import Verdict
 from straightcomp_ros.analysis.metrics import residual_over
+from straightcomp_ros.straightness.run import Direction
 
 # Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
 _BLACK, _BLUE, _VERMILION, _GREEN, _GREY = "#000000", "#0072B2", "#D55E00", "#009E73", "#A8A8A8"
@@ -78,12 +79,13 @@ def _straightness(assessment: Assessment) -> go.Figure:
     moving = motion.samples()
     before, after = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
     figure = _figure("slider position x / mm", f"deviation beside the least squares line / µm ({seen})")
-    for name, values, colour, direction in (
+    curves: tuple[tuple[str, NDArray[np.float64], str, Direction | None], ...] = (
         ("before", before, _BLACK, None),
         ("after, forward", after, _BLUE, "forward"),
         ("after, backward", after, _VERMILION, "backward"),
-    ):
-        chosen = np.isin(moving, motion.samples(direction)) if direction else np.ones(len(moving), bool)
+    )
+    for name, values, colour, direction in curves:
+        chosen = np.isin(moving, motion.samples(direction))
         if chosen.any():
             label = f"{name}: {np.ptp(values[chosen]):.2f} µm p-p"
             _curve(figure, x[moving][chosen] * 1e3, values[chosen], label, colour)
