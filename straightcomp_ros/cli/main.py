@@ -16,6 +16,7 @@ _VERBS = (
     "dsp",
     "evaluate",
     "friction",
+    "map",
     "recover",
     "replay",
     "reproduce",

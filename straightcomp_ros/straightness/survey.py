@@ -5,7 +5,9 @@
     1,forward,0,-3.796
     1,forward,10,-3.12
 
-The unit stands in the column's name: x in m, mm or um, deviation in m, mm, um or nm. ``run`` and
+The unit stands in the column's name: x in m, mm or um, deviation in m, mm, um or nm. Instruments and
+spreadsheets write it otherwise: ``Position (mm)``, ``Straightness [µm]`` and cells separated by semicolon or
+tab, then also with decimal commas, are read as well. ``run`` and
 ``direction`` may be left out: then the file is one run, and the trend of x tells its direction. Rows
 belong to one run if run and direction are the same, so that a cycle may count forward and backward
 as one. Other columns are ignored.
@@ -14,7 +16,6 @@ as one. Other columns are ignored.
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +25,7 @@ import numpy as np
 
 from straightcomp_ros.straightness.columns import DEVIATION, Column, SurveyError, X, find_column, normalised
 from straightcomp_ros.straightness.run import Direction, Run, check_gaps, orient
+from straightcomp_ros.straightness.text import decimal, number, read_text
 
 __all__ = ["Direction", "Run", "Survey", "SurveyError", "read_survey", "write_survey"]
 
@@ -114,7 +116,7 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
     for run in survey.runs:
         order = slice(None) if run.direction == "forward" else slice(None, None, -1)
         lines += [
-            f"{run.name},{run.direction},{_decimal(x * 1e3, 4)},{_decimal(deviation * 1e6, 3)}"
+            f"{run.name},{run.direction},{decimal(x * 1e3, 4)},{decimal(deviation * 1e6, 3)}"
             for x, deviation in zip(run.x[order].tolist(), run.deviation[order].tolist(), strict=True)
         ]
     # newline="" keeps the bytes the same on every system.
@@ -124,15 +126,15 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Line number and cells of all lines that are neither blank nor comment."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # spreadsheets put a byte order mark in front
-    except OSError as error:
-        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise SurveyError(f"survey {path}: byte {error.start} is not UTF-8; save the file as UTF-8 CSV") from error
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            yield number, next(csv.reader([line]))
+    delimiter = ""
+    for line_number, line in enumerate(read_text(path).splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        if not delimiter:
+            delimiter = next((mark for mark in "\t;" if mark in line), ",")
+        cells = next(csv.reader([line], delimiter=delimiter))
+        # Where the comma does not separate cells it is a decimal point, as spreadsheets of many countries write it.
+        yield line_number, cells if delimiter == "," else [cell.replace(",", ".") for cell in cells]
 
 
 def _direction(path: Path, line: int, header: Sequence[str], row: Sequence[str]) -> Direction | None:
@@ -145,18 +147,5 @@ def _direction(path: Path, line: int, header: Sequence[str], row: Sequence[str])
 
 
 def _metres(path: Path, line: int, row: Sequence[str], column: Column) -> float:
-    cell = row[column.index].strip()
     name = f"{column.quantity.name}_{column.unit}"
-    try:
-        number = float(cell)
-    except ValueError:
-        raise SurveyError(f"survey {path}, line {line}: {name} {cell!r}; allowed: a number") from None
-    if not math.isfinite(number):
-        raise SurveyError(f"survey {path}, line {line}: {name} {cell!r}; allowed: a finite number")
-    return column.metres(number)
-
-
-def _decimal(value: float, places: int) -> str:
-    """Fixed point without trailing zeros: ``10``, ``-0.482``; never ``-0``."""
-    text = f"{value:.{places}f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+    return column.metres(number(f"survey {path}, line {line}", name, row[column.index].strip()))
