@@ -13,6 +13,7 @@ _VERBS = (
     "bench",
     "can",
     "demo",
+    "doctor",
     "dsp",
     "evaluate",
     "friction",

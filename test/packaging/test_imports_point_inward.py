@@ -16,7 +16,7 @@ OUTER = ("nodes", "cli")
 FORBIDDEN = {
     **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),
     **dict.fromkeys(MIDDLE, ("sweep", *OUTER)),
-    **dict.fromkeys(("sweep", "paper", "identification", "replay", "bench"), OUTER),
+    **dict.fromkeys(("sweep", "paper", "identification", "replay", "bench", "doctor"), OUTER),
     "nodes": ("cli",),
     "cli": (),
 }
