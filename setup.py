@@ -36,6 +36,7 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=[
+        "argcomplete>=3",
         "joblib>=1.4",
         "lz4",
         "matplotlib",
@@ -62,11 +63,17 @@ setup(
         ],
         # Sweeps on other machines' cores.
         "dask": ["dask[distributed]"],
+        # The pages in docs/ as HTML: make docs.
+        "docs": ["mkdocs>=1.6", "mkdocs-material>=9.5"],
         "test": [
             "pytest",
             "hypothesis",
             "cantools",
             "dask[distributed]",
+            "mypy",
+            "pytest-cov",
+            "coverage>=7.10",
+            "ruff",
             "colcon-common-extensions",
             "colcon-ros",
             # colcon runs setup.py with the environment's own setuptools; virtual environments of Python 3.12

@@ -38,7 +38,5 @@ def examine(checks: tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...
         try:
             found = check()
         except (OSError, AttributeError, ValueError) as error:
-            found = Finding(
-                name, "warn", f"cannot be looked at: {error}", "Look at it by hand."
-            )
+            found = Finding(name, "warn", f"cannot be looked at: {error}", "Look at it by hand.")
         yield from found if isinstance(found, list) else [found]
