@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
-from straightcomp_ros.analysis.plot import plot_run
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import cycles_table, results_table
+from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.sweep.stroke import can_run, run_stroke
 
 SUMMARY = "run strokes forward and back offline"
 
@@ -51,19 +52,28 @@ def run(options: argparse.Namespace) -> int:
     if options.learned:
         values["controller"]["learning.file"] = options.learned
     try:
-        simulation = Simulation(values)
+        compiled = options.strokes == 1 and not options.bag and can_run(values)
+        if compiled:
+            record, straightness = run_stroke(values)
+            cycles = [evaluate(record, straightness)]
+        else:
+            simulation = Simulation(values)
+            straightness = simulation.map
+            record, cycles = _run_cycles(options, values, simulation)
+            simulation.save_learning()
     except (ParameterError, SurveyError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
-    try:
-        record, cycles = _run_cycles(options, values, simulation)
-        simulation.save_learning()
-    except (BagError, MetricsError, OSError) as error:
+    except (BagError, MetricsError, OSError, ValueError) as error:
         raise CommandFailed(str(error)) from error
     metrics = cycles[-1]
     if options.plot:
-        plot_run(record, simulation.map, metrics, Path(options.plot), title=f"Simulated stroke, law '{record.law}'")
+        # Only here: matplotlib takes longer to import than the cycle to run.
+        from straightcomp_ros.analysis.plot import plot_run
+
+        plot_run(record, straightness, metrics, Path(options.plot), title=f"Simulated stroke, law '{record.law}'")
     shown = [cycle.to_display() for cycle in cycles]
-    figures = {"law": record.law, "delay_samples": simulation.delay, **shown[-1]}
+    delay = node_parameters("driver", values["driver"]).lockstep_delay
+    figures = {"law": record.law, "delay_samples": delay, **shown[-1]}
     if options.json:
         listed = [{"true_pp_um": c["true_pp_um"], "true_rms_um": c["true_rms_um"]} for c in shown]
         print_json({**figures, "cycles": listed} if options.strokes > 1 else figures)

@@ -26,12 +26,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.control.learning_file import read_tables, write_tables
 from straightcomp_ros.parameters import ParameterError, parameter
-from straightcomp_ros.straightness.tracking import TrackingFilter
+from straightcomp_ros.straightness.tracking import restarted, updated
 
 Reference = Sequence[float]
 Job = Callable[[], None]
@@ -104,11 +103,14 @@ class Learning:
             raise ParameterError(
                 f"parameter 'learning.cutoff': {parameters.cutoff!r} Hz; allowed: <= {0.4 * rate:g} Hz at this rate"
             )
+        # Only where something is learned: scipy.signal takes a second to import, at the start of every node.
+        from scipy.signal import butter
+
         self._low_pass = butter(_ORDER, parameters.cutoff, fs=rate, output="sos")
         self._tables = {forward: LearnedTable(parameters.spacing, parameters.margin) for forward in (True, False)}
         if parameters.file and Path(parameters.file).exists():
             read_tables(Path(parameters.file), law, self._tables)
-        self._tracked = TrackingFilter(_STAGE_BANDWIDTH)
+        self._tracked = restarted(0.0)
         self._pass = array("d")
         self._forward = True
         self.interrupt()
@@ -126,14 +128,14 @@ class Learning:
 
     def step(self, stamp_ns: int, x: float, y: float, reference: Reference) -> Reference:
         """The law's reference (m, m/s, m/s²) for a sample: stamp, x and y in m, and the reference asked for."""
-        tracked = self._tracked
-        if not abs(x - tracked.x) < _JUMP or not self._samples:
+        if not abs(x - self._tracked.x) < _JUMP or not self._samples:
             self.interrupt()
             if math.isfinite(x):
-                tracked.restart(x)
+                self._tracked = restarted(x)
                 self._stamp_ns, self._samples = stamp_ns, 1
             return reference
-        tracked.update((stamp_ns - self._stamp_ns) * 1e-9, x)
+        tracked = updated(_STAGE_BANDWIDTH, self._tracked, (stamp_ns - self._stamp_ns) * 1e-9, x)
+        self._tracked = tracked
         self._stamp_ns = stamp_ns
         self._samples += 1
         v = tracked.v
@@ -186,6 +188,8 @@ class Learning:
 
     def _learn(self, table: LearnedTable, record: NDArray[np.float64]) -> None:
         x, error, weight, correction, speed = record.T.copy()
+        from scipy.signal import sosfiltfilt
+
         chosen = self._parameters
 
         def wanted(gain: float) -> NDArray[np.float64]:

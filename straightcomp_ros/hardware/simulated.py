@@ -3,7 +3,9 @@
 It stands for a board with a sampling clock of its own: samples lie on an exact grid of the sampling
 period, whenever the host comes to fetch them, and a command takes effect when it arrives. How late
 that is, is the loop's own latency; nothing is added to it here. When the next command is late, the board
-goes back to the mean of those before, until it comes or ``command_timeout`` ends the waiting.
+keeps the platform where it is, until it comes or ``command_timeout`` ends the waiting: it goes back to the mean of the
+commands before, which holds against the magnets' pull at that place, and adds a stiffness about the last reading, since
+the magnets' own is negative and a command that is merely kept lets the platform go.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numpy as np
 
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
+from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 from straightcomp_ros.model.stage import Trajectory, Waypoint
 from straightcomp_ros.parameters import group, parameter
@@ -27,10 +30,23 @@ NEVER = 2**62
 
 
 class Hold(NamedTuple):
-    """When the board applies the mean of the commands: age of the newest in ns; share of each command in the mean."""
+    """How the board holds the platform when commands are late.
+
+    Attributes:
+        after_ns: age of the newest command from which it does.
+        weight: share of each command in the mean.
+        stiffness: control current per displacement, A/m.
+    """
 
     after_ns: int
     weight: float
+    stiffness: float
+
+
+@compilable
+def holding_current(hold: Hold, mean: float, anchor: float, reading: float) -> float:
+    """Control current in A that the board applies at ``reading`` (m) while it holds the platform at ``anchor`` (m)."""
+    return mean - hold.stiffness * (reading - anchor)
 
 
 @dataclass(frozen=True)
@@ -47,20 +63,29 @@ class SimulatedParameters:
     )
     hold_after: float = parameter(
         1.5,
-        "Age of the newest command from which the board applies the mean of the last commands instead",
+        "Age of the newest command from which the board holds the platform by itself: with the mean of the last"
+        " commands, and a stiffness about the place where it is then",
         unit="samples",
         minimum=1.1,
         maximum=1e6,
     )
     hold_mean: float = parameter(0.015, "Time constant of that mean", unit="s", above=0.0, maximum=10.0)
+    hold_stiffness: float = parameter(
+        7000.0,
+        "That stiffness, as control current per displacement; the magnets' negative stiffness is I0/y0 = 667 A/m",
+        unit="A/m",
+        minimum=0.0,
+        maximum=1e6,
+    )
     sample_memory: int = parameter(256, "Samples that the board keeps for a late host", minimum=1, maximum=100_000)
     initial_y: float = parameter(0.0, "Platform's position at the start", unit="m", minimum=-1e-2, maximum=1e-2)
     plant: PlantParameters = group(PlantParameters)
 
     @property
     def hold(self) -> Hold:
-        """``hold_after`` and ``hold_mean`` at this rate."""
-        return Hold(round(self.hold_after * 1e9 / self.rate), 1.0 - math.exp(-1.0 / (self.rate * self.hold_mean)))
+        """``hold_after``, ``hold_mean`` and ``hold_stiffness`` at this rate."""
+        weight = 1.0 - math.exp(-1.0 / (self.rate * self.hold_mean))
+        return Hold(round(self.hold_after * 1e9 / self.rate), weight, self.hold_stiffness)
 
 
 class SimulatedHardware(Hardware):
@@ -86,6 +111,8 @@ class SimulatedHardware(Hardware):
         self._command = self._mean_command = 0.0
         self._hold = parameters.hold
         self._hold_ns = NEVER
+        self._holding = False
+        self._y = self._anchor = self._reading(parameters.initial_y)
         self._bias = 0.0
         self._time_ns = 0
         self._next_sample_ns = 0
@@ -172,6 +199,7 @@ class SimulatedHardware(Hardware):
         self._commands.clear()
         self._command = self._mean_command = 0.0
         self._hold_ns = NEVER
+        self._holding = False
         self._bias = 0.0
 
     def _integrate(self, until_ns: int) -> None:
@@ -182,13 +210,13 @@ class SimulatedHardware(Hardware):
                 if self._state is State.ON:
                     self._mean_command += self._hold.weight * (current - self._mean_command)
                     self._hold_ns = at_ns + self._hold.after_ns
+                    self._holding = False
                 else:
                     current = self._command
             elif self._hold_ns <= until_ns:
                 # The last command fought the error of its own moment; held for longer it drives the platform away.
-                # The mean is about the current that keeps the platform where it is, and friction does the rest.
                 at_ns, current = self._hold_ns, self._converted(self._mean_command)
-                self._hold_ns = NEVER
+                self._hold_ns, self._holding, self._anchor = NEVER, True, self._y
             else:
                 break
             # Up to what comes next, if that is before the sample.
@@ -222,4 +250,7 @@ class SimulatedHardware(Hardware):
         reading = self._reading
         measured = control if self._state is State.ON else math.nan
         truth = Truth(x, y, velocity, friction, magnetic, self._guide.deviation(x))
-        return Sample(self._time_ns, reading(x), reading(y), measured), truth
+        self._y = reading(y)
+        if self._holding:
+            self._command = self._converted(holding_current(self._hold, self._mean_command, self._anchor, self._y))
+        return Sample(self._time_ns, reading(x), self._y, measured), truth

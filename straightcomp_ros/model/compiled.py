@@ -19,13 +19,16 @@ from numba.extending import register_jitable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_FOLDERS = ("model", "control", "straightness", "hardware", "sweep")
+"""Of this package: where functions are that may be compiled."""
+
 
 @cache
 def cache_directory() -> Path:
     """Folder for machine code of exactly these sources: in the user's cache, or in the temporary folder."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
-    for source in sorted([*package.glob("model/*.py"), *package.glob("control/*.py")]):
+    for source in sorted(source for folder in _FOLDERS for source in package.glob(f"{folder}/*.py")):
         digest.update(source.read_bytes())
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     name = f"numba-{digest.hexdigest()[:16]}"

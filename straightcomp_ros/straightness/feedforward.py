@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.parameters import parameter
 from straightcomp_ros.straightness.map import StraightnessMap
-from straightcomp_ros.straightness.tracking import TrackingFilter
+from straightcomp_ros.straightness.tracking import restarted, updated
 
 T = TypeVar("T", float, NDArray[np.float64])
 
@@ -65,7 +65,7 @@ class Feedforward:
         self, straightness: StraightnessMap, parameters: FeedforwardParameters = FeedforwardParameters()
     ) -> None:
         self._reference = straightness.reference
-        self._filter = TrackingFilter(parameters.bandwidth)
+        self._bandwidth = parameters.bandwidth
         self._restart_gap_ns = parameters.restart_gap_ns
         self._max_speed = parameters.max_speed
         self.reset()
@@ -74,6 +74,7 @@ class Feedforward:
         """Forget all samples."""
         self._stamp_ns = _NEVER
         self._x = 0.0
+        self._tracked = restarted(0.0)
         self._last = (0.0, 0.0, 0.0)
 
     def step(self, stamp_ns: int, x: float) -> tuple[float, float, float]:
@@ -87,11 +88,11 @@ class Feedforward:
         elapsed_ns = stamp_ns - self._stamp_ns
         if elapsed_ns == 0:
             return self._last
-        tracked = self._filter
         if continues(self._restart_gap_ns, self._max_speed, elapsed_ns, x - self._x):
-            tracked.update(elapsed_ns * 1e-9, x)
+            tracked = updated(self._bandwidth, self._tracked, elapsed_ns * 1e-9, x)
         else:
-            tracked.restart(x)
+            tracked = restarted(x)
+        self._tracked = tracked
         self._stamp_ns = stamp_ns
         self._x = x
         r, slope, curvature = self._reference(x)

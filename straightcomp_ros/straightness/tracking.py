@@ -17,48 +17,55 @@ Smoothing and Prediction, 1969.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+from straightcomp_ros.model.compiled import compilable
 
 
-class TrackingFilter:
-    """Estimates of position, velocity and acceleration; deterministic, plain floats.
+class Tracked(NamedTuple):
+    """Estimates of position in m, velocity in m/s and acceleration in m/s².
 
     Attributes:
-        x, v, a: the estimates in m, m/s, m/s².
+        samples: that the growing memory holds; 0 once the gains are the steady ones.
     """
 
-    def __init__(self, bandwidth: float) -> None:
-        """``bandwidth`` in Hz: of the three equal poles."""
-        self._rate = 2.0 * math.pi * bandwidth
-        self.restart(0.0)
+    x: float
+    v: float
+    a: float
+    samples: int
 
-    def restart(self, x: float) -> None:
-        """Forget all samples; stand at ``x`` in m."""
-        self.x, self.v, self.a = x, 0.0, 0.0
-        self._samples = 1
-        self._growing = True
 
-    def update(self, dt: float, x: float) -> None:
-        """Take the sample ``x`` in m, ``dt`` in s after the last one; dt may differ from sample to sample."""
-        theta = math.exp(-self._rate * dt)
-        fade = 1.0 - theta
-        alpha = 1.0 - theta * theta * theta
-        beta = 1.5 * fade * fade * (1.0 + theta)
-        gamma = fade * fade * fade
-        if self._growing:
-            alpha, beta, gamma = self._growing_gains(alpha, beta, gamma)
-        error = x - (self.x + dt * (self.v + 0.5 * dt * self.a))
-        self.x = x + (alpha - 1.0) * error
-        self.v += dt * self.a + beta * error / dt
-        self.a += gamma * error / (dt * dt)
+@compilable
+def restarted(x: float) -> Tracked:
+    """All samples forgotten; at rest at ``x`` in m."""
+    return Tracked(x, 0.0, 0.0, 1)
 
-    def _growing_gains(self, alpha: float, beta: float, gamma: float) -> tuple[float, float, float]:
-        n = self._samples
-        self._samples += 1
-        if n == 1:
-            return 1.0, 1.0, 0.0  # a straight line through two points
+
+@compilable
+def updated(bandwidth: float, last: Tracked, dt: float, x: float) -> Tracked:
+    """The estimates after the sample ``x`` in m, ``dt`` in s after the last one; dt may differ from sample to sample.
+
+    ``bandwidth`` in Hz is that of the three equal poles.
+    """
+    theta = math.exp(-2.0 * math.pi * bandwidth * dt)
+    fade = 1.0 - theta
+    alpha = 1.0 - theta * theta * theta
+    beta = 1.5 * fade * fade * (1.0 + theta)
+    gamma = fade * fade * fade
+    n = last.samples
+    if n == 1:
+        alpha, beta, gamma, n = 1.0, 1.0, 0.0, 2  # a straight line through two points
+    elif n:
         product = (n + 1.0) * (n + 2.0) * (n + 3.0)
         growing = 3.0 * (3.0 * n * n + 3.0 * n + 2.0) / product
-        if growing <= alpha:
-            self._growing = False
-            return alpha, beta, gamma
-        return growing, 18.0 * (2.0 * n + 1.0) / product, 60.0 / product
+        if growing > alpha:
+            alpha, beta, gamma, n = growing, 18.0 * (2.0 * n + 1.0) / product, 60.0 / product, n + 1
+        else:
+            n = 0
+    error = x - (last.x + dt * (last.v + 0.5 * dt * last.a))
+    return Tracked(
+        x + (alpha - 1.0) * error,
+        last.v + (dt * last.a + beta * error / dt),
+        last.a + gamma * error / (dt * dt),
+        n,
+    )

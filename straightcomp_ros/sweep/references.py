@@ -1,18 +1,11 @@
 """The references of a whole cycle at once: bit for bit what `Feedforward.step` gives sample by sample, much faster.
 
-The filter is the node's own class, compiled as it is, and the formulas are the node's own functions.
+The filter and the formulas are the node's own functions.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
-from functools import cache
-from typing import Any
-
-import numba
 import numpy as np
-from numba.experimental import jitclass
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.pairing import extrapolated
@@ -20,14 +13,7 @@ from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.converters import nearest_count
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, continues, rates
 from straightcomp_ros.straightness.map import StraightnessMap
-from straightcomp_ros.straightness.tracking import TrackingFilter
-
-_FILTER_FIELDS = [
-    *((name, numba.float64) for name in ("_rate", "x", "v", "a")),
-    ("_samples", numba.int64),
-    ("_growing", numba.boolean),
-]
-_compiling = threading.Lock()
+from straightcomp_ros.straightness.tracking import restarted, updated
 
 
 @compiled
@@ -39,6 +25,19 @@ def readings(resolution: float, positions: NDArray[np.float64]) -> NDArray[np.fl
     return seen
 
 
+@compiled
+def _follow(bandwidth, gap_ns, max_speed, stamps, x, v, a):  # type: ignore[no-untyped-def]
+    tracked = restarted(x[0])
+    v[0], a[0] = tracked.v, tracked.a
+    for k in range(1, x.size):
+        elapsed = stamps[k] - stamps[k - 1]
+        if continues(gap_ns, max_speed, elapsed, x[k] - x[k - 1]):
+            tracked = updated(bandwidth, tracked, elapsed * 1e-9, x[k])
+        else:
+            tracked = restarted(x[k])
+        v[k], a[k] = tracked.v, tracked.a
+
+
 def references(
     straightness: StraightnessMap, parameters: FeedforwardParameters, stamps: NDArray[np.int64], x: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -46,10 +45,8 @@ def references(
 
     Stamps must differ from sample to sample; all else is as `Feedforward.step` has it.
     """
-    with _compiling:
-        make_filter, follow = _compiled_filter()
     v, a = np.empty_like(x), np.empty_like(x)
-    follow(make_filter(parameters.bandwidth), parameters.restart_gap_ns, parameters.max_speed, stamps, x, v, a)
+    _follow(parameters.bandwidth, parameters.restart_gap_ns, parameters.max_speed, stamps, x, v, a)
     r, slope, curvature = straightness.evaluate(x)
     return np.column_stack([r, *rates(slope, curvature, v, a)])
 
@@ -58,22 +55,3 @@ def served(references: NDArray[np.float64], stamps: NDArray[np.int64], lead_ns: 
     """What `Pairing` makes of a cycle's references, (n, 3): each sample's own, from that of ``lead_ns`` before it."""
     earlier = np.searchsorted(stamps, np.maximum(stamps - lead_ns, stamps[0]), side="right") - 1
     return np.column_stack(extrapolated(*references[earlier].T, (stamps - stamps[earlier]) * 1e-9))
-
-
-@cache
-def _compiled_filter() -> tuple[Callable[[float], Any], Callable[..., None]]:
-    """The filter's class, and the loop that takes it through a cycle. numba cannot keep a class on disk: 1 s."""
-
-    @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
-    def follow(tracked, gap_ns, max_speed, stamps, x, v, a):  # type: ignore[no-untyped-def]
-        tracked.restart(x[0])
-        v[0], a[0] = tracked.v, tracked.a
-        for k in range(1, x.size):
-            elapsed = stamps[k] - stamps[k - 1]
-            if continues(gap_ns, max_speed, elapsed, x[k] - x[k - 1]):
-                tracked.update(elapsed * 1e-9, x[k])
-            else:
-                tracked.restart(x[k])
-            v[k], a[k] = tracked.v, tracked.a
-
-    return jitclass(_FILTER_FIELDS)(TrackingFilter), follow

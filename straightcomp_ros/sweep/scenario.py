@@ -21,7 +21,7 @@ from straightcomp_ros.straightness.map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.sweep.uncertainty import Deviation, UncertaintyParameters, deviating
 
-_LOWEST_RATE = 100
+LOWEST_RATE = 100
 """Hz; at less, a period comes near the gap after which the Servo starts a law anew, which the kernel leaves out."""
 
 
@@ -80,9 +80,9 @@ def make_scenario(
     feedforward: FeedforwardNodeParameters = node_parameters("feedforward", values.get("feedforward", {}))
     cell: CellNodeParameters = node_parameters("cell", values.get("cell", {}))
     rate = driver.simulated.rate
-    if rate < _LOWEST_RATE:
+    if rate < LOWEST_RATE:
         raise ParameterError(
-            f"node driver: parameter 'simulated.rate': {rate} Hz; allowed in a sweep: >= {_LOWEST_RATE}"
+            f"node driver: parameter 'simulated.rate': {rate} Hz; allowed in a sweep: >= {LOWEST_RATE}"
         )
     controls = {}
     for law in laws:

@@ -56,7 +56,7 @@ def test_a_command_acts_from_its_time_on_and_not_before():
 
 
 def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_before():
-    hardware = machine(command_timeout=1.0, hold_after=2.5)
+    hardware = machine(command_timeout=1.0, hold_after=2.5, hold_stiffness=0.0)
     hardware.enable()
     applied = []
     for k in range(400):
@@ -86,6 +86,23 @@ def test_a_stall_of_the_host_moves_the_platform_less_when_the_board_holds_the_me
         return abs(after.y - before.y)
 
     assert moved(hold_after=1.5) < 0.1 * moved(hold_after=1e6)
+
+
+@pytest.mark.parametrize("push", [-0.05, 0.05])  # A; 2.2 N is far more than friction holds
+def test_a_stiffness_keeps_the_platform_where_it_was_when_commands_cease(push):
+    def moved(hold_stiffness):
+        hardware = machine(command_timeout=1.0, hold_stiffness=hold_stiffness)
+        hardware.enable()
+        for k in range(8):
+            hardware.write(push, START + k * PERIOD)
+            (_, before) = hardware.read(START + k * PERIOD)[-1]
+        truths = [truth.y for _, truth in hardware.read(START + 200 * PERIOD)]
+        return max(abs(y - before.y) for y in truths), abs(truths[-1] - before.y), abs(truths[-1] - truths[-2])
+
+    farthest, _, _ = moved(0.0)
+    assert farthest > 1e-3  # at the mechanical stop
+    farthest, last, motion = moved(SimulatedParameters().hold_stiffness)
+    assert farthest < 50e-6 and last < 20e-6 and motion < 0.1e-6
 
 
 def test_after_a_switch_off_no_current_is_asked_for():

@@ -111,13 +111,13 @@ def test_what_no_stage_does_starts_the_estimate_anew(
     feedforward = Feedforward(straightness)
     for k in range(201):
         assert feedforward.step(k * PERIOD_NS, 0.87 + 0.3 * T * k)
-    assert feedforward._filter.v == pytest.approx(0.3)
+    assert feedforward._tracked.v == pytest.approx(0.3)
     _, r_dot, r_ddot = feedforward.step(stamp_after * PERIOD_NS, x_after)
     if math.isfinite(x_after):
         assert (r_dot, r_ddot) == (0.0, 0.0)
     else:
         assert math.isnan(r_dot)
-    assert feedforward._filter.v == 0.0
+    assert feedforward._tracked.v == 0.0
 
 
 def test_after_a_bad_sample_the_next_good_ones_count_again(straightness: StraightnessMap) -> None:
@@ -139,9 +139,9 @@ def test_the_limits_are_parameters(straightness: StraightnessMap) -> None:
     feedforward = Feedforward(straightness, FeedforwardParameters(restart_gap=1e-3, max_speed=0.1))
     feedforward.step(0, 0.5)
     feedforward.step(1_000_000, 0.5 + 0.9e-4)
-    assert feedforward._filter.v == pytest.approx(0.09)
+    assert feedforward._tracked.v == pytest.approx(0.09)
     feedforward.step(2_000_000, 0.5 + 2.0e-4)  # 0.11 m/s
-    assert feedforward._filter.v == 0.0
+    assert feedforward._tracked.v == 0.0
     feedforward.step(3_000_000, 0.5 + 2.5e-4)
     feedforward.step(4_000_001, 0.5 + 3.0e-4)
-    assert feedforward._filter.v == 0.0
+    assert feedforward._tracked.v == 0.0
