@@ -92,18 +92,21 @@ class LoggerNode:
         self._topics[full_name] = RawQueue(self._unspun, kind, full_name, qos)
 
     def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Leave out of the bag what comes from now on."""
         self._fetch()
         self._intake.paused = True
         response.success, response.message = True, "paused: what comes now is not recorded"
         return response
 
     def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Record again."""
         self._fetch()
         self._intake.paused = False
         response.success, response.message = True, "recording"
         return response
 
     def _snapshot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Write the last seconds that were kept in memory (parameter snapshot) to the bag."""
         self._fetch()
         response.message = f"{self._intake.snapshot()} messages go to the bag"
         response.success = True
