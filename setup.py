@@ -36,7 +36,6 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=[
-        "argcomplete>=3",
         "joblib>=1.4",
         "lz4",
         "matplotlib",
