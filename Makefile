@@ -41,11 +41,11 @@ demo: setup
 test: setup
 	@exec .venv/bin/python -m pytest $(ARGS)
 
-# No live graph, no build, no sweep: what a change of an equation, a format or a parameter needs while one works.
-QUICK := model control straightness timing doctor identification hardware packaging/test_gates.py \
-         packaging/test_imports_point_inward.py test_cdr.py test_parameters.py test_shared_memory.py
+# No live graph, no build, no whole strokes: what a change of an equation, a format or a parameter needs while one works.
+QUICK := model control straightness timing doctor packaging/test_gates.py test_cdr.py test_parameters.py
+LONGER := control/test_learning.py control/test_learning_file.py control/test_observer_laws.py
 quick: setup
-	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) -m "not slow" $(ARGS)
+	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)
 
 # The core's own figure first: what of it is only reached through a running graph is not tested well enough.
 CORE := analysis control model straightness timing

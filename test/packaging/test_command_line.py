@@ -29,7 +29,7 @@ def parsers(parser, path=""):
 def test_the_help_names_every_verb_with_its_summary_and_imports_none(capsys):
     program = "import sys; from straightcomp_ros.cli.main import main; sys.argv[1:] = ['--help']\n"
     program += "try: main()\nexcept SystemExit: assert 'straightcomp_ros.cli.simulate' not in sys.modules\n"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     for verb in entry._VERBS:
         assert any(line.split()[:1] == [verb] and len(line.split()) > 2 for line in done.stdout.splitlines()), verb
@@ -67,7 +67,7 @@ def _completed(script: str, *words: str) -> set[str]:
     quoted = " ".join(f"'{word}'" for word in ("straightcomp", *words))
     ask = f"COMP_WORDS=({quoted}); COMP_CWORD={len(words)}; _straightcomp"
     program = f"{script}\n{ask}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
-    done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, timeout=600, check=False)
     assert not done.stderr
     return set(done.stdout.split())
 
@@ -101,7 +101,7 @@ def test_a_reader_that_goes_away_ends_a_command_without_a_word():
     read, write = os.pipe()
     os.close(read)
     command = [sys.executable, "-m", "straightcomp_ros.cli.main", "completion", "bash"]
-    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=120, check=False)
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
     os.close(write)
     assert done.stderr == ""
     assert done.returncode == 141
