@@ -60,9 +60,8 @@ coverage: setup
 	echo "All:"
 	.venv/bin/python -m coverage report --fail-under=85
 
-docs: $(INSTALLED)
-	@.venv/bin/python -c 'import mkdocs, material' 2> /dev/null || .venv/bin/python -m pip install -qq --disable-pip-version-check --editable '.[docs]'
-	.venv/bin/python -m mkdocs build --strict --quiet
+docs: setup
+	@.venv/bin/python -m mkdocs build --strict --quiet
 	echo "site/index.html"
 
 setup: $(INSTALLED)

@@ -8,6 +8,7 @@ from setuptools import find_packages, setup
 NAME = "straightcomp_ros"
 MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
+DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 
 def _installed_files(folder):
@@ -63,8 +64,9 @@ setup(
         # Sweeps on other machines' cores.
         "dask": ["dask[distributed]"],
         # The pages in docs/ as HTML: make docs.
-        "docs": ["mkdocs>=1.6", "mkdocs-material>=9.5"],
+        "docs": DOCS,
         "test": [
+            *DOCS,
             "pytest",
             "hypothesis",
             "cantools",
