@@ -8,6 +8,7 @@ from setuptools import find_packages, setup
 NAME = "straightcomp_ros"
 MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
+DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 
 def _installed_files(folder):
@@ -66,7 +67,10 @@ setup(
         "opcua": ["asyncua>=2.1,<2.2"],
         # Sweeps on other machines' cores.
         "dask": ["dask[distributed]"],
+        # The pages in docs/ as HTML: make docs.
+        "docs": DOCS,
         "test": [
+            *DOCS,
             "pytest",
             # Live graphs on shared machines: see test/nodes/conftest.py.
             "pytest-rerunfailures",
@@ -74,6 +78,10 @@ setup(
             "asyncua>=2.1,<2.2",
             "cantools",
             "dask[distributed]",
+            "mypy",
+            "pytest-cov",
+            "coverage>=7.10",
+            "ruff",
             "colcon-common-extensions",
             "colcon-ros",
             # colcon runs setup.py with the environment's own setuptools; virtual environments of Python 3.12

@@ -53,20 +53,22 @@ class Declaration:
         """Return ``value`` as ``kind`` (an integer is accepted where a float is meant), or raise ParameterError."""
         if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if type(value) is not self.kind:
+        kind = type(value)
+        if kind is not self.kind:
             raise self._refused(value, f"is not {_KIND_WORDS[self.kind]}")
         if self.choices and value not in self.choices:
             raise self._refused(value, "is not known")
         if self.kind in (int, float):
-            if not math.isfinite(value):
-                raise self._refused(value, "is not finite")
-            if self.minimum is not None and (
-                value < self.minimum or (self.exclusive_minimum and value == self.minimum)
-            ):
-                raise self._refused(value, "is too small")
-            if self.maximum is not None and value > self.maximum:
-                raise self._refused(value, "is too large")
+            self._check_range(value)
         return value
+
+    def _check_range(self, value: float) -> None:
+        if not math.isfinite(value):
+            raise self._refused(value, "is not finite")
+        if self.minimum is not None and (value < self.minimum or (self.exclusive_minimum and value == self.minimum)):
+            raise self._refused(value, "is too small")
+        if self.maximum is not None and value > self.maximum:
+            raise self._refused(value, "is too large")
 
     def _refused(self, value: Any, why: str) -> ParameterError:
         unit = f" {self.unit}" if self.unit else ""
@@ -102,9 +104,7 @@ def parameter(
 
 def group(parameter_set: type[T], **defaults: Any) -> T:
     """Declare a field that holds another parameter set, with other ``defaults`` for some of its fields."""
-    return typing.cast(
-        T, dataclasses.field(default_factory=partial(parameter_set, **defaults), metadata={"defaults": defaults})
-    )
+    return dataclasses.field(default_factory=partial(parameter_set, **defaults), metadata={"defaults": defaults})
 
 
 @cache
@@ -142,9 +142,10 @@ def from_mapping(parameter_set: type[T], values: Mapping[str, Any]) -> T:
 
 
 def _build(parameter_set: type[T], checked: Mapping[str, Any], prefix: str) -> T:
-    arguments = {}
+    arguments: dict[str, Any] = {}
+    kinds = _field_types(typing.cast(type, parameter_set))
     for field in dataclasses.fields(parameter_set):  # type: ignore[arg-type]
-        kind = _field_types(parameter_set)[field.name]
+        kind = kinds[field.name]
         if dataclasses.is_dataclass(kind):
             arguments[field.name] = _build(typing.cast(type, kind), checked, f"{prefix}{field.name}.")
         else:

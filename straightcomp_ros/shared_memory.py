@@ -53,6 +53,31 @@ def remove_stale(folder: Path = _FOLDER, young: float = _YOUNG_S) -> list[str]:
     return removed
 
 
+def find_stale(folder: Path = _FOLDER, young: float = _YOUNG_S) -> list[str]:
+    """Names of this user's lock files of Fast DDS that no living process holds; nothing is removed.
+
+    Args:
+        folder: where the files are.
+        young: files made less than so many seconds ago are left out.
+    """
+    return [
+        name
+        for name in sorted(os.listdir(folder))
+        if _LOCK.fullmatch(name) and _is_old_and_ours(folder / name, young) and _is_free(folder / name)
+    ]
+
+
+def _is_free(path: Path) -> bool:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+    except OSError:
+        return False
+    try:
+        return _locked(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 @contextmanager
 def _alone(folder: Path) -> Iterator[bool]:
     """Whether no other process cleans meanwhile.

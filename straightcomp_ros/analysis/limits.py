@@ -80,8 +80,9 @@ def _limit(where: str, name: str, value: Any, known: Mapping[str, Any]) -> Limit
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
         raise LimitsError(f"{where}: figure '{name}' is unknown; {hint}")
-    bounds = {key: _number(one) for key, one in (value if isinstance(value, Mapping) else {"max": value}).items()}
-    if not bounds or set(bounds) - {"min", "max"} or None in bounds.values():
+    given = value if isinstance(value, Mapping) else {"max": value}
+    bounds = {key: number for key, one in given.items() if (number := _number(one)) is not None}
+    if not bounds or set(given) - {"min", "max"} or len(bounds) < len(given):
         raise LimitsError(f"{where}: {name}: {value!r}; allowed: a number, or {{min: number, max: number}}")
     limit = Limit(name, bounds.get("min", -math.inf), bounds.get("max", math.inf))
     if limit.minimum > limit.maximum:

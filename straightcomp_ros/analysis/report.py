@@ -15,6 +15,7 @@ from plotly.offline import get_plotlyjs
 from straightcomp_ros.analysis.assessment import Assessment, Interval, displayed_error
 from straightcomp_ros.analysis.limits import Verdict
 from straightcomp_ros.analysis.metrics import residual_over
+from straightcomp_ros.straightness.run import Direction
 
 # Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
 _BLACK, _BLUE, _VERMILION, _GREEN, _GREY = "#000000", "#0072B2", "#D55E00", "#009E73", "#A8A8A8"
@@ -94,7 +95,10 @@ def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     moving = motion.samples()
     of_guide, after = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
     figure = _figure("slider position x / mm", f"deviation / µm ({seen})")
-    curves = [("after, forward", after, _BLUE, "forward"), ("after, backward", after, _VERMILION, "backward")]
+    curves: list[tuple[str, NDArray[np.float64], str, Direction | None]] = [
+        ("after, forward", after, _BLUE, "forward"),
+        ("after, backward", after, _VERMILION, "backward"),
+    ]
     if before:
         curves.insert(0, ("before", of_guide, _BLACK, None))
     for name, values, colour, direction in curves:

@@ -62,4 +62,4 @@ def error_spectrum(time: NDArray[np.float64], error: NDArray[np.float64]) -> Spe
     density[0] *= 0.5
     if length % 2 == 0:
         density[-1] *= 0.5
-    return Spectrum(np.fft.rfftfreq(length, period), density)
+    return Spectrum(np.asarray(np.fft.rfftfreq(length, period), dtype=np.float64), density)

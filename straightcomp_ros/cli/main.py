@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import importlib
+import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
 
 from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.share import share_path
 
 _VERBS = (
     "bench",
     "can",
+    "completion",
     "demo",
+    "doctor",
     "dsp",
     "evaluate",
     "friction",
@@ -25,32 +32,89 @@ _VERBS = (
     "simulate",
     "view",
 )
+_FIRST_STEPS = """\
+first steps:
+  straightcomp doctor                   can this machine run it, and what would help?
+  straightcomp demo                     the node graph on a simulated stage, recorded and judged
+  straightcomp simulate --law linear    the same without a graph
+  straightcomp COMMAND --help           what a command takes
+"""
+_CLOSED_PIPE = 141
+"""What a shell says of a program that SIGPIPE ended."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong use."""
-    parser = argparse.ArgumentParser(
-        prog="straightcomp", description="Straightness-compensation servo for linear-motor stages."
-    )
-    verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
     given = list(sys.argv[1:] if arguments is None else arguments)
     # A verb that is named is imported alone: all of them together take seconds.
-    for name in given[:1] if given[:1] and given[0] in _VERBS else _VERBS:
-        module = importlib.import_module(f"straightcomp_ros.cli.{name}")
-        verb = verbs.add_parser(
-            name, help=module.SUMMARY, description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-        )
-        module.add_arguments(verb)
-        verb.set_defaults(run=module.run)
-    options = parser.parse_args(given)
+    named = [name for name in given[:1] if name in _VERBS]
+    options = make_parser(named).parse_args(given)
     try:
-        return int(options.run(options))
+        code = int(options.run(options))
+        sys.stdout.flush()
+        return code
     except CommandFailed as failure:
         print(f"straightcomp {options.verb}: {failure}", file=sys.stderr)
         return failure.exit_code
     except KeyboardInterrupt:
         print(f"straightcomp {options.verb}: interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:
+        # The reader of our output has gone (`… | head`): end without a word, also when Python flushes at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _CLOSED_PIPE
+
+
+def make_parser(complete: Sequence[str] = _VERBS) -> argparse.ArgumentParser:
+    """The parser of all verbs; those that are not in ``complete`` with their summary only."""
+    parser = argparse.ArgumentParser(
+        prog="straightcomp",
+        description="Straightness compensation of linear-motor stages: simulate, run, record and judge.",
+        epilog=_FIRST_STEPS,
+        formatter_class=_Help,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
+    for name in _VERBS:
+        if name in complete:
+            module = importlib.import_module(f"straightcomp_ros.cli.{name}")
+            verb = verbs.add_parser(name, help=module.SUMMARY, description=module.__doc__, formatter_class=_Help)
+            module.add_arguments(verb)
+            verb.set_defaults(run=module.run)
+        else:
+            verbs.add_parser(name, help=_summary(name))
+    return parser
+
+
+class _Help(argparse.RawDescriptionHelpFormatter):
+    """Texts as they are written, and room for the longest verb beside its summary."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=26)
+
+    def add_argument(self, action: argparse.Action) -> None:
+        super().add_argument(action)
+        if isinstance(action, argparse._SubParsersAction):
+            # argparse forgets that verbs are indented further than options, and breaks the line after the longest.
+            self._action_max_length += self._indent_increment
+
+
+class _Version(argparse.Action):
+    """Prints the version of package.xml, the only place where it is written."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"straightcomp {ElementTree.parse(share_path('package.xml')).findtext('version')}")
+        parser.exit()
+
+
+def _summary(name: str) -> str:
+    """SUMMARY of a verb, read without importing it."""
+    tree = ast.parse(Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8"))
+    return next(
+        str(ast.literal_eval(node.value))
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "SUMMARY"
+    )
 
 
 if __name__ == "__main__":

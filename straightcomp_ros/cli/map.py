@@ -1,28 +1,28 @@
-"""The map of the guide, from which the reference is made."""
+"""Work on the map of the guide: take surveys over from instruments and controllers, hand the map on."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 
-SUMMARY = "make the map of the guide from a survey"
+SUMMARY = "build the map of the guide from a survey, convert surveys, export a controller's error table"
 
-_ACTIONS = ("build",)
+_TOOLS = ("build", "convert", "export")
 """Each is a module ``map_<name>`` beside this one, with SUMMARY, add_arguments and run, as a verb is."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what can be done with maps."""
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    for name in _ACTIONS:
+    """Declare the tools."""
+    tools = parser.add_subparsers(dest="tool", metavar="TOOL", required=True)
+    for name in _TOOLS:
         module = importlib.import_module(f"straightcomp_ros.cli.map_{name}")
-        action = actions.add_parser(
+        tool = tools.add_parser(
             name, help=module.SUMMARY, description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
         )
-        module.add_arguments(action)
-        action.set_defaults(run_action=module.run)
+        module.add_arguments(tool)
+        tool.set_defaults(run_tool=module.run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do what was named."""
-    return int(options.run_action(options))
+    """Run the tool that was named."""
+    return int(options.run_tool(options))

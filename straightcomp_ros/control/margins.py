@@ -129,7 +129,7 @@ def loop_margins(
 
     def poles(gain: float = 1.0, at: float = delay) -> NDArray[np.complex128]:
         plant = sampled_plant(nominal, period=period, delay=at, amplifier_bandwidth=amplifier_bandwidth)
-        return np.linalg.eigvals(_closed(plant, controller, gain))
+        return np.asarray(np.linalg.eigvals(_closed(plant, controller, gain)), dtype=np.complex128)
 
     def stable(gain: float = 1.0, at: float = delay) -> bool:
         return bool(np.abs(poles(gain, at)).max() < 1.0)

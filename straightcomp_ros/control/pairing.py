@@ -84,4 +84,4 @@ class Pairing:
                 return
             samples.popleft()
             age_ns = stamp_ns - given_ns
-            yield stamp_ns, sample, extrapolated(*reference, age_ns * 1e-9), age_ns
+            yield stamp_ns, sample, extrapolated(reference[0], reference[1], reference[2], age_ns * 1e-9), age_ns

@@ -10,7 +10,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.observer import Estimate, Interval, ObserverGains, corrected, interval, observer_gains, predicted
+from straightcomp_ros.control.observer import (
+    Estimate,
+    Interval,
+    ObserverGains,
+    corrected,
+    interval,
+    observer_gains,
+    predicted,
+)
 from straightcomp_ros.model.actuator import Actuator, ActuatorParameters, control_current
 from straightcomp_ros.model.compiled import compilable
 

@@ -12,12 +12,12 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.extending import register_jitable
 
-F = TypeVar("F", bound=Callable)
+F = TypeVar("F", bound=Callable[..., Any])
 
 _FOLDERS = ("model", "control", "straightness", "hardware", "sweep")
 """Of this package: where functions are that may be compiled."""
@@ -44,14 +44,15 @@ def cache_directory() -> Path:
 
 def compilable(function: F) -> F:
     """Mark a scalar function that runs as plain Python and may also be called from a compiled one."""
-    return register_jitable(error_model="numpy")(function)
+    return cast(F, register_jitable(error_model="numpy")(function))
 
 
 def compiled(function: F) -> F:
     """``numba.njit`` with the machine code kept on disk; IEEE arithmetic, nothing reordered."""
-    previous = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_directory())
+    settings: Any = numba.config  # numba makes its attributes from the environment
+    previous = settings.CACHE_DIR
+    settings.CACHE_DIR = str(cache_directory())
     try:
-        return numba.njit(cache=True, error_model="numpy")(function)
+        return cast(F, numba.njit(cache=True, error_model="numpy")(function))
     finally:
-        numba.config.CACHE_DIR = previous
+        settings.CACHE_DIR = previous

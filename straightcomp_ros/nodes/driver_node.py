@@ -142,6 +142,7 @@ class DriverNode:
                 self.node.get_logger().error(f"fault, amplifier off: {fault}")
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Switch the amplifier on (refused while a fault is latched or no fresh command comes in), or off."""
         if not request.data:
             self._hardware.disable()
             response.success, response.message = True, "amplifier off"
@@ -167,6 +168,7 @@ class DriverNode:
         return ""
 
     def _on_reset_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Clear the latched fault; the amplifier stays off."""
         response.message = f"cleared: {self._present_fault}" if self._present_fault else "there was no fault"
         self._hardware.reset_fault()
         self._fault = self._reported_fault = ""

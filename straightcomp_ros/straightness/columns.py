@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -68,9 +69,19 @@ class Column:
         )
 
 
+_SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
+"""What instruments call the two quantities."""
+_NAME_AND_UNIT = re.compile(r"([a-z]+)[\s_]*[\[(]?\s*(m|mm|um|nm)\s*[\])]?")
+
+
 def normalised(cell: str) -> str:
-    """A header cell as it is compared: lower case, no blanks around it, either micro sign as ``u``."""
-    return cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+    """A header cell as it is compared: ``x_mm`` for ``X [mm]``, ``position (mm)``; either micro sign as ``u``."""
+    name = cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+    found = _NAME_AND_UNIT.fullmatch(name)
+    # Without a sign between them "xm" would be x in m; such a name is left as it is.
+    if found is None or found.end(1) == found.start(2):
+        return name
+    return f"{_SYNONYMS.get(found[1], found[1])}_{found[2]}"
 
 
 def find_column(where: str, header: Sequence[str], quantity: Quantity) -> Column:

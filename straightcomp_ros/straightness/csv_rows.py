@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from straightcomp_ros.straightness.columns import Column, SurveyError
+from straightcomp_ros.straightness import text
+from straightcomp_ros.straightness.columns import Column
 
 
 def rows(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -16,15 +16,15 @@ def rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     Raises:
         SurveyError: the file cannot be read, or is not UTF-8.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # spreadsheets put a byte order mark in front
-    except OSError as error:
-        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise SurveyError(f"survey {path}: byte {error.start} is not UTF-8; save the file as UTF-8 CSV") from error
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            yield number, next(csv.reader([line]))
+    delimiter = ""
+    for line_number, line in enumerate(text.read_text(path).splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        if not delimiter:
+            delimiter = next((mark for mark in "\t;" if mark in line), ",")
+        cells = next(csv.reader([line], delimiter=delimiter))
+        # Where the comma does not separate cells it is a decimal point, as spreadsheets of many countries write it.
+        yield line_number, cells if delimiter == "," else [cell.replace(",", ".") for cell in cells]
 
 
 def metres(path: Path, line: int, row: Sequence[str], column: Column) -> float:
@@ -42,11 +42,4 @@ def number(path: Path, line: int, cell: str, name: str) -> float:
     Raises:
         SurveyError: it is no finite number.
     """
-    cell = cell.strip()
-    try:
-        value = float(cell)
-    except ValueError:
-        raise SurveyError(f"survey {path}, line {line}: {name} {cell!r}; allowed: a number") from None
-    if not math.isfinite(value):
-        raise SurveyError(f"survey {path}, line {line}: {name} {cell!r}; allowed: a finite number")
-    return value
+    return text.number(f"survey {path}, line {line}", name, cell.strip())

@@ -5,7 +5,9 @@
     1,forward,0,-3.796
     1,forward,10,-3.12
 
-The unit stands in the column's name: x in m, mm or um, deviation in m, mm, um or nm. ``run`` and
+The unit stands in the column's name: x in m, mm or um, deviation in m, mm, um or nm. Instruments and
+spreadsheets write it otherwise: ``Position (mm)``, ``Straightness [µm]`` and cells separated by semicolon or
+tab, then also with decimal commas, are read as well. ``run`` and
 ``direction`` may be left out: then the file is one run, and the trend of x tells its direction. Rows
 belong to one run if run and direction are the same, so that a cycle may count forward and backward
 as one. Other columns are ignored.
@@ -23,6 +25,7 @@ import numpy as np
 from straightcomp_ros.straightness.columns import DEVIATION, SurveyError, X, find_column, normalised
 from straightcomp_ros.straightness.csv_rows import metres, rows
 from straightcomp_ros.straightness.run import Direction, Run, check_gaps, orient
+from straightcomp_ros.straightness.text import decimal
 
 __all__ = ["Direction", "Run", "Survey", "SurveyError", "read_survey", "write_survey"]
 
@@ -113,7 +116,7 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
     for run in survey.runs:
         order = slice(None) if run.direction == "forward" else slice(None, None, -1)
         lines += [
-            f"{run.name},{run.direction},{_decimal(x * 1e3, 4)},{_decimal(deviation * 1e6, 3)}"
+            f"{run.name},{run.direction},{decimal(x * 1e3, 4)},{decimal(deviation * 1e6, 3)}"
             for x, deviation in zip(run.x[order].tolist(), run.deviation[order].tolist(), strict=True)
         ]
     # newline="" keeps the bytes the same on every system.
@@ -128,9 +131,3 @@ def _direction(path: Path, line: int, header: Sequence[str], row: Sequence[str])
     if direction not in _DIRECTIONS:
         raise SurveyError(f"survey {path}, line {line}: direction {direction!r}; allowed: {' or '.join(_DIRECTIONS)}")
     return cast(Direction, direction)
-
-
-def _decimal(value: float, places: int) -> str:
-    """Fixed point without trailing zeros: ``10``, ``-0.482``; never ``-0``."""
-    text = f"{value:.{places}f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text

@@ -16,7 +16,7 @@ OUTER = ("nodes", "cli")
 FORBIDDEN = {
     **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),
     **dict.fromkeys(MIDDLE, ("sweep", *OUTER)),
-    **dict.fromkeys(("sweep", "paper", "identification", "replay", "bench", "opcua", "view"), OUTER),
+    **dict.fromkeys(("sweep", "paper", "identification", "replay", "bench", "opcua", "view", "doctor"), OUTER),
     "nodes": ("cli",),
     "cli": (),
 }

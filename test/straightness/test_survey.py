@@ -47,6 +47,8 @@ def test_a_survey_is_read_in_metres(tmp_path: Path) -> None:
         ("x_um,deviation_um", 1e6, 1e6),
         ("X_MM, Deviation_µm", 1e3, 1e6),
         ("x_mm,deviation_nm", 1e3, 1e9),
+        ("Position (mm),Straightness [µm]", 1e3, 1e6),
+        ("Target mm, Deviation nm", 1e3, 1e9),
     ],
 )
 def test_the_unit_in_the_column_name_counts(tmp_path: Path, header: str, x: float, deviation: float) -> None:
@@ -54,6 +56,14 @@ def test_the_unit_in_the_column_name_counts(tmp_path: Path, header: str, x: floa
     run = read_survey(_write(tmp_path, rows, header)).runs[0]
     np.testing.assert_allclose(run.x, 0.01 * np.arange(30), rtol=1e-15)
     np.testing.assert_allclose(run.deviation, 1e-6 * (np.arange(30) % 7), rtol=1e-15)
+
+
+@pytest.mark.parametrize("delimiter", ["\t", ";"])
+def test_a_spreadsheet_may_write_decimal_commas_between_other_delimiters(tmp_path: Path, delimiter: str) -> None:
+    rows = [f"{x},5{delimiter}-0,{x // 10 % 7}" for x in POSITIONS_MM]
+    run = read_survey(_write(tmp_path, rows, f"Position [mm]{delimiter}Straightness [um]")).runs[0]
+    np.testing.assert_allclose(run.x, (np.array(POSITIONS_MM) + 0.5) * 1e-3, rtol=1e-15)
+    np.testing.assert_allclose(run.deviation, [-(x // 10 % 7) * 1e-7 for x in POSITIONS_MM], atol=1e-18)
 
 
 def test_without_run_and_direction_the_trend_of_x_tells_the_direction(tmp_path: Path) -> None:

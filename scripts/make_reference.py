@@ -1,0 +1,123 @@
+"""Writes docs/reference.md: topics, services and parameters, from the code that defines them."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import itertools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from straightcomp_ros import contract
+from straightcomp_ros.configuration import NODE_PARAMETERS
+from straightcomp_ros.parameters import declarations
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+FILE = REPOSITORY / "docs" / "reference.md"
+NO_PART_OF_THE_GRAPH = ("baseline",)
+"""Modules with nodes that only measurements start."""
+NODES = REPOSITORY / "straightcomp_ros" / "nodes"
+HEAD = """\
+# Reference
+
+Made by `scripts/make_reference.py` from `contract.py`, `configuration.py` and the nodes; a test holds it to them.
+All numbers are SI. All names are relative: a namespace or a remapping moves them.
+
+## Topics
+
+The streams carry the stamp of the encoder sample that they belong to, one message for each sample, best effort.
+
+| topic | type | numbers, in the order of the message | content |
+|---|---|---|---|
+"""
+SLOW_TOPIC = re.compile(r"(\w+_msgs)/(\w+)[:,] (.*)", re.DOTALL)
+"""How contract.py begins the text below a constant that names a topic which is no stream."""
+
+
+def reference() -> str:
+    """Text of the page."""
+    lines = [HEAD.rstrip("\n")]
+    for stream in contract.STREAMS:
+        numbers = ", ".join(f"`{name}`" for name in stream.layout.columns)
+        lines.append(f"| `{stream.topic}` | {stream.layout.type_name} | {numbers} | {stream.description} |")
+    for constant, text in _texts_below_constants(contract).items():
+        found = SLOW_TOPIC.fullmatch(text)
+        if found:
+            content = _sentence(found[3])
+            lines.append(f"| `{getattr(contract, constant)}` | {found[1]}/msg/{found[2]} | | {content} |")
+    lines += ["", "## Services", "", "| service | type | what it does |", "|---|---|---|"]
+    lines += [f"| `{node}/{name}` | std_srvs/srv/{kind} | {text} |" for node, name, kind, text in services()]
+    lines += ["", "## Parameters", ""]
+    lines += ["`config/straightcomp.yaml` has them all, with the values that are shipped where these differ.", ""]
+    for node, parameter_set in NODE_PARAMETERS.items():
+        lines += [f"### Node {node}", "", "| parameter | default | unit | allowed | meaning |", "|---|---|---|---|---|"]
+        for one in declarations(parameter_set):
+            allowed, meaning = _cell(one.allowed()), _cell(one.description)
+            lines.append(f"| `{one.name}` | {_default(one.default)} | {one.unit} | {allowed} | {meaning} |")
+        lines.append("")
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def services() -> Iterator[tuple[str, str, str, str]]:
+    """Node, name, type and meaning of each service, from the sources; NODE where each node offers it."""
+    for path in sorted(NODES.glob("*.py")):
+        if path.stem in NO_PART_OF_THE_GRAPH:
+            continue
+        node = path.stem.removesuffix("_node") if path.stem.removesuffix("_node") in NODE_PARAMETERS else "NODE"
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        methods = {one.name: ast.get_docstring(one) or "" for one in ast.walk(tree) if isinstance(one, ast.FunctionDef)}
+        for names, kind, callback in _offered(tree):
+            for name, method in names:
+                text = methods[method or callback].split("\n\n")[0]
+                yield node, name, kind, _cell(" ".join(text.split()))
+
+
+def _offered(tree: ast.AST) -> Iterator[tuple[list[tuple[str, str]], str, str]]:
+    """([(service, callback if it is in the loop)], type, callback) of each call of create_service."""
+    loops = {id(call): loop for loop in ast.walk(tree) if isinstance(loop, ast.For) for call in ast.walk(loop)}
+    for call in ast.walk(tree):
+        if not (isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "create_service"):
+            continue
+        kind, name, callback = call.args[0], call.args[1], call.args[2]
+        if isinstance(name, ast.Constant):
+            yield [(name.value.removeprefix("~/"), "")], ast.unparse(kind), _method(callback)
+            continue
+        # A loop over ((name, callback), …), and the name in an f-string.
+        entries = loops[id(call)].iter.elts  # type: ignore[attr-defined]
+        yield [(entry.elts[0].value, _method(entry.elts[1])) for entry in entries], ast.unparse(kind), ""
+
+
+def _method(callback: ast.expr) -> str:
+    return callback.attr if isinstance(callback, ast.Attribute) else ast.unparse(callback)
+
+
+def _texts_below_constants(module: object) -> dict[str, str]:
+    """The text that stands below each constant of a module."""
+    body = ast.parse(inspect.getsource(module)).body  # type: ignore[arg-type]
+    return {
+        before.targets[0].id: after.value.value
+        for before, after in itertools.pairwise(body)
+        if isinstance(before, ast.Assign)
+        and isinstance(before.targets[0], ast.Name)
+        and isinstance(after, ast.Expr)
+        and isinstance(after.value, ast.Constant)
+        and isinstance(after.value.value, str)
+    }
+
+
+def _sentence(text: str) -> str:
+    text = " ".join(text.split())
+    return text[:1].upper() + text[1:]
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def _default(value: object) -> str:
+    return f"`{str(value).lower() if isinstance(value, bool) else repr(value)}`"
+
+
+if __name__ == "__main__":
+    FILE.write_text(reference(), encoding="utf-8")

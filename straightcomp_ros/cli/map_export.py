@@ -1,0 +1,66 @@
+"""Write the map as an error table for a machine controller that corrects by itself.
+
+The table's correction is the map's reference: what has to be added to the platform's position. Before the first motion
+compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from straightcomp_ros.cli.output import CommandFailed, console, print_json
+from straightcomp_ros.cli.table_options import add_table_options, chosen_conventions
+from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.straightness.tables.error_table import sampled
+from straightcomp_ros.straightness.tables.formats import format_of
+
+SUMMARY = "write the map as a controller's error table"
+_SMALLEST_SPACING_MM, _LARGEST_SPACING_MM = 0.1, 1000.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", metavar="FILE", help="error table to write")
+    parser.add_argument(
+        "--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)"
+    )
+    add_table_options(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Export and print how well the table stands for the map."""
+    conventions = chosen_conventions(options)
+    if not _SMALLEST_SPACING_MM <= options.spacing <= _LARGEST_SPACING_MM:
+        raise CommandFailed(
+            f"--spacing {options.spacing:g}; allowed: {_SMALLEST_SPACING_MM:g} to {_LARGEST_SPACING_MM:g} mm",
+            exit_code=2,
+        )
+    output = Path(options.file)
+    try:
+        straightness = load_map(MapParameters(file=options.survey))
+        table, error = sampled(straightness, options.spacing * 1e-3)
+        written = format_of(output, options.format).write(table.negated() if options.negate else table, conventions)
+        output.write_text(written, encoding="utf-8")
+    except SurveyError as failure:
+        raise CommandFailed(str(failure), exit_code=2) from failure
+    except OSError as failure:
+        raise CommandFailed(f"{output}: cannot be written: {failure.strerror}") from failure
+    figures = {
+        "output": str(output),
+        "points": len(table.x),
+        "spacing_mm": float(table.x[1] - table.x[0]) * 1e3,
+        "interpolation_error_um": error * 1e6,
+    }
+    if options.json:
+        print_json(figures)
+    else:
+        console.print(
+            f"{output}: {len(table.x)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
+            f"linearly is at most {figures['interpolation_error_um']:.3f} µm beside the map"
+        )
+    return 0

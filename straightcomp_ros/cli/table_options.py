@@ -1,0 +1,53 @@
+"""Options of all tools that read or write error tables of controllers."""
+
+from __future__ import annotations
+
+import argparse
+
+from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions
+from straightcomp_ros.straightness.tables.formats import FORMATS
+
+
+def add_table_options(parser: argparse.ArgumentParser) -> None:
+    """Add --format, --unit, --stage-axis, --platform-axis, --error and --negate."""
+    endings = ", ".join(f"{one.ending} {name}" for name, one in FORMATS.items())
+    parser.add_argument("--format", choices=FORMATS, help=f"format (default: by the file's ending: {endings})")
+    parser.add_argument(
+        "--unit",
+        choices=UNITS,
+        default=Conventions.unit,
+        help="length unit of the controller where the file does not say it: linuxcnc, aerotech (default: %(default)s)",
+    )
+    for axis, default in (("stage", Conventions.stage_axis), ("platform", Conventions.platform_axis)):
+        parser.add_argument(
+            f"--{axis}-axis",
+            type=int,
+            default=default,
+            metavar="N",
+            help=f"the {axis}'s number in the controller, from 1: aerotech, crosscomp (default: %(default)s)",
+        )
+    parser.add_argument(
+        "--error",
+        default=Conventions.error,
+        metavar="NAME",
+        help="name of the straightness error after ISO 230-1: etalon (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--negate", action="store_true", help="turn the sign over, for an axis that counts the other way"
+    )
+
+
+def chosen_conventions(options: argparse.Namespace) -> Conventions:
+    """The conventions that the options name.
+
+    Raises:
+        CommandFailed: an axis is not allowed; exit code 2.
+    """
+    for axis in ("stage", "platform"):
+        number = getattr(options, f"{axis}_axis")
+        if number < 1:
+            raise CommandFailed(f"--{axis}-axis {number}; allowed: >= 1", exit_code=2)
+    if options.stage_axis == options.platform_axis:
+        raise CommandFailed(f"--stage-axis and --platform-axis: both {options.stage_axis}; allowed: two", exit_code=2)
+    return Conventions(options.unit, options.stage_axis, options.platform_axis, options.error.upper())

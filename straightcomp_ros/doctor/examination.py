@@ -1,0 +1,42 @@
+"""All checks, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from straightcomp_ros.doctor import can_bus, memory, scheduling, software
+from straightcomp_ros.doctor.disk import disk
+from straightcomp_ros.doctor.finding import Finding
+
+CHECKS: tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...] = (
+    ("python", software.python),
+    ("package files", software.package_files),
+    ("rclpy", software.ros),
+    ("distribution", software.distribution),
+    ("discovery", software.discovery),
+    ("shared memory", memory.shared_memory),
+    ("stale Fast DDS files", memory.stale_files),
+    ("memlock", memory.locked_memory),
+    ("real-time priority", scheduling.priority),
+    ("real-time throttling", scheduling.throttling),
+    ("CPU wake-up", scheduling.wake_up_latency),
+    ("kernel", scheduling.kernel),
+    ("cores", scheduling.cores),
+    ("frequency governor", scheduling.governor),
+    ("clock", scheduling.clock),
+    ("timer", scheduling.timer),
+    ("CAN interfaces", can_bus.kernel_interfaces),
+    ("python-can", can_bus.python_can),
+    ("disk", lambda: disk(Path.cwd())),
+)
+
+
+def examine(checks: tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...] = CHECKS) -> Iterator[Finding]:
+    """Run the checks; one that the system does not let look is a warning, and the others go on."""
+    for name, check in checks:
+        try:
+            found = check()
+        except (OSError, AttributeError, ValueError) as error:
+            found = Finding(name, "warn", f"cannot be looked at: {error}", "Look at it by hand.")
+        yield from found if isinstance(found, list) else [found]

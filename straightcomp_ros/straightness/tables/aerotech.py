@@ -1,0 +1,147 @@
+"""Aerotech's two-dimensional axis calibration file (``.cal``) of A3200 and Automation1, used for one cross-axis error.
+
+    ; RowAxis ColumnAxis OutputAxis1 OutputAxis2 SampDistRow SampDistCol NumCols
+    :START2D 2 1 2 1 1 10 177
+    :START2D POSUNIT=PRIMARY CORUNIT=PRIMARY/1000 OFFSETROW=0 OFFSETCOL=0
+    3.796 0  3.12 0  …
+    :END
+
+Described in Aerotech's Automation1 help, "Axis Calibration": axes count from 1, values between two points are
+interpolated linearly, beyond the ends the last value holds, and each value is added to the position of its output axis.
+Keywords and their order are as public programs write them that make such files for A3200 and Automation1. Column i
+stands at i · SampDistCol − OFFSETCOL. A negative distance counts from the home of the axis in a way that the file
+alone does not tell, and is refused. Here the two rows are the same: the correction does not depend on the row axis.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from straightcomp_ros.straightness.columns import SurveyError
+from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions, ErrorTable, error_table
+from straightcomp_ros.straightness.text import decimal, number, read_text
+
+_HEAD = ("RowAxis", "ColumnAxis", "OutputAxis1", "OutputAxis2", "SampDistRow", "SampDistCol", "NumCols")
+_KEYWORD = re.compile(r"([A-Z0-9]+)\s*=\s*(\S+)")
+_SAME = 1e-9
+"""Rows may differ by this much, in m."""
+
+
+def read(path: Path, conventions: Conventions) -> ErrorTable:
+    """Read the first table that corrects ``conventions.platform_axis``.
+
+    Raises:
+        SurveyError: no such table, a head or value that is not understood, or a correction that also depends on
+            the row axis.
+    """
+    outputs: list[int] = []
+    for start, head, values in _tables(path):
+        where = f"survey {path}, line {start}"
+        numbers = [number(where, name, cell) for name, cell in zip(_HEAD, _positions(where, head), strict=True)]
+        keywords = {key: value for line in head for key, value in _KEYWORD.findall(line.upper())}
+        axes = [int(numbers[2]), int(numbers[3]), *([int(keywords["OUTAXIS3"])] if "OUTAXIS3" in keywords else [])]
+        outputs += axes
+        if conventions.platform_axis not in axes:
+            continue
+        columns = int(numbers[6])
+        if not values or columns < 2 or len(values) % (columns * len(axes)):
+            raise SurveyError(
+                f"{where}: {len(values)} values; allowed: rows of NumCols × outputs = {columns} × {len(axes)}"
+            )
+        grid = np.array(values).reshape(-1, columns, len(axes))[:, :, axes.index(conventions.platform_axis)]
+        grid = grid / _per_metre(where, keywords.get("CORUNIT", "PRIMARY"), conventions)
+        if float(np.ptp(grid, axis=0).max()) > _SAME:
+            raise SurveyError(f"{where}: the correction depends on the row axis too; allowed: rows that are the same")
+        if numbers[5] <= 0.0:
+            raise SurveyError(
+                f"{where}: SampDistCol {numbers[5]:g}; allowed: > 0; write the columns in the other order"
+            )
+        offset = number(where, "OFFSETCOL", keywords.get("OFFSETCOL", "0"))
+        units = _per_metre(where, keywords.get("POSUNIT", "PRIMARY"), conventions)
+        sign = 1.0 if any("NEGCOR" in line.upper() for line in head) else -1.0
+        return error_table(
+            where,
+            [
+                ((index * numbers[5] - offset) / units, sign * value, None)
+                for index, value in enumerate(grid[0].tolist())
+            ],
+        )
+    found = ", ".join(str(axis) for axis in sorted(set(outputs))) or "none"
+    raise SurveyError(
+        f"survey {path}: no :START2D table corrects axis {conventions.platform_axis} (platform axis); found: {found}"
+    )
+
+
+def write(table: ErrorTable, conventions: Conventions) -> str:
+    """A file with one table; the mean where both directions are known, since these tables have but one value.
+
+    Raises:
+        SurveyError: the positions are not equally spaced.
+    """
+    steps = np.diff(table.x)
+    spacing = float(steps.mean())
+    if float(np.abs(steps - spacing).max()) > 1e-6 * spacing:
+        raise SurveyError("the positions are not equally spaced; allowed for Aerotech: one distance for all")
+    correction = -(table.forward if table.backward is None else 0.5 * (table.forward + table.backward))
+    per_metre = conventions.per_metre
+    stage, platform = conventions.stage_axis, conventions.platform_axis
+    offset = decimal(-float(table.x[0]) * per_metre, 9)
+    row = "  ".join(f"{decimal(value * per_metre * 1e3, 5)} 0" for value in correction.tolist())
+    return "\n".join(
+        [
+            f"; Correction of axis {platform} over axis {stage}, the same for every position of axis {platform}.",
+            f"; {' '.join(_HEAD)}",
+            f":START2D {platform} {stage} {platform} {stage} 1 {decimal(spacing * per_metre, 9)} {len(table.x)}",
+            f":START2D POSUNIT=PRIMARY CORUNIT=PRIMARY/1000 OFFSETROW=0 OFFSETCOL={offset}",
+            row,
+            row,
+            ":END\n",
+        ]
+    )
+
+
+def _tables(path: Path) -> list[tuple[int, list[str], list[float]]]:
+    """Line number of the start, head lines and values of each table."""
+    tables: list[tuple[int, list[str], list[float]]] = []
+    inside = False
+    for line, raw in enumerate(read_text(path).splitlines(), start=1):
+        text = re.split(r"[;']", raw, maxsplit=1)[0].strip()
+        upper = text.upper()
+        if not text or text.startswith("*"):
+            continue
+        where = f"survey {path}, line {line}"
+        if upper.startswith(":START2D"):
+            if not inside or tables[-1][2]:
+                tables.append((line, [], []))
+            tables[-1][1].append(text[len(":START2D") :])
+            inside = True
+        elif upper.startswith(":START"):
+            raise SurveyError(f"{where}: a :START table corrects an axis along itself; allowed: :START2D")
+        elif upper.startswith(":END"):
+            inside = False
+        elif not inside:
+            raise SurveyError(f"{where}: {text[:20]!r} is outside of a table; allowed: after :START2D")
+        else:
+            tables[-1][2].extend(number(where, "correction", cell) for cell in text.split())
+    return tables
+
+
+def _positions(where: str, head: list[str]) -> list[str]:
+    """The seven numbers of the head, which stand on the line without keywords."""
+    for line in head:
+        cells = _KEYWORD.sub("", line.upper()).replace("NEGCOR", "").split()
+        if len(cells) == len(_HEAD):
+            return cells
+    raise SurveyError(f"{where}: no line with {len(_HEAD)} numbers; allowed: {' '.join(_HEAD)}")
+
+
+def _per_metre(where: str, text: str, conventions: Conventions) -> float:
+    """Units of ``PRIMARY``, ``METRIC`` or ``ENGLISH``, with or without a divisor, in a metre."""
+    name, _, divisor = text.partition("/")
+    known = {"PRIMARY": conventions.per_metre, "METRIC": UNITS["mm"], "ENGLISH": UNITS["inch"]}
+    if name not in known:
+        raise SurveyError(f"{where}: unit {text!r}; allowed: {', '.join(known)}, each also with a divisor as in /1000")
+    return known[name] * number(where, "divisor of the unit", divisor or "1")

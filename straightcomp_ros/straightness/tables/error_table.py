@@ -1,0 +1,111 @@
+"""The deviation of a guide at given positions: what all the file formats hold in one way or another."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.straightness.columns import DEVIATION, Column, SurveyError, X
+from straightcomp_ros.straightness.map import StraightnessMap
+from straightcomp_ros.straightness.run import Direction, Run
+from straightcomp_ros.straightness.survey import Survey
+
+UNITS = {"mm": 1e3, "inch": 1.0 / 0.0254, "m": 1.0, "um": 1e6}
+"""How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """What a file of a controller does not say by itself.
+
+    Attributes:
+        unit: length unit of the machine's configuration, a key of :data:`UNITS`.
+        stage_axis, platform_axis: numbers of the two axes in the controller, from 1.
+        error: name of the straightness error in ISO 230-1's notation: EYX is the error in Y of a motion along X.
+    """
+
+    unit: str = "mm"
+    stage_axis: int = 1
+    platform_axis: int = 2
+    error: str = "EYX"
+
+    @property
+    def per_metre(self) -> float:
+        """How many units make a metre."""
+        return UNITS[self.unit]
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorTable:
+    """Deviation δ over x; the correction that a controller adds is −δ.
+
+    Attributes:
+        x: (n,) positions of the stage in m, strictly ascending.
+        forward: (n,) deviation in m, moving towards larger x.
+        backward: the same, moving towards smaller x; None if the file does not tell directions apart.
+    """
+
+    x: NDArray[np.float64]
+    forward: NDArray[np.float64]
+    backward: NDArray[np.float64] | None = None
+
+    def negated(self) -> ErrorTable:
+        """The table with the other sign, for a file that counts the other way."""
+        return ErrorTable(self.x, -self.forward, None if self.backward is None else -self.backward)
+
+    def to_survey(self, source: str) -> Survey:
+        """One run for each direction that the table knows; ``source`` is the file's name for messages.
+
+        Raises:
+            SurveyError: lengths that no guide has; the unit is wrong then, more likely than the machine odd.
+        """
+        where = f"survey {source}"
+        Column(X, "m", 0).check_extent(where, float(self.x[-1] - self.x[0]))
+        sides: tuple[tuple[Direction, NDArray[np.float64] | None], ...] = (
+            ("forward", self.forward),
+            ("backward", self.backward),
+        )
+        runs = [Run("1", direction, self.x, deviation) for direction, deviation in sides if deviation is not None]
+        for run in runs:
+            Column(DEVIATION, "m", 1).check_extent(where, float(np.ptp(run.deviation)))
+        return Survey(tuple(runs), source)
+
+
+def error_table(where: str, points: list[tuple[float, float, float | None]]) -> ErrorTable:
+    """A table from (x, forward, backward or None) in m, sorted by x; ``where`` opens the messages.
+
+    Raises:
+        SurveyError: fewer than two points, or two at one x.
+    """
+    if len(points) < 2:
+        raise SurveyError(f"{where}: {len(points)} points; allowed: >= 2")
+    points = sorted(points, key=lambda point: point[0])
+    x = np.array([point[0] for point in points])
+    same = np.flatnonzero(np.diff(x) <= 0.0)
+    if same.size:
+        raise SurveyError(f"{where}: x = {x[same[0]] * 1e3:.10g} mm is given twice; allowed: once")
+    backward = [point[2] for point in points if point[2] is not None]
+    return ErrorTable(
+        x, np.array([point[1] for point in points]), np.array(backward) if len(backward) == len(points) else None
+    )
+
+
+def sampled(straightness: StraightnessMap, spacing: float) -> tuple[ErrorTable, float]:
+    """The map at equal distances over its span, the last one rounded down so that both ends are met.
+
+    Args:
+        straightness: the map; the table's correction is its reference, centred as that is.
+        spacing: largest distance of two points in m.
+
+    Returns:
+        The table, and the largest error in m that a controller makes which interpolates linearly in it.
+    """
+    first, last = straightness.span
+    pieces = max(1, math.ceil((last - first) / spacing - 1e-9))
+    x = np.linspace(first, last, pieces + 1)
+    table = ErrorTable(x, -straightness.evaluate(x)[0])
+    fine = np.linspace(first, last, 16 * pieces + 1)
+    return table, float(np.abs(np.interp(fine, x, table.forward) + straightness.evaluate(fine)[0]).max())

@@ -1,0 +1,49 @@
+"""All formats by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from straightcomp_ros.straightness.columns import SurveyError
+from straightcomp_ros.straightness.tables import aerotech, crosscomp, etalon, linuxcnc
+from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable
+
+
+@dataclass(frozen=True)
+class Format:
+    """How a table gets out of a file and into one.
+
+    Attributes:
+        ending: of the file's name, by which the format is recognised.
+        read: the table in a file; raises SurveyError.
+        write: the text of a file; raises SurveyError.
+    """
+
+    ending: str
+    read: Callable[[Path, Conventions], ErrorTable]
+    write: Callable[[ErrorTable, Conventions], str]
+
+
+FORMATS = {
+    "aerotech": Format(".cal", aerotech.read, aerotech.write),
+    "crosscomp": Format(".lis", crosscomp.read, crosscomp.write),
+    "etalon": Format(".txt", etalon.read, etalon.write),
+    "linuxcnc": Format(".comp", linuxcnc.read, linuxcnc.write),
+}
+
+
+def format_of(path: Path, name: str | None) -> Format:
+    """The format of that name, or without one that of the file's ending.
+
+    Raises:
+        SurveyError: the ending is of none.
+    """
+    if name is not None:
+        return FORMATS[name]
+    for one in FORMATS.values():
+        if path.suffix.lower() == one.ending:
+            return one
+    known = ", ".join(f"{one.ending} ({name})" for name, one in FORMATS.items())
+    raise SurveyError(f"{path}: the ending {path.suffix!r} tells no format; allowed: {known}, or name it with --format")

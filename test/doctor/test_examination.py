@@ -1,0 +1,196 @@
+"""Each check of `straightcomp doctor` on made machines: what it calls ok, warn and fail, and what it advises."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import resource
+import sys
+import time
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.doctor import can_bus, examination, memory, scheduling, software
+from straightcomp_ros.doctor.disk import disk
+from straightcomp_ros.doctor.finding import Finding
+
+MIB = 1 << 20
+
+
+def _file(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def _free(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
+    space = namedtuple("space", "f_bavail f_frsize")(size // 4096, 4096)
+    monkeypatch.setattr(os, "statvfs", lambda _: space)
+
+
+def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys: pytest.CaptureFixture[str]) -> None:
+    code = main(["doctor", "--json"])
+    answer = json.loads(capsys.readouterr().out)
+    names = [check["name"] for check in answer["checks"]]
+    assert {name for name, _ in examination.CHECKS} - {"rclpy"} <= set(names)
+    assert answer["ok"] + answer["warn"] + answer["fail"] == len(names)
+    assert code == (1 if answer["fail"] else 0)
+    for check in answer["checks"]:
+        assert (check["remedy"] == "") == (check["state"] == "ok"), check
+        assert check["remedy"] == "" or check["remedy"].endswith("."), check
+
+
+@pytest.mark.parametrize(("states", "code"), [(["ok", "warn"], 0), (["fail", "ok"], 1)])
+def test_only_a_failure_makes_the_exit_code_other_than_zero(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], states: list, code: int
+) -> None:
+    monkeypatch.setattr(
+        "straightcomp_ros.cli.doctor.examine", lambda: iter([Finding("a", state, "seen", "Do it.") for state in states])
+    )
+    assert main(["doctor"]) == code
+    printed = capsys.readouterr().out
+    assert f"{states[0]}  a: seen" in printed
+    assert "Do it." in printed
+
+
+def test_a_check_that_the_system_does_not_permit_is_a_warning_and_the_next_one_runs() -> None:
+    def refused() -> Finding:
+        raise PermissionError(13, "Permission denied")
+
+    found = list(examination.examine((("a", refused), ("b", lambda: Finding("b", "ok", "")))))
+    assert [(one.name, one.state) for one in found] == [("a", "warn"), ("b", "ok")]
+
+
+def test_python_outside_of_the_range_fails() -> None:
+    assert [software.python(version).state for version in ((3, 9), (3, 10), (3, 13), (3, 14))] == [
+        "fail",
+        "ok",
+        "ok",
+        "fail",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("program", "states", "word"),
+    [
+        ('print(\'{"rclpy": "here", "rmw": "rmw_fastrtps_cpp"}\')', ["ok", "ok"], "here"),
+        ('print(\'{"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"}\')', ["ok", "warn"], "here"),
+        ("import no_such_rclpy", ["fail"], "no_such_rclpy"),
+        ("import os; os.abort()", ["fail"], "exit code -6"),
+        ("import time; time.sleep(600)", ["fail"], "timed out"),
+    ],
+)
+def test_a_missing_or_broken_rclpy_fails_with_its_last_words(program: str, states: list[str], word: str) -> None:
+    found = software.ros((sys.executable, "-c", program), timeout=0.5 if "sleep" in program else 600.0)
+    assert [one.state for one in found] == states
+    assert word in found[0].detail
+
+
+def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:
+    assert software.distribution({"ROS_DISTRO": "humble"}).state == "warn"
+    assert software.distribution({}).state == software.distribution({"ROS_DISTRO": "jazzy"}).state == "ok"
+    local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    assert software.discovery(local).state == "ok"
+    assert software.discovery({}).state == "warn"
+    for domain in ("102", "x"):
+        assert software.discovery({**local, "ROS_DOMAIN_ID": domain}).state == "warn"
+
+
+@pytest.mark.parametrize(("size", "state"), [(1024 * MIB, "ok"), (100 * MIB, "warn"), (10 * MIB, "fail")])
+def test_little_shared_memory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, size: int, state: str) -> None:
+    _free(monkeypatch, size)
+    assert memory.shared_memory(tmp_path).state == state
+    assert memory.shared_memory(tmp_path / "missing").state == "fail"
+
+
+def test_a_lock_file_of_fast_dds_that_nobody_holds_is_stale(tmp_path: Path) -> None:
+    old = time.time() - 60.0
+    for name in ("fastrtps_0123456789abcdef_el", "fastrtps_port7411_el", "something_el"):
+        os.utime(_file(tmp_path, name, ""), (old, old))
+    with (tmp_path / "fastrtps_port7411_el").open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        # The time of the last change of the inode cannot be set back; files are therefore young for two seconds.
+        assert memory.find_stale(tmp_path, young=0.0) == ["fastrtps_0123456789abcdef_el"]
+    assert memory.stale_files(tmp_path / "missing").state == "ok"
+
+
+@pytest.mark.parametrize(
+    ("limit", "capabilities", "state"),
+    [(8 * MIB, "0", "warn"), (8 * MIB, "4000", "ok"), (resource.RLIM_INFINITY, "0", "ok"), (1024 * MIB, "0", "ok")],
+)
+def test_memory_may_be_locked_by_limit_or_by_capability(
+    tmp_path: Path, limit: int, capabilities: str, state: str
+) -> None:
+    assert memory.locked_memory(limit, _file(tmp_path, "status", f"CapEff:\t{capabilities}\n")).state == state
+
+
+def test_a_refused_priority_is_a_warning_with_the_way_to_get_it() -> None:
+    def refuse() -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    found = scheduling.priority(refuse)
+    assert found.state == "warn"
+    assert "rtprio" in found.remedy
+    assert scheduling.priority(lambda: None).state == "ok"
+
+
+def test_what_the_kernel_says_of_real_time(tmp_path: Path) -> None:
+    assert scheduling.throttling(_file(tmp_path, "runtime", "-1\n")).state == "warn"
+    assert scheduling.throttling(_file(tmp_path, "runtime", "950000\n")).state == "ok"
+    assert scheduling.kernel(_file(tmp_path, "realtime", "1\n")).state == "ok"
+    assert scheduling.kernel(tmp_path / "missing").state == "warn"
+    assert scheduling.wake_up_latency(tmp_path / "missing").state == "warn"
+    assert scheduling.wake_up_latency(_file(tmp_path, "latency", "")).state == "ok"
+    assert [scheduling.cores(count).state for count in (2, 4)] == ["warn", "ok"]
+
+
+def test_a_slow_governor_and_a_slow_or_wrong_clock(tmp_path: Path) -> None:
+    assert scheduling.governor(tmp_path).state == "ok"
+    _file(tmp_path, "cpu0/cpufreq/scaling_governor", "performance\n")
+    assert scheduling.governor(tmp_path).state == "ok"
+    _file(tmp_path, "cpu1/cpufreq/scaling_governor", "powersave\n")
+    assert scheduling.governor(tmp_path).state == "warn"
+    assert scheduling.clock(_file(tmp_path, "source", "tsc\n"), now=1.8e9).state == "ok"
+    assert scheduling.clock(_file(tmp_path, "source", "hpet\n"), now=1.8e9).state == "warn"
+    assert scheduling.clock(tmp_path / "missing", now=0.0).state == "fail"
+
+
+@pytest.mark.parametrize(("late", "state"), [(50e-6, "ok"), (5e-3, "warn")])
+def test_a_late_timer_is_a_warning(late: float, state: str) -> None:
+    passed = [0.0]
+
+    def sleep(duration: float) -> None:
+        passed[0] += duration + late
+
+    assert scheduling.timer(sleep, lambda: passed[0]).state == state
+
+
+def test_can_interfaces_of_the_kernel(tmp_path: Path) -> None:
+    _file(tmp_path, "eth0/type", "1\n")
+    assert can_bus.kernel_interfaces(tmp_path).state == "warn"
+    _file(tmp_path, "can0/type", "280\n")
+    _file(tmp_path, "can0/operstate", "up\n")
+    assert can_bus.kernel_interfaces(tmp_path).state == "ok"
+    _file(tmp_path, "can0/operstate", "down\n")
+    assert "ip link set can0 up" in can_bus.kernel_interfaces(tmp_path).remedy
+
+
+def test_python_can_without_our_interface_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    import can.interfaces
+
+    assert can_bus.python_can().state == "ok"
+    monkeypatch.setattr(can.interfaces, "BACKENDS", {})
+    assert can_bus.python_can().state == "warn"
+    monkeypatch.setitem(sys.modules, "can.interfaces", None)
+    assert can_bus.python_can().state == "fail"
+
+
+@pytest.mark.parametrize(("size", "state"), [(1 << 36, "ok"), (1 << 32, "warn"), (1 << 20, "fail")])
+def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, size: int, state: str) -> None:
+    _free(monkeypatch, size)
+    assert disk(tmp_path).state == state
