@@ -15,6 +15,8 @@ from straightcomp_ros.parameters import declarations
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
+SERVES = {"recorder_services": "logger", "safety_panel": "driver"}
+"""Modules with services of one node, and that node."""
 NO_PART_OF_THE_GRAPH = ("baseline",)
 """Modules with nodes that only measurements start."""
 NODES = REPOSITORY / "straightcomp_ros" / "nodes"
@@ -64,7 +66,8 @@ def services() -> Iterator[tuple[str, str, str, str]]:
     for path in sorted(NODES.glob("*.py")):
         if path.stem in NO_PART_OF_THE_GRAPH:
             continue
-        node = path.stem.removesuffix("_node") if path.stem.removesuffix("_node") in NODE_PARAMETERS else "NODE"
+        name = SERVES.get(path.stem, path.stem.removesuffix("_node"))
+        node = name if name in NODE_PARAMETERS else "NODE"
         tree = ast.parse(path.read_text(encoding="utf-8"))
         methods = {one.name: ast.get_docstring(one) or "" for one in ast.walk(tree) if isinstance(one, ast.FunctionDef)}
         for names, kind, callback in _offered(tree):

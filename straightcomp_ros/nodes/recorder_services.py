@@ -21,23 +21,32 @@ def serve_recorder(node: Node, recorder: Recorder, start: Callable[[], str], fet
         fetch: hands the recorder what has come until now: a service acts on what comes after it.
     """
 
+    def begin() -> str:
+        """Record to a new bag."""
+        return start()
+
     def stop() -> str:
+        """Finish the bag."""
         recorder.stop()
         return f"{recorder.written} messages are in {recorder.folder}"
 
     def pause() -> str:
+        """Leave out of the bag what comes from now on."""
         recorder.intake.paused = True
         return "paused: what comes now is not recorded"
 
     def resume() -> str:
+        """Record again."""
         recorder.intake.paused = False
         return "recording"
 
     def split() -> str:
+        """Go on in the bag's next file."""
         recorder.split()
         return "the bag goes on in a new file"
 
     def snapshot() -> str:
+        """Write the last seconds that were kept in memory (parameter snapshot) to the bag."""
         return f"{recorder.intake.snapshot()} messages go to the bag"
 
     def served(
@@ -56,6 +65,12 @@ def serve_recorder(node: Node, recorder: Recorder, start: Callable[[], str], fet
 
         return callback
 
-    node.create_service(Trigger, "~/start", served(start, needs_bag=False))
-    for act in (stop, pause, resume, split, snapshot):
-        node.create_service(Trigger, f"~/{act.__name__}", served(act, needs_bag=True))
+    for name, act in (
+        ("start", begin),
+        ("stop", stop),
+        ("pause", pause),
+        ("resume", resume),
+        ("split", split),
+        ("snapshot", snapshot),
+    ):
+        node.create_service(Trigger, f"~/{name}", served(act, needs_bag=act is not begin))
