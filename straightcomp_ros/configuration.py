@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
@@ -17,6 +17,7 @@ from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters
 from straightcomp_ros.parameters import ParameterError, flatten, from_mapping, group, parameter
+from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.map import MapParameters
 
@@ -38,10 +39,21 @@ class RealtimeParameters:
     )
 
 
+def _autostart() -> bool:
+    declared: bool = parameter(
+        True, "Configure and activate at the start; false leaves that to whoever manages lifecycle nodes"
+    )
+    return declared
+
+
 @dataclass(frozen=True)
 class DriverNodeParameters:
     """Parameters of the node `driver`."""
 
+    dynamic: ClassVar[tuple[str, ...]] = ("current_limit",)
+    """Parameters and groups that may be changed while the node is configured."""
+
+    autostart: bool = _autostart()
     hardware: str = parameter("simulated", "Backend", choices=("simulated", "can"))
     current_limit: float = parameter(
         1.0,
@@ -63,6 +75,7 @@ class DriverNodeParameters:
     simulated: SimulatedParameters = group(SimulatedParameters)
     guide: MapParameters = group(MapParameters, file="config/guide_synthetic.csv")
     can: CanParameters = group(CanParameters)
+    watch: WatchParameters = group(WatchParameters)
     realtime: RealtimeParameters = group(RealtimeParameters)
 
     def __post_init__(self) -> None:
@@ -86,6 +99,10 @@ class DriverNodeParameters:
 class FeedforwardNodeParameters:
     """Parameters of the node `feedforward`."""
 
+    dynamic: ClassVar[tuple[str, ...]] = ("map",)
+    """Parameters and groups that may be changed while the node is configured."""
+
+    autostart: bool = _autostart()
     map: MapParameters = group(MapParameters)
     feedforward: FeedforwardParameters = group(FeedforwardParameters)
     interval: float = parameter(
@@ -98,6 +115,10 @@ class FeedforwardNodeParameters:
 class ControllerNodeParameters:
     """Parameters of the node `controller`."""
 
+    dynamic: ClassVar[tuple[str, ...]] = ("control",)
+    """Parameters and groups that may be changed while the node is configured."""
+
+    autostart: bool = _autostart()
     rate: int = parameter(DEFAULT_RATE, "Control cycles per second", unit="Hz", minimum=10, maximum=20_000)
     trigger: str = parameter(
         "timer", "What starts a cycle: the node's own timer, or each sample's arrival", choices=("timer", "sample")
@@ -108,6 +129,9 @@ class ControllerNodeParameters:
         unit="samples",
         minimum=0,
         maximum=100,
+    )
+    sample_timeout: float = parameter(
+        1.0, "Silence of the encoder after which the driver is asked to switch off", unit="s", above=0.0, maximum=60.0
     )
     control: ControlParameters = group(ControlParameters)
     learning: LearningParameters = group(LearningParameters)
@@ -123,6 +147,10 @@ class ControllerNodeParameters:
 class LoggerNodeParameters:
     """Parameters of the node `logger`."""
 
+    dynamic: ClassVar[tuple[str, ...]] = ()
+    """Parameters and groups that may be changed while the node is configured."""
+
+    autostart: bool = _autostart()
     output: str = parameter("", "Folder of the bag; empty makes one named after the time of the start")
     compression: str = parameter("zstd", "Compression of the bag's chunks", choices=("zstd", "lz4", "none"))
     queue_depth: int = parameter(

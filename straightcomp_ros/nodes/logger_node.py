@@ -7,14 +7,13 @@ import re
 import sys
 import threading
 import time
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -29,10 +28,10 @@ from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
 from straightcomp_ros.cdr import header_stamp_ns
 from straightcomp_ros.configuration import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
-from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
-from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
+from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.streams import RawQueue, message_type, stream_qos, unspun_node
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
@@ -44,12 +43,12 @@ _WRITE_INTERVAL_S = 0.02
 _YIELD_EVERY = 8
 
 
-class LoggerNode:
+class LoggerPart:
     """Fetches all messages 50 times a second, and writes on a thread of its own: the disk never holds up receiving."""
 
-    def __init__(self, node: Node) -> None:
-        parameters = declare(node, LoggerNodeParameters)
-        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
+    def __init__(self, node: ManagedNode, parameters: LoggerNodeParameters) -> None:
+        self.node, self.loop = node, None
+        self._chosen = _pattern(parameters.topics)
         folder = Path(parameters.output or datetime.now().strftime("straightcomp_%Y_%m_%d-%H_%M_%S"))
         self._bag = BagWriter(folder, compression=parameters.compression)
         self._encoder = node.resolve_topic_name(ENCODER.topic)
@@ -59,7 +58,6 @@ class LoggerNode:
         self._intake = Intake(parameters.queue_limit, parameters.snapshot)
         self._losses, self._disk = Losses(), DiskGuard(folder, parameters.min_free_bytes)
         self._received = self._written = 0
-        self._chosen = _pattern(parameters.topics)
         self._topics: dict[str, RawQueue] = {}
         self._unspun = unspun_node(node)
         self._failure: Exception | None = None
@@ -78,7 +76,20 @@ class LoggerNode:
         node.create_timer(0.2, self._watch)
         self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")
         self._thread.start()
-        node.get_logger().info(f"recording to {folder}")
+        self._folder = folder
+
+    def activate(self) -> None:
+        """Record what comes from now on."""
+        self._drop()
+        self.node.get_logger().info(f"recording to {self._folder}")
+
+    def deactivate(self) -> None:
+        """Record what has come; the bag stays open."""
+        self._take()
+
+    def prepare(self, _: LoggerNodeParameters) -> Callable[[], None]:
+        """No parameter is dynamic."""
+        return lambda: None
 
     def _record(self, kind: Any, topic: str, qos: QoSProfile) -> None:
         if not self._chosen.fullmatch(topic):
@@ -111,6 +122,17 @@ class LoggerNode:
 
     def _fetch(self) -> None:
         self._note_time()
+        if self.node.active:
+            self._take()
+        else:
+            self._drop()
+
+    def _drop(self) -> None:
+        for messages in self._topics.values():
+            for _ in messages.fetch():
+                pass
+
+    def _take(self) -> None:
         add = self._intake.add
         for topic, messages in self._topics.items():
             for data, info in messages.fetch():
@@ -162,9 +184,8 @@ class LoggerNode:
                 self._losses.add(*message[:2])
 
     def _watch(self) -> None:
-        if self._failure and not self.done.done():
-            self.node.get_logger().error(f"recording stopped: {self._failure}")
-            self.done.set_result(EXIT_FAILURE)
+        if self._failure:
+            self.node.fail(self._failure)
 
     def _counters(self) -> dict[str, object]:
         counters: dict[str, object] = {
@@ -184,7 +205,7 @@ class LoggerNode:
 
     def close(self) -> None:
         """Write what has come, attach the parameters, finish the bag."""
-        self._fetch()
+        self._unspun.destroy_node()
         self._stopping.set()
         self._thread.join()
         with self._bag:  # finishes the bag even where the disk takes nothing more of these
@@ -204,7 +225,7 @@ def _pattern(text: str) -> re.Pattern[str]:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros logger_node`."""
-    return run("logger", LoggerNode)
+    return run_managed("logger", LoggerNodeParameters, LoggerPart)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pytest
 PACKAGE = "straightcomp_ros"
 SOURCE = Path(__file__).resolve().parents[2] / PACKAGE
 INNER = ("model", "control", "straightness")
-MIDDLE = ("hardware", "bags", "analysis", "timing")
+MIDDLE = ("hardware", "safety", "bags", "analysis", "timing")
 OUTER = ("nodes", "cli")
 FORBIDDEN = {
     **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),

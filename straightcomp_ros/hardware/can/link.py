@@ -63,8 +63,9 @@ class Link:
         """Why the bus is closed; empty while it is open."""
 
     def start(self) -> None:
-        """Start the thread: it takes this thread's scheduling."""
-        self._thread.start()
+        """Start the thread, once: it takes this thread's scheduling."""
+        if self._thread.ident is None:
+            self._thread.start()
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
         """Hand a frame to the bus, without waiting; False if it was not taken. One thread may call this."""
