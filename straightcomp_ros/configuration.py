@@ -147,7 +147,7 @@ class ControllerNodeParameters:
 class LoggerNodeParameters:
     """Parameters of the node `logger`."""
 
-    dynamic: ClassVar[tuple[str, ...]] = ()
+    dynamic: ClassVar[tuple[str, ...]] = ("min_free_bytes",)
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()

@@ -15,6 +15,7 @@ _VERBS = (
     "demo",
     "dsp",
     "evaluate",
+    "faults",
     "friction",
     "recover",
     "replay",

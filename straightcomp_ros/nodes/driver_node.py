@@ -25,7 +25,7 @@ from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.safety_panel import SafetyPanel
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
-from straightcomp_ros.safety.machine import SafetyMachine
+from straightcomp_ros.safety.machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import CommandWatch, SampleWatch, StageWatch
 from straightcomp_ros.straightness.map import load_map
 from straightcomp_ros.timing.histogram import Histogram
@@ -195,6 +195,8 @@ class DriverPart:
         offset_ns = self._system_ns() - now_ns()
         if abs(offset_ns - self._clock_offset_ns) < self._clock_step_ns // 2:
             self._clock_offset_ns = offset_ns
+        if self._safety.condition is Condition.ON:
+            self._sample_watch.hold()
         if self._newest is not None and self._node.active:
             finding = self._stage_watch.check(self._newest.stamp_ns, self._newest.x)
             if finding is not None:

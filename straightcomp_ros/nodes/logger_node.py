@@ -87,9 +87,14 @@ class LoggerPart:
         """Record what has come; the bag stays open."""
         self._take()
 
-    def prepare(self, _: LoggerNodeParameters) -> Callable[[], None]:
-        """No parameter is dynamic."""
-        return lambda: None
+    def prepare(self, parameters: LoggerNodeParameters) -> Callable[[], None]:
+        """The free space that must stay may change."""
+        guard = DiskGuard(self._folder, parameters.min_free_bytes)
+
+        def take_over() -> None:
+            self._disk = guard
+
+        return take_over
 
     def _record(self, kind: Any, topic: str, qos: QoSProfile) -> None:
         if not self._chosen.fullmatch(topic):

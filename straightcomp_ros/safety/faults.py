@@ -53,7 +53,7 @@ _ALL = (
     ),
     Fault("sample_not_finite", "x or y is NaN or infinite", "driver", 2.0),
     Fault("x_jump", "x moved faster than `watch.max_speed`", "driver", 2.0),
-    Fault("y_out_of_range", "|y| beyond `watch.y_limit`", "driver", 2.0),
+    Fault("y_out_of_range", "|y| beyond `watch.y_limit`, after it has been within", "driver", 2.0),
     Fault(
         "y_frozen",
         "y has not changed by a count for `watch.frozen_time`, though the mean control current has moved by more than "
@@ -91,7 +91,7 @@ _ALL = (
         "recording_stopped",
         "the disk is full, or the bag cannot be written",
         "logger",
-        300.0,
+        1000.0,
         "the bag is finished, the logger fails; the loop goes on",
         "free space; start the logger again, with another folder",
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 
 from straightcomp_ros.hardware.interface import Sample
@@ -12,7 +13,7 @@ from straightcomp_ros.parameters import parameter
 Finding = tuple[str, str]
 """Name of a fault, and the reason in words."""
 
-_MEAN_TIME = 0.02
+_MEAN_TIME = 0.005
 """s, of the mean control current: a law's switching goes into no movement."""
 _STRIKE, _STRIKES = 4, 16
 
@@ -24,12 +25,18 @@ class WatchParameters:
     max_speed: float = parameter(
         2.0, "Speed of the stage beyond which x has jumped", unit="m/s", above=0.0, maximum=100.0
     )
-    y_limit: float = parameter(1e-3, "Largest |y|", unit="m", above=0.0, maximum=0.1)
+    y_limit: float = parameter(
+        1e-3,
+        "Largest |y|; a platform that is switched on beyond it may first come back",
+        unit="m",
+        above=0.0,
+        maximum=0.1,
+    )
     frozen_time: float = parameter(
-        0.02, "Time without a change of y before it may be called frozen", unit="s", above=0.0, maximum=10.0
+        0.01, "Time without a change of y before it may be called frozen", unit="s", above=0.0, maximum=10.0
     )
     frozen_current: float = parameter(
-        0.2, "Change of the mean control current that must move y by a count", unit="A", above=0.0, maximum=100.0
+        0.08, "Change of the mean control current that must move y by a count", unit="A", above=0.0, maximum=100.0
     )
     follow_distance: float = parameter(
         0.02, "Length of the stage's trajectory over which x must move by a count", unit="m", above=0.0, maximum=10.0
@@ -51,7 +58,6 @@ class SampleWatch:
         self._parameters = parameters
         self._period_ns = period_ns
         self._x_step = parameters.max_speed * period_ns * 1e-9
-        self._y_limit = parameters.y_limit
         self._share = 1.0 - math.exp(-period_ns * 1e-9 / _MEAN_TIME)
         self._frozen_samples = math.ceil(parameters.frozen_time / (period_ns * 1e-9))
         self._frozen_current = parameters.frozen_current
@@ -63,9 +69,15 @@ class SampleWatch:
         self.switched()
 
     def switched(self) -> None:
-        """The amplifier has been switched on: the current was zero until now."""
+        """The amplifier has been switched on: the current was zero until now, and y may be anywhere."""
         self._y, self._unchanged = math.nan, 0
         self._mean = self._mean_at_change = 0.0
+        self._y_limit = sys.float_info.max
+
+    def hold(self) -> None:
+        """The amplifier is on: y must stay within its limit, once it is there. To be called now and then."""
+        if abs(self._y) <= self._parameters.y_limit:
+            self._y_limit = self._parameters.y_limit
 
     def check(self, sample: Sample, current: float) -> Finding | None:
         """What is wrong with a sample, None for nothing; ``current`` is asked of the amplifier, A (0 while off)."""

@@ -49,8 +49,16 @@ def test_lost_samples_are_no_jump():
     )
 
 
-def test_y_beyond_its_limit_is_found():
-    assert fed([(0.0, 0.9e-3), (0.0, -1.1e-3)]) == (1, "y_out_of_range")
+def test_y_that_leaves_its_limit_is_found_and_y_that_comes_back_is_not():
+    found = watch()
+    assert found.check(Sample(0, 0.0, 1.2e-3, 0.0), 0.0) is None
+    found.hold()
+    assert found.check(Sample(T, 0.0, 1.1e-3, 0.0), 0.0) is None
+    assert found.check(Sample(2 * T, 0.0, 0.9e-3, 0.0), 0.0) is None
+    found.hold()
+    assert found.check(Sample(3 * T, 0.0, -1.1e-3, 0.0), 0.0)[0] == "y_out_of_range"
+    found.switched()
+    assert found.check(Sample(4 * T, 0.0, -1.1e-3, 0.0), 0.0) is None
 
 
 def test_y_that_stays_although_the_current_has_moved_is_frozen():
@@ -60,7 +68,7 @@ def test_y_that_stays_although_the_current_has_moved_is_frozen():
 
 
 def test_a_platform_at_rest_is_not_frozen_and_neither_is_a_law_that_switches():
-    assert fed([(0.0, 5 * COUNT)] * 5000, [0.1] * 5000) is None
+    assert fed([(0.0, 5 * COUNT)] * 5000, [0.05] * 5000) is None
     assert fed([(0.0, 5 * COUNT)] * 5000, [0.3 * (-1) ** k for k in range(5000)]) is None
     random.seed(1)
     moving = [(0.0, COUNT * round(10 * math.sin(0.01 * k) + random.random())) for k in range(5000)]
