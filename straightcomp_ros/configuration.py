@@ -185,6 +185,16 @@ class CellNodeParameters:
     nodes: str = parameter("driver feedforward controller logger", "Nodes that must be there, separated by blanks")
     start_timeout: float = parameter(30.0, "Longest wait for the nodes, and for the amplifier", unit="s", above=0.0)
     sample_timeout: float = parameter(2.0, "Silence of the encoder that ends the run", unit="s", above=0.0)
+    heartbeat_timeout: float = parameter(
+        3.0, "Silence of a node that ends the run", unit="s", minimum=0.5, maximum=60.0
+    )
+    strokes: int = parameter(1, "Strokes forward and back", minimum=1, maximum=1000)
+    home: bool = parameter(
+        False, "First bring the platform to the middle of its travel, then onto the map; takes some 2 s"
+    )
+    recoveries: int = parameter(
+        0, "Faults after which the amplifier is switched on again in mid-cycle; one more ends the run", minimum=0
+    )
     progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output as the stage moves")
     motion: MotionParameters = group(MotionParameters)
     realtime: RealtimeParameters = group(RealtimeParameters)

@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("simulated", "can"),
         help="can: the machine is an emulated board in a process of its own, on a CAN bus between processes",
     )
+    parser.add_argument("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -53,6 +54,8 @@ def run(options: argparse.Namespace) -> int:
     if options.lockstep:
         values["driver"]["lockstep"] = True
         values["controller"]["trigger"] = "sample"
+    if options.strokes is not None:
+        values["cell"]["strokes"] = options.strokes
     output = Path(options.output)
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")

@@ -11,7 +11,6 @@ from rclpy.node import Node
 from straightcomp_ros.contract import HEARTBEAT
 
 _TICK_S = 0.05
-_SILENCE_S = 1.0
 
 
 class Heartbeats:
@@ -20,10 +19,12 @@ class Heartbeats:
     Args:
         node: listens.
         names: nodes to watch; they count as silent until the first heartbeat.
+        timeout: silence that counts, s.
     """
 
-    def __init__(self, node: Node, names: Sequence[str]) -> None:
-        self._ages = dict.fromkeys(names, _SILENCE_S)
+    def __init__(self, node: Node, names: Sequence[str], timeout: float = 1.0) -> None:
+        self._timeout = timeout
+        self._ages = dict.fromkeys(names, timeout)
         self.states = dict.fromkeys(names, "")
         """Lifecycle state of each node, as it said last."""
         self._ticked = time.monotonic()
@@ -31,8 +32,12 @@ class Heartbeats:
         node.create_timer(_TICK_S, self._tick)
 
     def silent(self) -> list[str]:
-        """Nodes without a heartbeat for 1 s."""
-        return [name for name, age in self._ages.items() if age >= _SILENCE_S]
+        """Nodes without a heartbeat for that long."""
+        return [name for name, age in self._ages.items() if age >= self._timeout]
+
+    def lost(self) -> list[str]:
+        """Those of them that had one before."""
+        return [name for name in self.silent() if self.states[name]]
 
     def in_state(self, state: str) -> bool:
         """Whether all nodes are alive and in this lifecycle state."""

@@ -30,6 +30,7 @@ EXIT_CONFIGURATION = 2
 # Longer values overflow in the executor and end the wait at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
+_CALLBACKS_AT_ONCE = 4
 
 
 class Runnable(Protocol):
@@ -181,4 +182,10 @@ def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
     gc.collect()
     gc.freeze()
     gc.disable()
-    return lambda: executor.spin_once(timeout_sec=0)
+    return lambda: _turn(executor)
+
+
+def _turn(executor: Executor) -> None:
+    # Each call runs one callback at most: with fewer calls than the timers have, services would wait ever longer.
+    for _ in range(_CALLBACKS_AT_ONCE):
+        executor.spin_once(timeout_sec=0)

@@ -79,7 +79,8 @@ _ALL = (
     ),
     Fault(
         "heartbeat_lost",
-        "CAN: no heartbeat of the board for `can.heartbeat_timeout`; a node: none for 1 s",
+        "CAN: no heartbeat of the board for `can.heartbeat_timeout`; a node: none for 1 s (in the "
+        "cell: `heartbeat_timeout`)",
         "driver (board), cell (nodes)",
         1200.0,
         "board: amplifier off, fault latched; node: the cell ends its cycle with the amplifier off",
