@@ -20,7 +20,7 @@ from straightcomp_ros.safety.faults import ALLOWANCE_MS, FAULTS
 
 COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
 """s, in the trials."""
-_PATIENCE_S = 6.0
+_PATIENCE_S = 8.0
 _AGAIN = 3
 """Injections in the place of one in whose time the machine stood still, so that another fault came first."""
 _OTHERS = {"command_timeout": COMMAND_TIMEOUT * 1e3 - 5.0, "sample_timeout": SAMPLE_TIMEOUT * 1e3 - 1000.0}

@@ -36,9 +36,10 @@ class FaultyDriver(DriverPart):
 
     def _on_inject(self, message: DiagnosticStatus) -> None:
         kind = message.name
-        self._late_ns = 0
+        # The middleware's clock is not stepped with it: the times of reception must fit again afterwards.
+        self._late_ns = self._step_ns = 0
         if kind == CLOCK_STEP:
-            self._step_ns += _STEP_NS
+            self._step_ns = _STEP_NS
             self._tell(kind, now_ns())
         elif kind == LATE_COMMANDS:
             self._late_ns = 2 * self._command_timeout_ns

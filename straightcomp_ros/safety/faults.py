@@ -92,7 +92,7 @@ _ALL = (
         "recording_stopped",
         "the disk is full, or the bag cannot be written",
         "logger",
-        1000.0,
+        2000.0,
         "the bag is finished, the logger fails; the loop goes on",
         "free space; start the logger again, with another folder",
     ),
