@@ -87,7 +87,10 @@ class DriverPart:
             self._unspun = unspun_node(node)
             self._inbox = Inbox(node, self._unspun, COMMAND)
             self.loop = PeriodicLoop(period_ns, self._cycle)
-        Diagnostics(node, self._counters)
+        machine = parameters.hardware
+        if machine == "can":
+            machine = f"can {parameters.can.interface} {parameters.can.channel} node {parameters.can.node}"
+        Diagnostics(node, self._counters, machine)
 
     def activate(self) -> None:
         """Begin to sample, amplifier off."""
