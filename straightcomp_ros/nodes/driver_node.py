@@ -103,6 +103,7 @@ class DriverPart:
     def deactivate(self) -> None:
         """Amplifier off; no samples any more. A fault stays latched."""
         self._safety.disable()
+        self._panel.report()
         self._publish_truth.flush()
         self._publish_state.flush()
 

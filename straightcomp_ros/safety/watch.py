@@ -138,7 +138,7 @@ class StageWatch:
         before, now = (self._trajectory.position(time - self._start_ns) for time in (self._stamp_ns, stamp_ns))
         if not self._moved or abs(now - before) <= self._distance:
             return None
-        self._trajectory = None
+        self._moved = False
         return (
             "x_frozen",
             f"x stays at {x * 1e3:.4f} mm; the stage was to move by {(now - before) * 1e3:+.1f} mm meanwhile",

@@ -1,6 +1,5 @@
 """The nodes as managed nodes: their transitions over the standard services, and what each state does and does not."""
 
-import math
 import time
 
 import pytest
@@ -19,9 +18,9 @@ from straightcomp_ros.nodes.streams import subscribe
 
 PATIENCE_S = 60.0
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
-SLOW = {
-    "driver": {"simulated.rate": 200, "simulated.command_timeout": 1.0, "simulated.sample_memory": 2000},
-    "controller": {"rate": 200, "reference_lead": 1, "sample_timeout": 30.0},
+FORGIVING = {
+    "driver": {"simulated.command_timeout": 1.0, "simulated.sample_memory": 2000},
+    "controller": {"sample_timeout": 30.0},
 }
 
 
@@ -31,9 +30,7 @@ class Manager:
     def __init__(self):
         rclpy.init()
         self.node = Node("manager")
-        self.samples, self.states, self.safety = [], [], None
-        subscribe(self.node, ENCODER, lambda _, numbers: self.samples.append(numbers))
-        subscribe(self.node, CONTROLLER_STATE, lambda _, numbers: self.states.append(numbers))
+        self.safety = None
         self.node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety, LATCHED)
         self.trip = self.node.create_publisher(DiagnosticStatus, TRIP, 10)
         self._clients = {}
@@ -76,16 +73,24 @@ class Manager:
         return self.call(Trigger, name, Trigger.Request())
 
     def amplifier_on(self):
-        return bool(self.samples) and not math.isnan(self.samples[-1][3])
+        rclpy.spin_once(self.node, timeout_sec=0.0)
+        return self.safety == ("", "on")
 
     def switching(self):
-        self.states.clear()
-        self.until(lambda: len(self.states) > 20)
-        return any(numbers[_SWITCHING] for numbers in self.states)
+        """Whether the law switches, by some of its answers: nobody here hears all 2000 a second for long."""
+        found = self.heard(CONTROLLER_STATE)
+        return any(numbers[_SWITCHING] for numbers in found)
 
-    def flowing(self):
-        before = len(self.samples)
-        self.until(lambda: len(self.samples) > before + 5)
+    def heard(self, stream, count=20):
+        found = []
+        node = Node("listener")
+        subscribe(node, stream, lambda _, numbers: found.append(numbers))
+        end = time.monotonic() + PATIENCE_S
+        while len(found) < count:
+            assert time.monotonic() < end, f"nothing comes on {stream.topic}"
+            rclpy.spin_once(node, timeout_sec=0.05)
+        node.destroy_node()
+        return found
 
 
 @pytest.fixture
@@ -98,19 +103,19 @@ def manager():
 
 @pytest.fixture
 def loop(graph, manager):
-    """Driver, feedforward and controller at 200 Hz, amplifier on."""
+    """Driver, feedforward and controller, amplifier on."""
     for node in ("driver", "feedforward", "controller"):
-        graph.start(node, SLOW.get(node, {}))
+        graph.start(node, FORGIVING.get(node, {}))
     manager.until(lambda: manager.enable().success)
     manager.until(manager.amplifier_on)
     return manager
 
 
 def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_refused(graph, manager):
-    process = graph.start("driver", {**SLOW["driver"], "autostart": False})
+    process = graph.start("driver", {"simulated.rate": 200, "autostart": False})
     assert manager.state("driver") == "unconfigured"
     assert not manager.change("driver", "activate")
-    assert manager.state("driver") == "unconfigured" and not manager.samples
+    assert manager.state("driver") == "unconfigured"
     # What cannot be configured stays as it is; the next attempt takes what was mended.
     assert manager.set("driver", guide__file="nowhere.csv").successful
     assert not manager.change("driver", "configure")
@@ -119,9 +124,8 @@ def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_ref
     for _ in range(2):
         assert manager.change("driver", "configure") and manager.state("driver") == "inactive"
         assert not manager.enable().success
-        count = len(manager.samples)
         assert manager.change("driver", "activate") and manager.state("driver") == "active"
-        manager.until(lambda count=count: len(manager.samples) > count + 10)
+        manager.heard(ENCODER)
         assert manager.change("driver", "deactivate") and manager.state("driver") == "inactive"
         assert manager.change("driver", "cleanup") and manager.state("driver") == "unconfigured"
     assert manager.change("driver", "shutdown") and manager.state("driver") == "finalized"
@@ -133,7 +137,7 @@ def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loo
     loop.trip.publish(DiagnosticStatus(name="whatever", message="somebody is in there"))
     loop.until(lambda: loop.safety == ("tripped", "fault"))
     assert loop.change("driver", "deactivate") and loop.change("driver", "activate")
-    loop.flowing()
+    loop.heard(ENCODER)
     refusal = loop.enable()
     assert not refusal.success and "somebody is in there" in refusal.message
     assert loop.trigger("driver/reset_fault").success
@@ -155,7 +159,7 @@ def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
     assert not refused.successful and "nowhere.csv" in refused.reason
     assert loop.trigger("feedforward/reload_map").success
     assert loop.set("driver", current_limit=0.95).successful
-    loop.flowing()
+    loop.heard(ENCODER)
     assert loop.amplifier_on()
 
 
