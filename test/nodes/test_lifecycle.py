@@ -18,6 +18,7 @@ from straightcomp_ros.nodes.streams import subscribe
 
 PATIENCE_S = 60.0
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
+_SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
 FORGIVING = {
     "driver": {"simulated.command_timeout": 1.0, "simulated.sample_memory": 2000},
     "controller": {"sample_timeout": 30.0},
@@ -102,10 +103,11 @@ def manager():
 
 
 @pytest.fixture
-def loop(graph, manager):
+def loop(graph, manager, forgiving):
     """Driver, feedforward and controller, amplifier on."""
+    parameters = {"driver": forgiving, "controller": {"sample_timeout": 30.0}}
     for node in ("driver", "feedforward", "controller"):
-        graph.start(node, FORGIVING.get(node, {}))
+        graph.start(node, parameters.get(node, {}))
     manager.until(lambda: manager.enable().success)
     manager.until(manager.amplifier_on)
     return manager
