@@ -92,8 +92,8 @@ _ALL = (
         "recording_stopped",
         "the disk is full, or the bag cannot be written",
         "logger",
-        2000.0,
-        "the bag is finished, the logger fails; the loop goes on",
+        5000.0,
+        "the bag is finished, the logger fails (the time is until its process has ended); the loop goes on",
         "free space; start the logger again, with another folder",
     ),
 )
