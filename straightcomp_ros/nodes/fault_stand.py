@@ -37,6 +37,7 @@ _START_S = 90.0
 _ANSWER_S = 3.0
 _SETTLE_S = 0.15
 _REFUSALS = 6
+_AT_THE_STOP = ("y_out_of_range", "y_frozen")
 _HEARTBEAT_PAUSE_S = 1.1
 _STROKE, _SPEED, _ACCELERATION = 0.1, 0.1, 0.4
 _STROKES = 600
@@ -196,7 +197,7 @@ class Stand:
                 self._sends -= 1
                 self._trajectory.publish(_MOTION)
             refusals += 1
-            if refusals % _REFUSALS == 0:
+            if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.name in _AT_THE_STOP:
                 # The platform may have been driven to its stop, where no law gets it off: take a new machine.
                 self.signal("driver", signal.SIGKILL)
                 self.until(lambda: self.exit_code("driver") is not None, _ANSWER_S)
