@@ -14,6 +14,10 @@ ARGUMENTS = {
     "namespace": ("", "Namespace of all five nodes"),
     "params_file": (PathJoinSubstitution([SHARE, "config", "straightcomp.yaml"]), "YAML file of parameters"),
     "law": ("", "Control law; empty: as the parameters say"),
+    "map": ("", "Survey file; empty: as the parameters say"),
+    "hardware": ("", "Machine, 'simulated' or 'can'; empty: as the parameters say"),
+    "record": ("true", "false: no bag"),
+    "rt_priority": ("", "SCHED_FIFO priority of all nodes, 0 for none; empty: as the parameters say"),
     "output": ("", "Folder of the bag; empty: as the parameters say"),
 }
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"

@@ -8,12 +8,21 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 PARAMETERS = [FindPackageShare("straightcomp_ros"), "config", "straightcomp.yaml"]
+OVERRIDES = {
+    "law": ("control.law", str, "Control law; empty: as the parameters say"),
+    "rt_priority": ("realtime.priority", int, "SCHED_FIFO priority, 0 for none; empty: as the parameters say"),
+}
+"""Launch arguments that win over the file: the parameter of each, its type, and what it is."""
 
 
 def _node(context: LaunchContext) -> list[Node]:
-    # Known only now: without the argument, the file (or the node's own default) has its say.
-    law = LaunchConfiguration("law").perform(context)
-    chosen = [{"control.law": ParameterValue(law, value_type=str)}] if law else []
+    # Known only now: without an argument, the file (or the node's own default) has its say.
+    given = {name: LaunchConfiguration(name).perform(context) for name in OVERRIDES}
+    chosen = [
+        {OVERRIDES[name][0]: ParameterValue(value, value_type=OVERRIDES[name][1])}
+        for name, value in given.items()
+        if value
+    ]
     return [
         Node(
             package="straightcomp_ros",
@@ -34,7 +43,10 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "params_file", default_value=PathJoinSubstitution(PARAMETERS), description="YAML file of parameters"
             ),
-            DeclareLaunchArgument("law", default_value="", description="Control law; empty: as the parameters say"),
+            *(
+                DeclareLaunchArgument(name, default_value="", description=description)
+                for name, (_, _, description) in OVERRIDES.items()
+            ),
             OpaqueFunction(function=_node),
         ]
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
@@ -18,6 +18,7 @@ from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters
 from straightcomp_ros.opcua.parameters import OpcuaParameters
 from straightcomp_ros.parameters import ParameterError, flatten, from_mapping, group, parameter
+from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.map import MapParameters
 
@@ -39,10 +40,21 @@ class RealtimeParameters:
     )
 
 
+def _autostart() -> bool:
+    declared: bool = parameter(
+        True, "Configure and activate at the start; false leaves that to whoever manages lifecycle nodes"
+    )
+    return declared
+
+
 @dataclass(frozen=True)
 class DriverNodeParameters:
     """Parameters of the node `driver`."""
 
+    dynamic: ClassVar[tuple[str, ...]] = ("current_limit",)
+    """Parameters and groups that may be changed while the node is configured."""
+
+    autostart: bool = _autostart()
     hardware: str = parameter("simulated", "Backend", choices=("simulated", "can"))
     current_limit: float = parameter(
         1.0,
@@ -64,6 +76,7 @@ class DriverNodeParameters:
     simulated: SimulatedParameters = group(SimulatedParameters)
     guide: MapParameters = group(MapParameters, file="config/guide_synthetic.csv")
     can: CanParameters = group(CanParameters)
+    watch: WatchParameters = group(WatchParameters)
     realtime: RealtimeParameters = group(RealtimeParameters)
 
     def __post_init__(self) -> None:
@@ -87,6 +100,10 @@ class DriverNodeParameters:
 class FeedforwardNodeParameters:
     """Parameters of the node `feedforward`."""
 
+    dynamic: ClassVar[tuple[str, ...]] = ("map",)
+    """Parameters and groups that may be changed while the node is configured."""
+
+    autostart: bool = _autostart()
     map: MapParameters = group(MapParameters)
     feedforward: FeedforwardParameters = group(FeedforwardParameters)
     interval: float = parameter(
@@ -99,6 +116,10 @@ class FeedforwardNodeParameters:
 class ControllerNodeParameters:
     """Parameters of the node `controller`."""
 
+    dynamic: ClassVar[tuple[str, ...]] = ("control",)
+    """Parameters and groups that may be changed while the node is configured."""
+
+    autostart: bool = _autostart()
     rate: int = parameter(DEFAULT_RATE, "Control cycles per second", unit="Hz", minimum=10, maximum=20_000)
     trigger: str = parameter(
         "timer", "What starts a cycle: the node's own timer, or each sample's arrival", choices=("timer", "sample")
@@ -109,6 +130,9 @@ class ControllerNodeParameters:
         unit="samples",
         minimum=0,
         maximum=100,
+    )
+    sample_timeout: float = parameter(
+        1.0, "Silence of the encoder after which the driver is asked to switch off", unit="s", above=0.0, maximum=60.0
     )
     control: ControlParameters = group(ControlParameters)
     learning: LearningParameters = group(LearningParameters)
@@ -124,6 +148,10 @@ class ControllerNodeParameters:
 class LoggerNodeParameters:
     """Parameters of the node `logger`."""
 
+    dynamic: ClassVar[tuple[str, ...]] = ("min_free_bytes",)
+    """Parameters and groups that may be changed while the node is configured."""
+
+    autostart: bool = _autostart()
     output: str = parameter("", "Folder of the bag; empty makes one named after the time of the start")
     compression: str = parameter("zstd", "Compression of the bag's chunks", choices=("zstd", "lz4", "none"))
     queue_depth: int = parameter(
@@ -173,6 +201,16 @@ class CellNodeParameters:
     nodes: str = parameter("driver feedforward controller logger", "Nodes that must be there, separated by blanks")
     start_timeout: float = parameter(30.0, "Longest wait for the nodes, and for the amplifier", unit="s", above=0.0)
     sample_timeout: float = parameter(2.0, "Silence of the encoder that ends the run", unit="s", above=0.0)
+    heartbeat_timeout: float = parameter(
+        3.0, "Silence of a node that ends the run", unit="s", minimum=0.5, maximum=60.0
+    )
+    strokes: int = parameter(1, "Strokes forward and back", minimum=1, maximum=1000)
+    home: bool = parameter(
+        False, "First bring the platform to the middle of its travel, then onto the map; takes some 2 s"
+    )
+    recoveries: int = parameter(
+        0, "Faults after which the amplifier is switched on again in mid-cycle; one more ends the run", minimum=0
+    )
     progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output as the stage moves")
     motion: MotionParameters = group(MotionParameters)
     realtime: RealtimeParameters = group(RealtimeParameters)

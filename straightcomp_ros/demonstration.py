@@ -17,7 +17,7 @@ from straightcomp_ros.cycle import RECORDED, as_parameter_file, run_cycle
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.launcher import LaunchError, verb_command
-from straightcomp_ros.model.stage import forward_and_back
+from straightcomp_ros.model.stage import cycles
 from straightcomp_ros.opcua.demonstrated import driven_by_opcua
 from straightcomp_ros.straightness.map import StraightnessMap, load_map
 from straightcomp_ros.timing.report import NodeTiming, amplifier_on, summarise
@@ -74,12 +74,12 @@ def demonstrate(
         SurveyError: the map is refused.
     """
     bag, parameter_file = output / "bag", output / "parameters.yaml"
-    duration = forward_and_back(node_parameters("cell", values["cell"]).motion)[-1].time_ns * 1e-9
+    cell = node_parameters("cell", values["cell"])
+    duration = cycles(cell.motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
     straightness = load_map(node_parameters("feedforward", values["feedforward"]).map)
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
     logs = output / "logs"
-    duration *= max(opcua_strokes, 1)
     try:
         with driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
             parameter_file.write_text(as_parameter_file(values))

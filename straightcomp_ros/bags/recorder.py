@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -124,6 +124,16 @@ class Recorder:
         self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")
         self._thread.start()
         return folder
+
+    def other_min_free(self, min_free: int) -> Callable[[], None]:
+        """Make ready to keep so many bytes of the disk free; what is returned takes it over, for this bag too."""
+        options = replace(self._options, min_free=min_free)
+        disk = DiskGuard(self.folder, min_free)
+
+        def take_over() -> None:
+            self._options, self._disk = options, disk
+
+        return take_over
 
     def split(self) -> None:
         """Go on in a new file of the bag, soon."""

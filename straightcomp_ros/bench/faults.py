@@ -1,60 +1,66 @@
-"""How many injected faults of a bus are found, and what the machine does about them."""
+"""What a trial of faults found: how often, how fast, and whether that is fast enough."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-from straightcomp_ros.hardware.can.fault_trial import run_trial
-from straightcomp_ros.hardware.can.faults import KINDS
-from straightcomp_ros.hardware.can.servo_trial import run_servo_trial
-from straightcomp_ros.straightness.map import StraightnessMap
 
-_RATE = 0.02
-_TOGETHER, _CUT = 0.002, 0.0002
-"""Rates of each kind when all come together, in a closed loop that is to be on for most of the time."""
-COUNTED = tuple(kind for kind in KINDS if kind != "cut")
-"""Kinds that hurt one frame. A cut hurts the link, and is tried on a real one."""
-_BUSES = {"classic": False, "fd": True}
+@dataclass
+class Row:
+    """One fault.
 
-
-def fault_run(
-    guide: StraightnessMap, frames: int, seed: int, progress: Callable[[float], object]
-) -> tuple[dict[str, dict[str, int]], dict[str, dict[str, Any]], int]:
-    """Try each kind of fault alone on the receiver, and all together on the closed loop, on both kinds of bus.
-
-    Args:
-        guide: of the simulated machine.
-        frames: for each kind and bus, and for each closed loop.
-        seed: of the faults.
-        progress: called with the share that is done.
-
-    Returns:
-        By kind ``injected`` and ``detected``, both buses together; by bus what the closed loop did; wrong samples
-        that were used unflagged, in all of it.
+    Attributes:
+        name: of the fault and how it was made.
+        limit_ms: within which it must be latched.
+        reaction, reset: in words.
+        injected: times that it was made.
+        times_ms: of each detection.
+        failures: what was not as it must be, each time that something was not.
     """
-    counts = {kind: {"injected": 0, "detected": 0} for kind in COUNTED}
-    loops: dict[str, dict[str, Any]] = {}
-    wrong, done, steps = 0, 0, (len(COUNTED) + 1) * len(_BUSES)
-    for bus, fd in _BUSES.items():
-        for kind in COUNTED:
-            trial = run_trial({kind: _RATE}, fd=fd, frames=frames, seed=seed)
-            counts[kind]["injected"] += trial.injected[kind]
-            counts[kind]["detected"] += trial.detected(kind)
-            wrong += trial.unflagged_wrong
-            done += 1
-            progress(done / steps)
-        rates = {kind: _CUT if kind == "cut" else _TOGETHER for kind in KINDS}
-        loop = run_servo_trial(rates, guide, fd=fd, frames=frames, seed=seed)
-        wrong += loop.unflagged_wrong
-        loops[bus] = {
-            "frames": loop.frames,
-            "injected": sum(loop.injected.values()),
-            "state": loop.state.value,
-            "on": loop.on,
-            "latched": dict(loop.latched),
-            "unsafe": loop.unsafe,
+
+    name: str
+    limit_ms: float
+    reaction: str
+    reset: str
+    injected: int = 0
+    times_ms: list[float] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def green(self) -> bool:
+        """Detected each time, in time, with all that follows as it must."""
+        return (
+            self.injected > 0
+            and len(self.times_ms) == self.injected
+            and max(self.times_ms) <= self.limit_ms
+            and not self.failures
+        )
+
+    def to_display(self) -> dict[str, Any]:
+        """Values by name, as `straightcomp faults --json` prints them."""
+        times = self.times_ms or [math.nan]
+        return {
+            "name": self.name,
+            "injected": self.injected,
+            "detected": len(self.times_ms),
+            "median_ms": statistics.median(times),
+            "max_ms": max(times),
+            "limit_ms": self.limit_ms,
+            "green": self.green,
+            "reaction": self.reaction,
+            "reset": self.reset,
+            "failures": self.failures,
         }
-        done += 1
-        progress(done / steps)
-    return counts, loops, wrong
+
+
+def summary(rows: Sequence[Row], seconds: float) -> dict[str, Any]:
+    """All rows, whether all are green, and how long it took in s."""
+    return {
+        "faults": [row.to_display() for row in rows],
+        "all_green": bool(rows) and all(row.green for row in rows),
+        "seconds": seconds,
+    }

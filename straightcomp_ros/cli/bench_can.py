@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from straightcomp_ros.bench.bus_faults import fault_run
 from straightcomp_ros.bench.codec import codec_costs, per_frame
-from straightcomp_ros.bench.faults import fault_run
 from straightcomp_ros.bench.round_trip import RoundTripFailed, measure_round_trip
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters

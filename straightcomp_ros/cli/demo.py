@@ -45,9 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="a client of the OPC UA gateway runs the cycle, in place of the cell's node",
     )
-    parser.add_argument(
-        "--strokes", type=int, default=1, help="strokes forward and back, with --opcua (default: %(default)s)"
-    )
+    parser.add_argument("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -58,8 +56,6 @@ def run(options: argparse.Namespace) -> int:
             "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
             exit_code=2,
         )
-    if options.strokes < 1 or (options.strokes > 1 and not options.opcua):
-        raise CommandFailed(f"--strokes {options.strokes}: allowed: 1, or any number from 1 with --opcua", exit_code=2)
     if options.opcua and options.lockstep:
         raise CommandFailed("--opcua runs in real time; allowed without --lockstep", exit_code=2)
     if options.opcua and importlib.util.find_spec("asyncua") is None:
@@ -68,6 +64,8 @@ def run(options: argparse.Namespace) -> int:
     if options.lockstep:
         values["driver"]["lockstep"] = True
         values["controller"]["trigger"] = "sample"
+    if options.strokes is not None:
+        values["cell"]["strokes"] = options.strokes
     output = Path(options.output)
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
@@ -83,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
                 values,
                 output,
                 lambda fraction: bar.update(task, completed=fraction),
-                opcua_strokes=options.strokes if options.opcua else 0,
+                opcua_strokes=values["cell"].get("strokes", 1) if options.opcua else 0,
             )
     except (ParameterError, SurveyError) as error:
         raise CommandFailed(str(error), exit_code=2) from error

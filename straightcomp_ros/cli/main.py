@@ -22,6 +22,7 @@ _VERBS = (
     "doctor",
     "dsp",
     "evaluate",
+    "faults",
     "friction",
     "map",
     "opcua",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from straightcomp_ros.control.crossfade import Crossfade, Stepped
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.learning import Learning
 
@@ -25,12 +26,24 @@ class Servo:
     """
 
     def __init__(self, law: Law, restart_gap_ns: int = 20_000_000, learning: Learning | None = None) -> None:
-        self._law = law
+        self._law: Stepped = law
         self._learning = learning
         self._restart_gap_ns = restart_gap_ns
         self._stamp_ns: int | None = None
         self._answer = AMPLIFIER_OFF
         self._running = False
+
+    def change(self, law: Law, samples: int) -> None:
+        """Go over to another law within so many samples, without a bump; at once where none is acting."""
+        if self._running:
+            self._law = Crossfade(self._law, law, samples, self._end_fade)
+        else:
+            self._law = law
+
+    def _end_fade(self, fade: Crossfade) -> None:
+        # Another change may have come meanwhile: this fade is the other one's old law then, and stays it.
+        if self._law is fade:
+            self._law = fade.new
 
     def step(
         self, stamp_ns: int, y: float, coil_current: float, reference: Sequence[float], x: float = math.nan

@@ -55,7 +55,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def start(self, now_ns: int) -> None:
-        """Begin sampling; the first sample is taken at ``now_ns``."""
+        """Begin sampling; the first sample is taken at ``now_ns``. Again after a pause in which nobody read."""
 
     @abstractmethod
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:
@@ -108,6 +108,11 @@ class Hardware(ABC):
     @abstractmethod
     def fault(self) -> str:
         """Why the state is FAULT; empty otherwise."""
+
+    @property
+    @abstractmethod
+    def fault_name(self) -> str:
+        """The name of that fault among those of :mod:`straightcomp_ros.safety.faults`; empty without one."""
 
     @property
     @abstractmethod

@@ -185,6 +185,10 @@ class SimulatedHardware(Hardware):
         return self._fault
 
     @property
+    def fault_name(self) -> str:
+        return "command_timeout" if self._fault else ""
+
+    @property
     def lost_samples(self) -> int:
         return self._lost
 

@@ -68,6 +68,13 @@ def forward_and_back(motion: MotionParameters) -> list[Waypoint]:
     return points
 
 
+def cycles(motion: MotionParameters, count: int) -> list[Waypoint]:
+    """Waypoints of so many cycles, one after the other."""
+    once = forward_and_back(motion)
+    end_ns = once[-1].time_ns
+    return [point._replace(time_ns=point.time_ns + cycle * end_ns) for cycle in range(count) for point in once]
+
+
 class Trajectory:
     """Position over time through waypoints; at rest before the first and after the last.
 

@@ -1,31 +1,54 @@
-"""cell: a reference client of the graph: waits for the nodes, switches on, runs the stage forward and back."""
+"""cell: a reference client of the graph, as a cell controller would be one.
+
+It brings the nodes up, switches the amplifier on, homes, runs the strokes, watches, reacts to faults, and reports.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
 from rclpy.task import Future
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.configuration import CellNodeParameters
-from straightcomp_ros.contract import ALWAYS_PUBLISHED, DIAGNOSTICS, DRIVER_STATE, STAGE_TRAJECTORY, UNCONNECTED
-from straightcomp_ros.model.stage import forward_and_back
+from straightcomp_ros.contract import (
+    ALWAYS_PUBLISHED,
+    DIAGNOSTICS,
+    DRIVER_STATE,
+    SAFETY_STATE,
+    STAGE_TRAJECTORY,
+    UNCONNECTED,
+)
+from straightcomp_ros.model.stage import cycles
 from straightcomp_ros.nodes.declare import declare
+from straightcomp_ros.nodes.heartbeats import Heartbeats
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
+from straightcomp_ros.nodes.safety_panel import LATCHED
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 from straightcomp_ros.nodes.streams import subscribe
+from straightcomp_ros.timing.report import LOST
 
 _TICK_S = 0.05
 _ENABLED = DRIVER_STATE.layout.columns.index("enabled")
 _SETTLE_S = 1.5
 """A node that has just come up allocates and connects for about a second more, and loses messages meanwhile."""
 _REASON_S = 1.5
-"""Time that the driver's diagnostics get to tell why the amplifier is off."""
+"""Time that the driver gets to tell why the amplifier is off."""
+_HOME_S = 1.0
+"""Time that the reference takes to the middle, or back to the map, and the platform to follow."""
+_FIRST_HEARTBEAT_S = 2.0
+_STATE_KNOWN_S = 0.3
+"""Three heartbeats: each says its node's state."""
+_BRING_UP = {Transition.TRANSITION_CONFIGURE: "unconfigured", Transition.TRANSITION_ACTIVATE: "inactive"}
+"""Transitions in their order, each with the state that it leaves."""
 
 
 class CycleFailed(Exception):
@@ -38,17 +61,24 @@ class CellNode:
     def __init__(self, node: Node) -> None:
         self._parameters = declare(node, CellNodeParameters)
         self.node, self.done, self.realtime, self.loop = node, Future(), self._parameters.realtime, None
-        self._waypoints = forward_and_back(self._parameters.motion)
+        self._waypoints = cycles(self._parameters.motion, self._parameters.strokes)
         self._first_stamp_ns = self._stamp_ns = 0
         self._amplifier_on = False
         self._last_sample = 0.0
         self._reports: dict[str, dict[str, str]] = {}
-        self._errors: dict[str, str] = {}
+        self._fault = ""
+        self._faults = 0
+        names = self._parameters.nodes.split()
+        self._heartbeats = Heartbeats(node, names, self._parameters.heartbeat_timeout)
+        self._change_state = {name: node.create_client(ChangeState, f"{name}/change_state") for name in names}
         self._enable = node.create_client(SetBool, "driver/enable")
+        self._reset = node.create_client(Trigger, "driver/reset_fault")
+        self._center = node.create_client(SetBool, "feedforward/center")
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         # The driver's record of each sample comes in bursts: it wakes this process an eighth as often as the encoder.
         subscribe(node, DRIVER_STATE, self._on_driver_state)
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
+        node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._steps = self._cycle()
         node.create_timer(_TICK_S, self._tick)
 
@@ -57,6 +87,7 @@ class CellNode:
         yield from self._until(
             lambda: not self._missing_nodes(), lambda: f"missing: {', '.join(self._missing_nodes())}"
         )
+        yield from self._bring_up()
         yield from self._until(
             lambda: self._trajectory.get_subscription_count() > 0, lambda: "nobody takes the stage's trajectory"
         )
@@ -66,12 +97,37 @@ class CellNode:
         )
         yield from self._for(_SETTLE_S)
         yield from self._switch_on()
+        # In lockstep there is no time before the motion.
+        if self._parameters.home and self._stamp_ns:
+            yield from self._home()
         first_ns = self._stamp_ns
         self._trajectory.publish(message_from_waypoints(self._waypoints))
         log.info(f"stage moves: {self._waypoints[-1].time_ns * 1e-9:.1f} s")
         yield from self._follow_motion(first_ns)
         yield from self._switch(False)
-        log.info("cycle complete")
+        lost = self._reports.get("driver", {}).get(LOST, "?")
+        log.info(f"cycle complete: {self._parameters.strokes} strokes, {self._faults} faults, {lost} samples lost")
+
+    def _bring_up(self) -> Iterator[None]:
+        """Configure and activate the nodes that have not done so by themselves."""
+        # A node that is no lifecycle node (a player) has no heartbeat.
+        deadline = time.monotonic() + _FIRST_HEARTBEAT_S
+        while self._heartbeats.silent() and time.monotonic() < deadline:
+            yield
+        for transition, state in _BRING_UP.items():
+            for name, client in self._change_state.items():
+                if self._heartbeats.states[name] == state:
+                    answer = yield from self._ask(client, ChangeState.Request(transition=Transition(id=transition)))
+                    if not answer.success:
+                        raise CycleFailed(f"{name} did not leave the state '{state}'; its log says why")
+            yield from self._for(_STATE_KNOWN_S)
+
+    def _home(self) -> Iterator[None]:
+        for middle in (True, False):
+            answer = yield from self._ask(self._center, SetBool.Request(data=middle))
+            if not answer.success:
+                raise CycleFailed(f"homing: {answer.message}")
+            yield from self._for(_HOME_S)
 
     def _switch_on(self) -> Iterator[None]:
         deadline = time.monotonic() + self._parameters.start_timeout
@@ -84,8 +140,12 @@ class CellNode:
             yield
 
     def _switch(self, on: bool) -> Generator[None, None, SetBool.Response]:
-        future = self._enable.call_async(SetBool.Request(data=on))
-        yield from self._until(future.done, lambda: "the driver does not answer 'enable'")
+        return (yield from self._ask(self._enable, SetBool.Request(data=on)))
+
+    def _ask(self, client: Any, request: Any) -> Generator[None, None, Any]:
+        yield from self._until(client.service_is_ready, lambda: f"service '{client.srv_name}' is not there")
+        future = client.call_async(request)
+        yield from self._until(future.done, lambda: f"no answer to '{client.srv_name}'")
         return future.result()
 
     def _follow_motion(self, first_ns: int) -> Iterator[None]:
@@ -103,11 +163,25 @@ class CellNode:
             silence = time.monotonic() - self._last_sample
             if silence > self._parameters.sample_timeout:
                 raise CycleFailed(f"no sample for {silence:.1f} s")
+            lost = self._heartbeats.lost()
+            if lost:
+                raise CycleFailed(f"no heartbeat of: {', '.join(lost)}")
             off_since = None if self._amplifier_on else off_since or time.monotonic()
-            # The reason comes with the driver's next diagnostics, within a second.
-            if off_since and time.monotonic() - off_since > _REASON_S:
-                raise CycleFailed(f"amplifier off in mid-cycle: {self._errors or 'no reason given'}")
+            # The reason comes within a moment.
+            if off_since and (self._fault or time.monotonic() - off_since > _REASON_S):
+                yield from self._recover()
+                off_since = None
             yield
+
+    def _recover(self) -> Iterator[None]:
+        """Switch on again after a fault, if that is still allowed."""
+        reason, self._faults = self._fault or "no reason given", self._faults + 1
+        if self._faults > self._parameters.recoveries:
+            raise CycleFailed(f"amplifier off in mid-cycle: {reason}")
+        self.node.get_logger().warning(f"fault {self._faults}: {reason}; switching on again")
+        yield from self._ask(self._reset, Trigger.Request())
+        yield from self._switch_on()
+        self._amplifier_on, self._fault = True, ""
 
     def _missing_nodes(self) -> list[str]:
         present = self.node.get_node_names_and_namespaces()
@@ -157,8 +231,9 @@ class CellNode:
         for status in message.status:
             node = status.name.rsplit("/", 1)[-1]
             self._reports[node] = {value.key: value.value for value in status.values}
-            if status.level == DiagnosticStatus.ERROR:
-                self._errors[node] = status.message
+
+    def _on_safety_state(self, message: DiagnosticStatus) -> None:
+        self._fault = f"{message.name}: {message.message}" if message.name else ""
 
     def close(self) -> None:
         """Nothing to make safe: the driver switches off when commands cease."""

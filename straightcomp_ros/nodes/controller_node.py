@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 
 from rclpy.node import Node
-from rclpy.task import Future
 
 from straightcomp_ros.configuration import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
+from straightcomp_ros.control.crossfade import FADE_TIME
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
-from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.phase_lock import PhaseLock
-from straightcomp_ros.nodes.runner import run
+from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.nodes.trip import tripper
+from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES
 
@@ -28,19 +33,19 @@ _SAMPLE_WAIT_NS = 50_000
 """How long a sample is to wait for the cycle that uses it: the usual jitter of its arrival."""
 
 _LOOKS = 5
+_LOOK_FOR_SILENCE_S = 0.05
 _LOOK_AGAIN_S = 40e-6
 
 
-class ControllerNode:
+class ControllerPart:
     """Pairs each sample with its reference and steps the law, on the timer or on arrival.
 
     When a cycle finds several new samples the law steps through all of them in order: its velocity
     estimate and its integral need every sample, and a replay of the bag gives the same commands.
     """
 
-    def __init__(self, node: Node) -> None:
-        parameters = declare(node, ControllerNodeParameters)
-        self.node, self.done, self.realtime = node, Future(), parameters.realtime
+    def __init__(self, node: ManagedNode, parameters: ControllerNodeParameters) -> None:
+        self._node, self._parameters = node, parameters
         self._learner: BesideTheLoop | None = None
         if parameters.learning.learn and parameters.trigger == "timer":
             self._learner = BesideTheLoop(node)
@@ -51,22 +56,56 @@ class ControllerNode:
             self._learner.run if self._learner is not None else lambda job: job(),
         )
         self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate), learning=self._learning)
-        self._pairing = Pairing(parameters.lead_ns, wait=parameters.trigger == "sample")
+        self._new_pairing = partial(Pairing, parameters.lead_ns, wait=parameters.trigger == "sample")
+        self._pairing = self._new_pairing()
         self._publish_command = publisher(node, COMMAND)
         self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
         self._samples_seen = self._commands = self._refused = self._idle_cycles = 0
         self._gaps = StampGaps()
+        self._trip = tripper(node)
+        self._silent, self._seen = 0, 0
         self.loop: PeriodicLoop | None = None
+        self._unspun: Node | None = None
         if parameters.trigger == "sample":
             subscribe(node, ENCODER, self._on_sample)
             subscribe(node, REFERENCE, self._on_reference)
         else:
-            unspun = unspun_node(node)
-            self._samples, self._references = Inbox(node, unspun, ENCODER), Inbox(node, unspun, REFERENCE)
+            self._unspun = unspun_node(node)
+            self._samples, self._references = (Inbox(node, self._unspun, stream) for stream in (ENCODER, REFERENCE))
             period_ns = round(1e9 / parameters.rate)
             self._phase = PhaseLock(period_ns, _SAMPLE_WAIT_NS)
             self.loop = PeriodicLoop(period_ns, self._cycle)
+            self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
+            node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
         Diagnostics(node, self._counters)
+
+    def activate(self) -> None:
+        """Begin with the samples that come from now on."""
+        if self.loop:
+            self._samples.fetch()
+            self._references.fetch()
+        self._pairing = self._new_pairing()
+
+    def prepare(self, parameters: ControllerNodeParameters) -> Callable[[], None]:
+        """Another law, or other gains: the command goes over to them without a bump."""
+        if self._learning is not None and parameters.control.law != self._parameters.control.law:
+            raise ParameterError(
+                f"parameter 'control.law': {parameters.control.law!r} is not what is being learned with; "
+                f"allowed while 'learning.learn' is true: {self._parameters.control.law}"
+            )
+        law = make_law(parameters.control, 1.0 / parameters.rate)
+
+        def take_over() -> None:
+            self._parameters = parameters
+            self._servo.change(law, round(FADE_TIME * parameters.rate))
+
+        return take_over
+
+    def deactivate(self) -> None:
+        """No command goes out any more: the driver switches off. What was learned is kept."""
+        self._publish_state.flush()
+        if self._learning is not None:
+            self._learning.save()
 
     def _add_sample(self, stamp_ns: int, numbers: list[float]) -> None:
         self._samples_seen += 1
@@ -74,6 +113,8 @@ class ControllerNode:
         self._pairing.add_sample(stamp_ns, numbers)
 
     def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+        if not self._node.active:
+            return
         self._add_sample(stamp_ns, numbers)
         self._answer()
 
@@ -110,6 +151,14 @@ class ControllerNode:
             self._publish_state(stamp_ns, *command[1:], age_ns * 1e-9)
             self._commands += 1
 
+    def _look_for_silence(self) -> None:
+        # Looks are counted, not seconds: a process that stood still has seen no silence.
+        silent = self._samples_seen == self._seen and self._seen > 0 and self._node.active
+        self._seen = self._samples_seen
+        self._silent = self._silent + 1 if silent else 0
+        if self._silent == self._silence_looks:
+            self._trip("sample_timeout", f"the controller has had no sample for {self._parameters.sample_timeout:g} s")
+
     def _counters(self) -> dict[str, object]:
         return {
             SAMPLES: self._samples_seen,
@@ -124,17 +173,18 @@ class ControllerNode:
         }
 
     def close(self) -> None:
-        """Keep what was learned. Nothing to make safe: the driver switches off when no command comes."""
-        self._publish_state.flush()
+        """Wait for what is being learned, and keep it."""
         if self._learner is not None:
             self._learner.close()
         if self._learning is not None:
             self._learning.save()
+        if self._unspun is not None:
+            self._unspun.destroy_node()
 
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros controller_node`."""
-    return run("controller", ControllerNode)
+    return run_managed("controller", ControllerNodeParameters, ControllerPart)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,16 @@ from straightcomp_ros.parameters import Declaration, belongs_to_ros, declaration
 T = TypeVar("T")
 
 
-def declare(node: Node, parameter_set: type[T]) -> T:
+_FIXED = ("autostart", "realtime")
+"""Parameters that are used once, when the process starts."""
+
+
+def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> T:
     """Take what launch file, YAML and command line gave to ``node``, validated, and declare every parameter.
 
     The node must have been made with ``automatically_declare_parameters_from_overrides=True``: only so
-    does it show names that nobody knows.
+    does it show names that nobody knows. With ``changeable`` the parameters are not read-only, but for those that
+    are used at the start of the process.
 
     Raises:
         ParameterError: unknown name, wrong type or value out of range.
@@ -28,16 +33,17 @@ def declare(node: Node, parameter_set: type[T]) -> T:
         value = declaration.check(given.get(declaration.name, declaration.default))
         if declaration.name in given:
             node.undeclare_parameter(declaration.name)
-        node.declare_parameter(declaration.name, value, _descriptor(declaration))
+        fixed = not changeable or declaration.name.split(".")[0] in _FIXED
+        node.declare_parameter(declaration.name, value, _descriptor(declaration, fixed))
     return parameters
 
 
-def _descriptor(declaration: Declaration) -> ParameterDescriptor:
+def _descriptor(declaration: Declaration, fixed: bool) -> ParameterDescriptor:
     unit = f" [{declaration.unit}]" if declaration.unit else ""
     descriptor = ParameterDescriptor(
         description=f"{declaration.description}{unit}",
         additional_constraints=declaration.allowed(),
-        read_only=True,
+        read_only=fixed,
     )
     low, high = declaration.minimum, declaration.maximum
     if declaration.kind is float and (low is not None or high is not None):

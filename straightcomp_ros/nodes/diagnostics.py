@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import platform
 import time
 from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from straightcomp_ros.contract import DIAGNOSTICS, PACKAGE
-from straightcomp_ros.timing.report import RATE, SAMPLES
+from straightcomp_ros.contract import DIAGNOSTICS
+from straightcomp_ros.timing.level import Levels
+from straightcomp_ros.timing.report import LOST, OVERRUNS, RATE, SAMPLES
 
 
 class Diagnostics:
@@ -18,10 +20,13 @@ class Diagnostics:
     Args:
         node: the node that reports.
         values: called at 1 Hz; names and values, with the key ``samples``, and the key ``error`` where something is
-            wrong, which sets the level.
+            wrong, which sets the level. A name ends with its unit, where it is no plain count: ``_us``, ``_hz``.
+        hardware_id: of what the node reports on; this computer's name if empty.
     """
 
-    def __init__(self, node: Node, values: Callable[[], Mapping[str, object]]) -> None:
+    def __init__(self, node: Node, values: Callable[[], Mapping[str, object]], hardware_id: str = "") -> None:
+        self._hardware_id = hardware_id or platform.node()
+        self._levels = Levels()
         self._node = node
         self._values = values
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
@@ -32,11 +37,13 @@ class Diagnostics:
         values = dict(self._values())
         values[RATE] = self._rate(values[SAMPLES])
         error = str(values.get("error", ""))
+        lost, overruns = (int(str(values.get(name, 0))) for name in (LOST, OVERRUNS))
+        level, words = self._levels.next(int(str(values[SAMPLES])), lost, overruns, bool(error))
         status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if error else DiagnosticStatus.OK,
+            level=bytes([level]),
             name=self._node.get_fully_qualified_name().lstrip("/"),
-            message=error or "running",
-            hardware_id=PACKAGE,
+            message=error or words,
+            hardware_id=self._hardware_id,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])

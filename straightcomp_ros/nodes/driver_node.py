@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Callable
 
 from rclpy.node import Node
-from rclpy.task import Future
-from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.configuration import DriverNodeParameters
@@ -25,31 +24,47 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.nodes.clock import from_monotonic, now_ns
-from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.lockstep import Lockstep
+from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.phase_lock import PhaseLock
-from straightcomp_ros.nodes.runner import run
+from straightcomp_ros.nodes.runner import run_managed
+from straightcomp_ros.nodes.safety_panel import SafetyPanel
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.safety.machine import Condition, SafetyMachine
+from straightcomp_ros.safety.watch import CommandWatch, SampleWatch, StageWatch
 from straightcomp_ros.straightness.map import load_map
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import AMPLIFIER, LATENCY, LOST, OVERRUNS, SAMPLES, written
 
 _SAMPLE_WAIT_NS = 100_000
 """How long a sample that came by itself is to wait for the loop: the receiving thread needs some of it."""
+_SLOW_WATCH_S = 0.05
 
 
-class DriverNode:
-    """Polls the hardware at its sampling rate, or runs it in lockstep with the controller."""
+class DriverPart:
+    """Polls the hardware at its sampling rate, or runs it in lockstep with the controller.
 
-    def __init__(self, node: Node) -> None:
-        parameters = declare(node, DriverNodeParameters)
-        self.node, self.done, self.realtime = node, Future(), parameters.realtime
+    Args:
+        node: the driver.
+        parameters: of the node.
+        hardware: the machine, or None for the one that the parameters name.
+        system_ns: the system's clock.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        parameters: DriverNodeParameters,
+        hardware: Hardware | None = None,
+        system_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._node, self._system_ns = node, system_ns
         self._current_limit = parameters.current_limit
         self._command_timeout_ns = round(parameters.machine.command_timeout * 1e9)
-        self._hardware = _make_hardware(parameters)
+        self._hardware = hardware or make_hardware(parameters)
         period_ns = round(1e9 / parameters.machine.rate)
         self._phase = PhaseLock(period_ns, _SAMPLE_WAIT_NS)
         self._publish_sample = publisher(node, ENCODER)
@@ -61,49 +76,90 @@ class DriverNode:
         self._latency = math.nan
         self._latencies = Histogram()
         self._started = False
-        self._fault = ""
-        self._reported_fault = ""
+        self._safety = SafetyMachine(self._hardware)
+        self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._watch_switched)
+        self._sample_watch = SampleWatch(parameters.watch, period_ns)
+        self._stage_watch = StageWatch(parameters.watch)
+        self._command_watch = CommandWatch()
+        self._clock_step_ns = round(parameters.watch.clock_step * 1e9)
+        self._clock_offset_ns = 0
+        self._newest: Sample | None = None
         self._lockstep: Lockstep | None = None
-        node.create_service(SetBool, "~/enable", self._on_enable)
-        node.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10)
+        node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
         self.loop: PeriodicLoop | None = None
+        self._unspun: Node | None = None
         if parameters.lockstep:
             subscribe(node, COMMAND, self._on_lockstep_command)
             self._lockstep = Lockstep(node, self._hardware, period_ns, parameters.lockstep_delay, self._publish)
         else:
-            self._inbox = Inbox(node, unspun_node(node), COMMAND)
+            self._unspun = unspun_node(node)
+            self._inbox = Inbox(node, self._unspun, COMMAND)
             self.loop = PeriodicLoop(period_ns, self._cycle)
-        Diagnostics(node, self._counters)
+        machine = parameters.hardware
+        if machine == "can":
+            machine = f"can {parameters.can.interface} {parameters.can.channel} node {parameters.can.node}"
+        Diagnostics(node, self._counters, machine)
+
+    def activate(self) -> None:
+        """Begin to sample, amplifier off."""
+        self._started = False
+        self._clock_offset_ns = self._system_ns() - now_ns()
+        self._sample_watch.restart()
+        if self.loop:
+            self._inbox.fetch()
+
+    def deactivate(self) -> None:
+        """Amplifier off; no samples any more. A fault stays latched."""
+        self._safety.disable()
+        self._panel.report()
+        self._publish_truth.flush()
+        self._publish_state.flush()
+
+    def prepare(self, parameters: DriverNodeParameters) -> Callable[[], None]:
+        """The limit of the commands may change."""
+
+        def take_over() -> None:
+            self._current_limit = parameters.current_limit
+
+        return take_over
 
     def _cycle(self, wake_ns: int) -> None:
         if not self._started:
             # The machine samples when this loop is to wake: a sample is then never a period old when fetched.
             self._hardware.start(from_monotonic(wake_ns))
             self._started = True
-        now, system_now = now_ns(), time.time_ns()
+        now, system_now = now_ns(), self._system_ns()
+        if not -self._clock_step_ns <= system_now - now - self._clock_offset_ns <= self._clock_step_ns:
+            self._see_clock_step()
         for stamp_ns, numbers, received_ns in self._inbox.fetch():
             # The machine has not been integrated past its last sample yet: the command acts from when it came in.
             self._accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
         samples = self._hardware.read(now)
         for sample, truth in samples:
             self._publish(sample, truth)
-        self._report_fault()
+        if self._hardware.fault and self._safety.fault is None:
+            self._trip(self._hardware.fault_name, self._hardware.fault)
         arrival_ns = self._hardware.newest_arrival_ns
         if samples and arrival_ns is not None and self.loop:
             self.loop.shift(self._phase.shift_ns(now - arrival_ns))
 
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
         lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
+        current = self._hardware.applied_current
+        finding = self._sample_watch.check(sample, current)
+        if finding is not None:
+            self._trip(*finding)
         self._publish_sample(*sample[:3], math.nan, sample.current)
         if self._samples % POSITION_EVERY == 0:
             self._publish_position(*sample[:3])
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
         on = 1.0 if self._hardware.state is State.ON else 0.0
-        self._publish_state(sample.stamp_ns, self._latency, lateness, self._hardware.applied_current, on)
+        self._publish_state(sample.stamp_ns, self._latency, lateness, current, on)
         self._latency = math.nan
         self._samples += 1
+        self._newest = sample
 
     def _on_lockstep_command(self, stamp_ns: int, numbers: list[float]) -> None:
         if self._lockstep and self._lockstep.awaits(stamp_ns) and self._check(numbers[0]):
@@ -113,7 +169,12 @@ class DriverNode:
 
     def _accept(self, stamp_ns: int, current: float, arrival_ns: int) -> None:
         age_ns = arrival_ns - stamp_ns
-        if stamp_ns <= self._command_stamp_ns or age_ns > self._command_timeout_ns:
+        if stamp_ns <= self._command_stamp_ns:
+            self._stale_commands += 1
+            finding = self._command_watch.again()
+            if finding is not None:
+                self._trip(*finding)
+        elif age_ns > self._command_timeout_ns:
             self._stale_commands += 1
         elif self._check(current):
             self._hardware.write(current, arrival_ns, stamp_ns)
@@ -121,45 +182,48 @@ class DriverNode:
             self._latency = age_ns * 1e-9
             self._latencies.record(age_ns)
             self._commands += 1
+            self._command_watch.good()
 
     def _check(self, current: float) -> bool:
-        if math.isfinite(current) and abs(current) <= self._current_limit:
+        if -self._current_limit <= current <= self._current_limit:
             return True
-        self._hardware.disable()
-        self._fault = f"command of {current} A is outside ±{self._current_limit:g} A; amplifier switched off"
-        self._report_fault()
+        name = "command_out_of_range" if math.isfinite(current) else "command_not_finite"
+        self._trip(name, f"command of {current} A is outside ±{self._current_limit:g} A")
         return False
 
-    @property
-    def _present_fault(self) -> str:
-        return self._fault or self._hardware.fault
+    def _trip(self, name: str, reason: str) -> None:
+        self._safety.trip(name, reason, now_ns())
+        self._panel.report()
 
-    def _report_fault(self) -> None:
-        fault = self._present_fault
-        if fault != self._reported_fault:
-            self._reported_fault = fault
-            if fault:
-                self.node.get_logger().error(f"fault, amplifier off: {fault}")
+    def _see_clock_step(self) -> None:
+        # A process that stood still between the two readings has seen no step.
+        before, system_now, after = now_ns(), self._system_ns(), now_ns()
+        offset_ns = system_now - (before + after) // 2
+        step_ns = offset_ns - self._clock_offset_ns
+        if abs(step_ns) > self._clock_step_ns and after - before < self._clock_step_ns // 2:
+            self._clock_offset_ns = offset_ns
+            self._trip("clock_jump", f"the system's clock was stepped by {step_ns * 1e-9:+.3f} s")
 
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Switch the amplifier on (refused while a fault is latched or no fresh command comes in), or off."""
-        if not request.data:
-            self._hardware.disable()
-            response.success, response.message = True, "amplifier off"
-            return response
-        refusal = self._enable_refusal()
-        if not refusal:
-            try:
-                self._hardware.enable()
-            except HardwareError as error:
-                refusal = str(error)
-        response.success, response.message = not refusal, refusal or "amplifier on"
-        self.node.get_logger().info(f"enable: {response.message}")
-        return response
+    def _watch_slowly(self) -> None:
+        """What need not be looked at in each cycle."""
+        # A clock that is slewed is followed.
+        offset_ns = self._system_ns() - now_ns()
+        if abs(offset_ns - self._clock_offset_ns) < self._clock_step_ns // 2:
+            self._clock_offset_ns = offset_ns
+        if self._safety.condition is Condition.ON:
+            self._sample_watch.hold()
+        if self._newest is not None and self._node.active:
+            finding = self._stage_watch.check(self._newest.stamp_ns, self._newest.x)
+            if finding is not None:
+                self._trip(*finding)
+
+    def _watch_switched(self) -> None:
+        self._sample_watch.switched()
 
     def _enable_refusal(self) -> str:
-        if self._present_fault:
-            return f"a fault is latched: {self._present_fault}; call reset_fault"
+        """Why the amplifier may not be switched on now, apart from faults; empty if it may."""
+        if not self._node.active:
+            return "the driver is not active"
         if self._lockstep:
             return ""
         age_ns = now_ns() - self._command_stamp_ns
@@ -167,23 +231,20 @@ class DriverNode:
             return "no fresh command from the controller; is it running, and is its map loaded?"
         return ""
 
-    def _on_reset_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Clear the latched fault; the amplifier stays off."""
-        response.message = f"cleared: {self._present_fault}" if self._present_fault else "there was no fault"
-        self._hardware.reset_fault()
-        self._fault = self._reported_fault = ""
-        response.success = True
-        return response
-
     def _on_stage_trajectory(self, message: JointTrajectory) -> None:
+        if not self._node.active:
+            return
         try:
-            trajectory = trajectory_from_message(message)
+            trajectory, start_ns = trajectory_from_message(message), now_ns()
             if self._lockstep:
-                self._lockstep.start(trajectory, now_ns())
+                self._lockstep.start(trajectory, start_ns)
             else:
-                self._hardware.move(trajectory, now_ns())
+                self._hardware.move(trajectory, start_ns)
         except (ValueError, HardwareError) as error:
-            self.node.get_logger().error(f"stage trajectory refused: {error}")
+            self._node.get_logger().error(f"stage trajectory refused: {error}")
+            return
+        if self._newest is not None:
+            self._stage_watch.follow(trajectory, start_ns, self._newest.x)
 
     def _counters(self) -> dict[str, object]:
         counters: dict[str, object] = {
@@ -191,23 +252,30 @@ class DriverNode:
             LOST: self._hardware.lost_samples,
             "commands": self._commands,
             "stale_commands": self._stale_commands,
+            "trips": self._safety.trips,
             AMPLIFIER: self._hardware.state.value,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
             **written(LATENCY, self._latencies.take()),
             **self._hardware.counters(),
         }
-        if self._present_fault:
-            counters["error"] = self._present_fault
+        if self._safety.fault is not None:
+            counters["error"] = self._safety.reason
         return counters
 
     def close(self) -> None:
-        """Amplifier off."""
+        """Amplifier off, machine released."""
         self._hardware.close()
-        self._publish_truth.flush()
-        self._publish_state.flush()
+        if self._unspun is not None:
+            self._unspun.destroy_node()
 
 
-def _make_hardware(parameters: DriverNodeParameters) -> Hardware:
+def make_hardware(parameters: DriverNodeParameters) -> Hardware:
+    """The machine that the parameters name.
+
+    Raises:
+        SurveyError: the simulated machine's guide is refused.
+        ParameterError: python-can knows no such interface.
+    """
     if parameters.hardware == "can":
         return CanHardware(parameters.can, now_ns)
     return SimulatedHardware(parameters.simulated, load_map(parameters.guide))
@@ -215,7 +283,7 @@ def _make_hardware(parameters: DriverNodeParameters) -> Hardware:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros driver_node`."""
-    return run("driver", DriverNode)
+    return run_managed("driver", DriverNodeParameters, DriverPart)
 
 
 if __name__ == "__main__":

@@ -2,49 +2,144 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
 
-from rclpy.node import Node
-from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.configuration import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
-from straightcomp_ros.nodes.declare import declare
+from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.periodic import PeriodicLoop
-from straightcomp_ros.nodes.runner import run
+from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
+from straightcomp_ros.nodes.trip import tripper
+from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.straightness.crossfade import FADE_TIME
 from straightcomp_ros.straightness.feedforward import Feedforward
-from straightcomp_ros.straightness.map import load_map
+from straightcomp_ros.straightness.map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.report import LOST, SAMPLES
 
+_LOOK_AT_MAP_S = 0.02
 
-class FeedforwardNode:
+
+def _middle(_: float) -> tuple[float, float, float]:
+    """The reference in the middle of the platform's travel, whatever x is."""
+    return 0.0, 0.0, 0.0
+
+
+class FeedforwardPart:
     """Looks the reference up in the map for each sample, some samples at a time.
 
     The controller extrapolates an earlier reference, so nobody waits for this node.
     """
 
-    def __init__(self, node: Node) -> None:
-        parameters = declare(node, FeedforwardNodeParameters)
-        self.node, self.done, self.realtime = node, Future(), parameters.realtime
-        straightness = load_map(parameters.map)
-        node.get_logger().info(f"map {parameters.map.file}: {straightness.report}")
-        self._feedforward = Feedforward(straightness, parameters.feedforward)
+    def __init__(self, node: ManagedNode, parameters: FeedforwardNodeParameters) -> None:
+        self._node, self._parameters = node, parameters
+        self._worker = BesideTheLoop(node)
+        self._map = load_map(parameters.map)
+        node.get_logger().info(f"map {parameters.map.file}: {self._map.report}")
+        self._feedforward = Feedforward(self._map, parameters.feedforward)
         self._publish = publisher(node, REFERENCE)
+        self._trip = tripper(node)
         self._samples = 0
+        self._x = math.nan
+        self._centred = False
         self._gaps = StampGaps()
-        self._inbox = Inbox(node, unspun_node(node), ENCODER)
+        self._unspun = unspun_node(node)
+        self._inbox = Inbox(node, self._unspun, ENCODER)
         self.loop = PeriodicLoop(round(parameters.interval * 1e9), self._cycle)
+        node.create_service(Trigger, "~/reload_map", self._on_reload_map)
+        node.create_service(SetBool, "~/center", self._on_center)
+        node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
         Diagnostics(node, self._counters)
+
+    def activate(self) -> None:
+        """Begin with the samples that come from now on."""
+        self._inbox.fetch()
+        self._feedforward.reset()
+        self._x = math.nan
+
+    def deactivate(self) -> None:
+        """No reference goes out any more, so no command does: the driver switches off."""
+
+    def prepare(self, parameters: FeedforwardNodeParameters) -> Callable[[], None]:
+        """Another map: the reference goes over to it without a bump."""
+        if self._feedforward.changing:
+            raise ParameterError(f"the change of reference before this one takes {FADE_TIME:g} s; ask again after it")
+        straightness = self._loaded(parameters.map)
+
+        def take_over() -> None:
+            self._parameters, self._map = parameters, straightness
+            self._node.get_logger().info(f"map {parameters.map.file}: {straightness.report}")
+            if not self._centred:
+                self._feedforward.change(straightness.reference)
+
+        return take_over
+
+    def _loaded(self, parameters: MapParameters) -> StraightnessMap:
+        """Read a map while the samples are answered as before: it takes longer than the controller can wait."""
+        job: Future[StraightnessMap] = Future()
+
+        def load() -> None:
+            try:
+                job.set_result(load_map(parameters))
+            except Exception as error:
+                job.set_exception(error)
+
+        self._worker.run(load)
+        while not job.done():
+            if self._node.active:
+                self._cycle(0)
+            time.sleep(self._parameters.interval)
+        return job.result()
+
+    def _on_reload_map(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Read the map's file again; the reference goes over to it without a bump."""
+        try:
+            self.prepare(self._parameters)()
+            response.success, response.message = True, f"map {self._parameters.map.file}: {self._map.report}"
+        except (ParameterError, SurveyError, OSError) as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_center(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Take the platform to the middle of its travel, or back to the map's reference, without a bump."""
+        if self._feedforward.changing:
+            response.success, response.message = False, "the change of reference before this one is not finished"
+            return response
+        if request.data != self._centred:
+            self._centred = request.data
+            self._feedforward.change(_middle if request.data else self._map.reference)
+        response.success = True
+        response.message = "reference goes to " + ("the middle of the travel" if request.data else "the map")
+        return response
+
+    def _look_at_map(self) -> None:
+        # Beyond the survey the reference runs out to a constant, which harms nobody: there is time to ask for a stop.
+        low, high = self._map.span
+        runout = self._parameters.map.runout
+        if self._node.active and not low - runout <= self._x <= high + runout and math.isfinite(self._x):
+            self._trip(
+                "map_missing",
+                f"x = {self._x * 1e3:.1f} mm; the map {self._parameters.map.file} covers "
+                f"{low * 1e3:.1f} to {high * 1e3:.1f} mm",
+            )
 
     def _cycle(self, _: int) -> None:
         for stamp_ns, numbers, _ in self._inbox.fetch():
             self._samples += 1
             self._gaps.see(stamp_ns)
-            self._publish(stamp_ns, *self._feedforward.step(stamp_ns, numbers[0]))
+            self._x = numbers[0]
+            self._publish(stamp_ns, *self._feedforward.step(stamp_ns, self._x))
             # With real-time scheduling driver and controller would have to wait for the end of this.
             os.sched_yield()
 
@@ -52,12 +147,14 @@ class FeedforwardNode:
         return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}
 
     def close(self) -> None:
-        """Nothing to make safe."""
+        """Release the subscription and the thread."""
+        self._worker.close()
+        self._unspun.destroy_node()
 
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros feedforward_node`."""
-    return run("feedforward", FeedforwardNode)
+    return run_managed("feedforward", FeedforwardNodeParameters, FeedforwardPart)
 
 
 if __name__ == "__main__":

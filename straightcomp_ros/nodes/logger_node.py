@@ -6,12 +6,11 @@ import os
 import re
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
@@ -22,12 +21,12 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cdr import header_stamp_ns
 from straightcomp_ros.configuration import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
-from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.other_topics import OtherTopics
 from straightcomp_ros.nodes.recorder_services import serve_recorder
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
-from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
+from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.streams import RawQueue, message_type, stream_qos, unspun_node
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
@@ -38,12 +37,11 @@ _FETCH_INTERVAL_NS = 20_000_000
 _YIELD_EVERY = 8
 
 
-class LoggerNode:
+class LoggerPart:
     """Fetches all messages 50 times a second; a recorder writes them on a thread of its own."""
 
-    def __init__(self, node: Node) -> None:
-        parameters = declare(node, LoggerNodeParameters)
-        self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
+    def __init__(self, node: ManagedNode, parameters: LoggerNodeParameters) -> None:
+        self.node, self.loop = node, None
         self._encoder = node.resolve_topic_name(ENCODER.topic)
         self._samples = self._overruns = self._received = self._fetched_ns = 0
         self._gaps, self._timer_errors = StampGaps(), Histogram()
@@ -64,7 +62,21 @@ class LoggerNode:
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
         node.create_timer(0.2, self._watch)
         if parameters.record_at_start:
-            node.get_logger().info(self._start())
+            self._start()
+
+    def activate(self) -> None:
+        """Record what comes from now on."""
+        self._drop()
+        if self._recorder.recording:
+            self.node.get_logger().info(f"recording to {self._recorder.folder}")
+
+    def deactivate(self) -> None:
+        """Record what has come; the bag stays open."""
+        self._take()
+
+    def prepare(self, parameters: LoggerNodeParameters) -> Callable[[], None]:
+        """The free space that must stay may change."""
+        return self._recorder.other_min_free(parameters.min_free_bytes)
 
     def _record(self, kind: Any, topic: str, qos: QoSProfile) -> None:
         if not self._chosen.fullmatch(topic):
@@ -82,6 +94,18 @@ class LoggerNode:
 
     def _fetch(self) -> None:
         self._note_time()
+        if self.node.active:
+            self._take()
+        else:
+            self._drop()
+
+    def _drop(self) -> None:
+        self._others.fetch(lambda *_: None)
+        for messages in self._topics.values():
+            for _ in messages.fetch():
+                pass
+
+    def _take(self) -> None:
         add = self._recorder.intake.add
         self._received += self._others.fetch(add)
         for topic, messages in self._topics.items():
@@ -115,10 +139,8 @@ class LoggerNode:
         return True
 
     def _watch(self) -> None:
-        failure = self._recorder.failure
-        if failure and not self.done.done():
-            self.node.get_logger().error(f"recording stopped: {failure}")
-            self.done.set_result(EXIT_FAILURE)
+        if self._recorder.failure:
+            self.node.fail(self._recorder.failure)
 
     def _counters(self) -> dict[str, object]:
         recorder = self._recorder
@@ -140,8 +162,8 @@ class LoggerNode:
 
     def close(self) -> None:
         """Write what has come, attach the parameters, finish the bag."""
-        self._fetch()
         self._recorder.stop()
+        self._unspun.destroy_node()
 
 
 def _options(parameters: LoggerNodeParameters) -> RecorderOptions:
@@ -165,7 +187,7 @@ def _pattern(name: str, text: str) -> re.Pattern[str]:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros logger_node`."""
-    return run("logger", LoggerNode)
+    return run_managed("logger", LoggerNodeParameters, LoggerPart)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import gc
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
@@ -19,22 +19,18 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from straightcomp_ros.bags import BagError
 from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.nodes import realtime
+from straightcomp_ros.nodes.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakePart, ManagedNode
 from straightcomp_ros.nodes.periodic import PeriodicLoop
-from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.shared_memory import remove_stale
-from straightcomp_ros.straightness.survey import SurveyError
 
 EXIT_CONFIGURATION = 2
 """A parameter or a file is wrong; nothing was started."""
-EXIT_FAILURE = 1
-"""The node failed while it ran."""
 # Longer values overflow in the executor and end the wait at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
+_CALLBACKS_AT_ONCE = 4
 
 
 class Runnable(Protocol):
@@ -61,13 +57,45 @@ def run(
         Exit code: 0 after a stop that was asked for, 2 when parameters or files are wrong, 1 when the node
         failed, or what the node itself gave as the result of ``done``.
     """
+    return _run(
+        name,
+        lambda: Node(name, automatically_declare_parameters_from_overrides=True),
+        make,
+        lambda runnable: _spin(runnable, executor()),
+        arguments,
+    )
+
+
+def run_managed(name: str, parameter_set: type, make: MakePart, arguments: Sequence[str] | None = None) -> int:
+    """The same for a lifecycle node, whose work is made by its configuration; see :mod:`~.managed`."""
+
+    def begun(node: ManagedNode) -> ManagedNode:
+        node.begin()
+        return node
+
+    return _run(
+        name,
+        lambda: ManagedNode(name, parameter_set, make),
+        begun,
+        lambda node: _spin_managed(node, EventsExecutor()),
+        arguments,
+    )
+
+
+def _run(
+    name: str,
+    make_node: Callable[[], Any],
+    make: Callable[[Any], Any],
+    spin: Callable[[Any], int],
+    arguments: Sequence[str] | None,
+) -> int:
     # rclpy's own handlers shut the context down under a running callback; ours let it end first.
     stop = _StopRequest()
     # What a killed node left in shared memory would stay for good, and the middleware stumbles over its ports.
     remove_stale()
     try:
         rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-        node = Node(name, automatically_declare_parameters_from_overrides=True)
+        node = make_node()
     except Exception as error:
         # rclpy has one exception type for each kind of bad argument; all mean the same to the user.
         print(f"{name}: {error}", file=sys.stderr)
@@ -75,16 +103,16 @@ def run(
     try:
         try:
             runnable = make(node)
-        except (ParameterError, SurveyError, HardwareError, BagError, OSError) as error:
+        except REFUSALS as error:
             print(f"{name}: {error}", file=sys.stderr)
             return EXIT_CONFIGURATION
         try:
             stop.ends(runnable.done)
-            code = _spin(runnable, executor())
+            code = spin(runnable)
         finally:
             runnable.close()
         return code
-    except (BagError, OSError) as error:
+    except RUN_FAILURES as error:
         print(f"{name}: {error}", file=sys.stderr)
         return EXIT_FAILURE
     finally:
@@ -115,6 +143,35 @@ class _StopRequest:
 
 def _spin(runnable: Runnable, executor: Executor) -> int:
     done = runnable.done
+    idle = _settle(runnable, executor)
+    try:
+        if runnable.loop:
+            runnable.loop.run(done.done, idle)
+        while not done.done():
+            executor.spin_until_future_complete(done, timeout_sec=_LONGEST_WAIT_S)
+    except ExternalShutdownException:
+        return 0
+    return int(done.result())
+
+
+def _spin_managed(node: ManagedNode, executor: Executor) -> int:
+    idle = _settle(node, executor)
+    while not node.done.done():
+        turn = node.turn
+        try:
+            if node.loop:
+                node.loop.run(turn.done, idle)
+            else:
+                executor.spin_until_future_complete(turn, timeout_sec=_LONGEST_WAIT_S)
+        except ExternalShutdownException:
+            return 0
+        except RUN_FAILURES as error:
+            node.fail(error)
+    return int(node.done.result())
+
+
+def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
+    """All that is done once before the first cycle; returns what a loop is to do in its idle time."""
     # Python sees a signal only between two steps of its own; an idle executor takes none. Cyclic garbage is collected
     # here, where it is little yet, and never in the middle of a cycle.
     runnable.node.create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
@@ -125,11 +182,10 @@ def _spin(runnable: Runnable, executor: Executor) -> int:
     gc.collect()
     gc.freeze()
     gc.disable()
-    try:
-        if runnable.loop:
-            runnable.loop.run(done.done, idle=lambda: executor.spin_once(timeout_sec=0))
-        while not done.done():
-            executor.spin_until_future_complete(done, timeout_sec=_LONGEST_WAIT_S)
-    except ExternalShutdownException:
-        return 0
-    return int(done.result())
+    return lambda: _turn(executor)
+
+
+def _turn(executor: Executor) -> None:
+    # Each call runs one callback at most: with fewer calls than the timers have, services would wait ever longer.
+    for _ in range(_CALLBACKS_AT_ONCE):
+        executor.spin_once(timeout_sec=0)

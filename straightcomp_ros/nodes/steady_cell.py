@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Iterator
 
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from straightcomp_ros.nodes.cell_node import CellNode
@@ -22,10 +21,6 @@ _AGAIN_S = 0.5
 
 class SteadyCell(CellNode):
     """Switches the amplifier on again whenever a fault has switched it off; ends when it is told to."""
-
-    def __init__(self, node: Node) -> None:
-        super().__init__(node)
-        self._reset = node.create_client(Trigger, "driver/reset_fault")
 
     def _switch_on(self) -> Iterator[None]:
         deadline = time.monotonic() + _PATIENCE_S

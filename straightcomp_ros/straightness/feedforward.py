@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.parameters import parameter
+from straightcomp_ros.straightness.crossfade import FADE_TIME, Lookup, blended, weight
 from straightcomp_ros.straightness.map import StraightnessMap
 from straightcomp_ros.straightness.tracking import restarted, updated
 
@@ -64,7 +65,9 @@ class Feedforward:
     def __init__(
         self, straightness: StraightnessMap, parameters: FeedforwardParameters = FeedforwardParameters()
     ) -> None:
-        self._reference = straightness.reference
+        self._reference: Lookup = straightness.reference
+        self._left: Lookup | None = None
+        self._left_ns = 0
         self._bandwidth = parameters.bandwidth
         self._restart_gap_ns = parameters.restart_gap_ns
         self._max_speed = parameters.max_speed
@@ -73,9 +76,22 @@ class Feedforward:
     def reset(self) -> None:
         """Forget all samples."""
         self._stamp_ns = _NEVER
+        self._left = None
         self._x = 0.0
         self._tracked = restarted(0.0)
         self._last = (0.0, 0.0, 0.0)
+
+    @property
+    def changing(self) -> bool:
+        """Whether an earlier map is still being left."""
+        return self._left is not None
+
+    def change(self, reference: Lookup) -> None:
+        """Go over to another map's ``reference`` within :data:`~.crossfade.FADE_TIME`, without a bump; at once before
+        the first sample. Not while an earlier map is still being left."""
+        if self._stamp_ns != _NEVER:
+            self._left, self._left_ns = self._reference, self._stamp_ns
+        self._reference = reference
 
     def step(self, stamp_ns: int, x: float) -> tuple[float, float, float]:
         """r in m, ṙ in m/s, r̈ in m/s² for the sample of ``stamp_ns`` at ``x`` in m.
@@ -97,4 +113,15 @@ class Feedforward:
         self._x = x
         r, slope, curvature = self._reference(x)
         self._last = (r, *rates(slope, curvature, tracked.v, tracked.a))
+        if self._left is not None:
+            self._last = self._fade(self._left, x, self._last)
         return self._last
+
+    def _fade(self, left: Lookup, x: float, new: tuple[float, float, float]) -> tuple[float, float, float]:
+        elapsed = (self._stamp_ns - self._left_ns) * 1e-9
+        if not 0.0 <= elapsed < FADE_TIME:
+            self._left = None
+            return new
+        r, slope, curvature = left(x)
+        old = (r, *rates(slope, curvature, self._tracked.v, self._tracked.a))
+        return blended(old, new, weight(elapsed, FADE_TIME))

@@ -33,10 +33,24 @@ def graph(tmp_path):
         yield graph
 
 
+FORGIVING = {
+    "simulated.command_timeout": 1.0,
+    "simulated.sample_memory": 2000,
+    "watch.y_limit": 0.1,
+    "watch.frozen_current": 100.0,
+}
+"""A driver that goes on after a stall of this machine, even where it took the platform to its stop."""
+
+
+@pytest.fixture
+def forgiving():
+    return dict(FORGIVING)
+
+
 @pytest.fixture
 def short_cycle():
     """The shipped parameters with a cycle of some 3.6 s over 100 mm, on a machine that forgives a stall."""
     values = read_parameter_file(share_path("config/straightcomp.yaml"))
     values["cell"].update({"motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1, "motion.start": 0.0})
-    values["driver"].update({"simulated.command_timeout": 1.0, "simulated.sample_memory": 2000})
+    values["driver"].update(FORGIVING)
     return values

@@ -11,7 +11,7 @@ import pytest
 PACKAGE = "straightcomp_ros"
 SOURCE = Path(__file__).resolve().parents[2] / PACKAGE
 INNER = ("model", "control", "straightness")
-MIDDLE = ("hardware", "bags", "analysis", "timing", "monitoring")
+MIDDLE = ("hardware", "safety", "bags", "analysis", "timing", "monitoring")
 OUTER = ("nodes", "cli")
 FORBIDDEN = {
     **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),

@@ -122,8 +122,23 @@ def test_the_cell_starts_each_node_once_in_the_same_namespace() -> None:
     assert [configurations(node.kwargs["namespace"]) for node in nodes] == [{"namespace"}] * len(NODES)
 
 
-def test_the_cell_takes_namespace_law_parameters_and_output() -> None:
-    assert declared(REPOSITORY / "launch" / "cell.launch.py") == {"namespace", "law", "params_file", "output"}
+def test_the_cell_takes_all_that_its_nodes_take() -> None:
+    nodes = set().union(*(declared(path) for path in LAUNCH_FILES if path.name != "cell.launch.py"))
+    assert declared(REPOSITORY / "launch" / "cell.launch.py") == nodes
+    assert nodes == {"namespace", "law", "map", "hardware", "record", "rt_priority", "params_file", "output"}
+
+
+def test_without_a_recording_there_is_no_logger_and_the_cell_does_not_wait_for_one() -> None:
+    nodes = of_kind("Node", REPOSITORY / "launch" / "cell.launch.py", record="false")
+    assert [node.kwargs["name"] for node in nodes] == ["driver", "feedforward", "controller", "cell"]
+    [_, chosen] = nodes[-1].kwargs["parameters"]
+    assert chosen["nodes"].args == ("driver feedforward controller",)
+
+
+def test_one_priority_is_given_to_all_nodes() -> None:
+    nodes = of_kind("Node", REPOSITORY / "launch" / "cell.launch.py", rt_priority="20")
+    given = [node.kwargs["parameters"][-1]["realtime.priority"] for node in nodes]
+    assert [(value.args, value.kwargs) for value in given] == [(("20",), {"value_type": int})] * len(NODES)
 
 
 def test_the_whole_launch_ends_when_the_cell_has_ended() -> None:
@@ -145,7 +160,13 @@ def test_the_cell_stays_on_this_computer_unless_the_environment_says_otherwise()
 
 
 @pytest.mark.parametrize(
-    "node, argument, parameter", [("controller", "law", "control.law"), ("logger", "output", "output")]
+    "node, argument, parameter",
+    [
+        ("controller", "law", "control.law"),
+        ("logger", "output", "output"),
+        ("driver", "hardware", "hardware"),
+        ("feedforward", "map", "map.file"),
+    ],
 )
 def test_an_argument_overrides_its_parameter_only_when_it_is_given(node: str, argument: str, parameter: str) -> None:
     path = REPOSITORY / "launch" / "cell.launch.py"

@@ -58,7 +58,7 @@ class CanHardware(Hardware):
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
         self._deadline_ns = 0
-        self._fault = ""
+        self._fault = self._fault_name = ""
         self._seen = self._upsets()
         self.heartbeat_losses = 0
         """Times that the heartbeat ceased while the amplifier was on."""
@@ -110,7 +110,7 @@ class CanHardware(Hardware):
 
     def reset_fault(self) -> None:
         if self._fault:
-            self._fault = ""
+            self._fault = self._fault_name = ""
             self._resetting = True
             self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
             self._send(0, self._newest_number)
@@ -135,6 +135,10 @@ class CanHardware(Hardware):
     @property
     def fault(self) -> str:
         return self._fault
+
+    @property
+    def fault_name(self) -> str:
+        return self._fault_name
 
     @property
     def lost_samples(self) -> int:
@@ -211,9 +215,9 @@ class CanHardware(Hardware):
             if count != self._seen[words]:
                 self._latch(words)
                 return
-        silence = self._silence(now_ns)
+        name, silence = self._silence(now_ns)
         if silence:
-            self._latch(silence)
+            self._latch(silence, name)
         elif reported is Amplifier.ON:
             self._was_on = True
         elif self._was_on:
@@ -221,17 +225,17 @@ class CanHardware(Hardware):
         elif now_ns > self._deadline_ns:
             self._latch(f"the board did not switch on within {self._parameters.answer_timeout * 1e3:g} ms")
 
-    def _silence(self, now_ns: int) -> str:
-        """What has ceased to come, in words."""
+    def _silence(self, now_ns: int) -> tuple[str, str]:
+        """What has ceased to come: name of the fault, and words."""
         parameters, receiver = self._parameters, self._receiver
         heartbeat_age, sample_age = (now_ns - then for then in (receiver.heartbeat_ns, receiver.newest_ns))
         problem = f" ({self._link.problem})" if self._link.problem else ""
         if heartbeat_age > parameters.heartbeat_timeout * 1e9:
             self.heartbeat_losses += self._wanted
-            return f"no heartbeat for {_ms(heartbeat_age)} ms{problem}"
+            return "heartbeat_lost", f"no heartbeat for {_ms(heartbeat_age)} ms{problem}"
         if sample_age > parameters.sample_timeout * 1e9:
-            return f"no good sample for {_ms(sample_age)} ms{problem}"
-        return ""
+            return "sample_timeout", f"no good sample for {_ms(sample_age)} ms{problem}"
+        return "", ""
 
     def _not_ready(self, now_ns: int) -> str:
         receiver = self._receiver
@@ -239,10 +243,10 @@ class CanHardware(Hardware):
             return f"nothing has come from the board yet{': ' if self._link.problem else ''}{self._link.problem}"
         if receiver.node_state != OPERATIONAL:
             return f"the board's heartbeat says state {receiver.node_state}, not {OPERATIONAL} (operational)"
-        return self._silence(now_ns)
+        return self._silence(now_ns)[1]
 
-    def _latch(self, reason: str) -> None:
-        self._fault = reason
+    def _latch(self, reason: str, name: str = "board") -> None:
+        self._fault, self._fault_name = reason, name
         self.disable()
 
     def _send(self, counts: int, number: int) -> bool:

@@ -91,7 +91,9 @@ class Link:
         """Why the bus is closed; empty while it is open."""
 
     def start(self) -> None:
-        """Start the thread: it takes this thread's scheduling."""
+        """Start the thread, once: it takes this thread's scheduling."""
+        if self._thread.ident is not None:
+            return
         # Both threads have the same priority: one that held the interpreter and got no CPU would hold up the other, and
         # the driver's loop.
         if self.log:

@@ -1,0 +1,119 @@
+"""A machine that fails on demand: between another machine and who uses it, for trials of what finds faults."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from straightcomp_ros.hardware.interface import Hardware, Sample, State, Truth
+from straightcomp_ros.model.stage import Trajectory
+
+_JUMP = 5e-3
+_RUN_AWAY = 1.5
+"""m/s: no jump, and out of any map soon."""
+
+
+def _replaced(**numbers: float) -> Callable[[Sample, Sample], Sample]:
+    return lambda sample, _: sample._replace(**numbers)
+
+
+KINDS: Mapping[str, Callable[[Sample, Sample], Sample]] = {
+    "sample_nan": _replaced(y=math.nan),
+    "sample_infinite": _replaced(x=math.inf),
+    "y_out_of_range": _replaced(y=5e-3),
+    "y_frozen": lambda sample, first: sample._replace(y=first.y),
+    "x_frozen": lambda sample, first: sample._replace(x=first.x),
+    "x_jump": lambda sample, _: sample._replace(x=sample.x + _JUMP),
+    "x_beyond_map": lambda sample, first: sample._replace(
+        x=sample.x - _RUN_AWAY * (sample.stamp_ns - first.stamp_ns) * 1e-9
+    ),
+}
+"""Kinds of faults, and what each makes of a sample, given the first one that it befalls."""
+BOARD = "board"
+"""The kind in which the board reports a fault of its own."""
+
+
+class FaultyHardware(Hardware):
+    """Another machine, with the fault ``kind`` (empty: none).
+
+    Args:
+        inner: the machine.
+        began: called with the kind and the time (ns) of the first sample that it befalls.
+    """
+
+    def __init__(self, inner: Hardware, began: Callable[[str, int], None]) -> None:
+        self._inner, self._began = inner, began
+        self._first: Sample | None = None
+        self._kind = self._fault = ""
+
+    def inject(self, kind: str) -> None:
+        """Begin with the next sample; an empty text ends it.
+
+        Raises:
+            ValueError: the kind is unknown.
+        """
+        if kind and kind != BOARD and kind not in KINDS:
+            raise ValueError(f"fault '{kind}' is unknown; allowed: {BOARD}, {', '.join(KINDS)}")
+        self._kind, self._first = kind, None
+
+    def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:
+        samples = self._inner.read(now_ns)
+        if not self._kind or not samples:
+            return samples
+        if self._first is None:
+            self._first = samples[0][0]
+            self._began(self._kind, now_ns)
+            if self._kind == BOARD:
+                self._fault = "the board reports: overcurrent"
+                self._inner.disable()
+        change = KINDS.get(self._kind)
+        return [(change(sample, self._first), truth) for sample, truth in samples] if change else samples
+
+    def start(self, now_ns: int) -> None:
+        self._inner.start(now_ns)
+
+    def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
+        self._inner.write(current, at_ns, sample_ns)
+
+    def enable(self) -> None:
+        self._inner.enable()
+
+    def disable(self) -> None:
+        self._inner.disable()
+
+    def reset_fault(self) -> None:
+        self._fault = ""
+        self._inner.reset_fault()
+
+    def move(self, trajectory: Trajectory, start_ns: int) -> None:
+        self._inner.move(trajectory, start_ns)
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def counters(self) -> Mapping[str, object]:
+        return self._inner.counters()
+
+    @property
+    def state(self) -> State:
+        return State.FAULT if self._fault else self._inner.state
+
+    @property
+    def fault(self) -> str:
+        return self._fault or self._inner.fault
+
+    @property
+    def fault_name(self) -> str:
+        return BOARD if self._fault else self._inner.fault_name
+
+    @property
+    def lost_samples(self) -> int:
+        return self._inner.lost_samples
+
+    @property
+    def applied_current(self) -> float:
+        return self._inner.applied_current
+
+    @property
+    def newest_arrival_ns(self) -> int | None:
+        return self._inner.newest_arrival_ns

@@ -1,0 +1,265 @@
+"""The running graph as a stand for trials of faults: starts it, moves the stage, makes faults, sees what is latched."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.contract import COMMAND, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
+from straightcomp_ros.cycle import RECORDED, as_parameter_file
+from straightcomp_ros.launcher import LaunchError, exit_words, isolated_environment
+from straightcomp_ros.model.stage import Waypoint, trapezoid
+from straightcomp_ros.nodes import realtime
+from straightcomp_ros.nodes.faulty_driver import INJECT, INJECTED
+from straightcomp_ros.nodes.heartbeats import Heartbeats
+from straightcomp_ros.nodes.safety_panel import LATCHED
+from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
+from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
+
+_START_S = 90.0
+"""A busy machine takes its time to start a node, and the middleware to connect it."""
+_ANSWER_S = 3.0
+_SETTLE_S = 0.15
+_REFUSALS = 6
+_AT_THE_STOP = ("y_out_of_range", "y_frozen")
+_HEARTBEAT_PAUSE_S = 1.1
+_STROKE, _SPEED, _ACCELERATION = 0.1, 0.1, 0.4
+_STROKES = 600
+
+
+class Seen(NamedTuple):
+    """A fault: its name, and when it was latched, ns since the epoch."""
+
+    name: str
+    time_ns: int
+
+
+class Stand:
+    """Use it as a context manager: the end stops all processes.
+
+    Args:
+        folder: gets bags, logs and the parameter file.
+        values: parameters by node and dotted name.
+
+    Raises:
+        LaunchError: the graph does not come up.
+    """
+
+    def __init__(self, folder: Path, values: Mapping[str, Mapping[str, Any]]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder, self._file = folder, folder / "parameters.yaml"
+        self._realtime = RealtimeParameters(priority=values["driver"].get("realtime.priority", 0))
+        self._file.write_text(as_parameter_file(values))
+        os.environ.update(isolated_environment())
+        self._nursery = subprocess.Popen(
+            [sys.executable, "-m", "straightcomp_ros.nodes.nursery"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.processes: dict[str, int] = {}
+        self.bags = 0
+        self.condition, self.fault, self.tripped = "", None, None
+        self.injected_ns = 0
+        self._sends = 0
+        self._echoed: Inbox | None = None
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node("fault_stand")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self.heartbeats = Heartbeats(self.node, RECORDED)
+        self.node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
+        self.node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
+        self.node.create_subscription(DiagnosticStatus, INJECTED, self._on_injected, 10)
+        self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
+        self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
+        self.command = publisher(self.node, COMMAND)
+        self._enable = self.node.create_client(SetBool, "driver/enable")
+        self._reset = self.node.create_client(Trigger, "driver/reset_fault")
+
+    def __enter__(self) -> Stand:
+        self._answer()
+        for name in RECORDED:
+            self.start(name)
+        # Who talks with nodes of real-time priority needs the same one.
+        realtime.apply(self._realtime)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self._nursery.stdin is not None
+        self._nursery.stdin.close()
+        try:
+            self._nursery.wait(10.0)
+        except subprocess.TimeoutExpired:
+            self._nursery.kill()
+            self._nursery.wait()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def start(self, name: str) -> None:
+        """Start a node, again if it has ended."""
+        module = "faulty_driver" if name == "driver" else f"{name}_node"
+        words = [module, "--ros-args", "--params-file", str(self._file)]
+        if name == "driver":
+            # More than once: the first may come before the driver is connected; it refuses those that it does not need.
+            self._sends = 3
+        if name == "logger":
+            self.bags += 1
+            words += ["-p", f"output:={self.bag}"]
+        self.processes[name] = self._ask({"start": words, "log": str(self._folder / f"{name}.log")})["pid"]
+
+    @property
+    def bag(self) -> Path:
+        """Folder of the newest logger's bag."""
+        return self._folder / f"bag_{self.bags}"
+
+    def signal(self, name: str, number: signal.Signals) -> int:
+        """Send a signal to a node; returns when, ns since the epoch."""
+        at_ns = time.time_ns()
+        os.kill(self.processes[name], number)
+        return at_ns
+
+    def exit_code(self, name: str) -> int | None:
+        """How a node has ended, None while it runs."""
+        return self._ask({"wait": self.processes[name]})["code"]
+
+    def alive(self, names: tuple[str, ...] = RECORDED) -> bool:
+        """Whether the processes of these nodes run."""
+        return all(self.exit_code(name) is None for name in names)
+
+    def spin(self, seconds: float) -> None:
+        """Let so much time pass."""
+        self.until(lambda: False, seconds)
+
+    def until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Wait for a condition, at most so long; returns whether it came true."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_once(timeout_sec=0.01)
+            if self._echoed is not None:
+                for stamp_ns, numbers, _ in self._echoed.fetch():
+                    self.injected_ns = self.injected_ns or time.time_ns()
+                    self.command(stamp_ns, numbers[0])
+        return True
+
+    def echo(self, on: bool) -> None:
+        """Be a second controller, or no longer: say each command again."""
+        if on:
+            self._unspun = unspun_node(self.node)
+            self._echoed = Inbox(self.node, self._unspun, COMMAND)
+        elif self._echoed is not None:
+            self._echoed = None
+            self._unspun.destroy_node()
+
+    def inject(self, kind: str) -> None:
+        """Ask the driver for a fault; an empty text ends it."""
+        self._inject.publish(DiagnosticStatus(name=kind))
+
+    def enable(self) -> bool:
+        """Ask for the amplifier; returns whether it was switched on."""
+        answer = self._call(self._enable, SetBool.Request(data=True))
+        return answer is not None and answer.success
+
+    def switch_on(self) -> None:
+        """Bring the whole graph to its working state: all nodes active, stage moving, amplifier on.
+
+        Raises:
+            LaunchError: that is not to be had.
+        """
+        deadline = time.monotonic() + _START_S
+        refusals = 0
+        while time.monotonic() < deadline:
+            self.inject("")
+            if not self.until(lambda: self.heartbeats.in_state("active"), _ANSWER_S):
+                self._check_alive()
+                continue
+            self.spin(0.03)
+            self._call(self._reset, Trigger.Request())
+            if self._sends:
+                self._sends -= 1
+                self._trajectory.publish(_MOTION)
+            refusals += 1
+            if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.name in _AT_THE_STOP:
+                # The platform may have been driven to its stop, where no law gets it off: take a new machine.
+                self.signal("driver", signal.SIGKILL)
+                self.until(lambda: self.exit_code("driver") is not None, _ANSWER_S)
+                self.start("driver")
+                self.spin(_HEARTBEAT_PAUSE_S)
+                continue
+            if self.enable() and self.until(lambda: self.condition == "on", 1.0):
+                self.spin(_SETTLE_S)
+                if self.condition == "on":
+                    self.fault = self.tripped = None
+                    self.injected_ns = 0
+                    return
+        raise LaunchError(
+            f"the graph does not come up: nodes {self.heartbeats.states}, amplifier '{self.condition}', "
+            f"fault {self.fault} (logs in {self._folder})"
+        )
+
+    def _check_alive(self) -> None:
+        for name in RECORDED:
+            code = self.exit_code(name)
+            if code is not None:
+                words = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()
+                raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {words[-1] if words else ''}")
+
+    def _call(self, client: Any, request: Any) -> Any:
+        future = client.call_async(request)
+        if self.until(future.done, _ANSWER_S):
+            return future.result()
+        client.remove_pending_request(future)
+        return None
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        assert self._nursery.stdin is not None
+        self._nursery.stdin.write(json.dumps(request) + "\n")
+        self._nursery.stdin.flush()
+        return self._answer()
+
+    def _answer(self) -> dict[str, Any]:
+        assert self._nursery.stdout is not None
+        line = self._nursery.stdout.readline()
+        if not line:
+            raise LaunchError("the nodes' modules cannot be loaded; is the package whole?")
+        return dict(json.loads(line))
+
+    def _on_safety_state(self, message: DiagnosticStatus) -> None:
+        values = {value.key: value.value for value in message.values}
+        self.condition = values["condition"]
+        if message.name:
+            self.fault = Seen(message.name, int(values["time_ns"]))
+
+    def _on_trip(self, message: DiagnosticStatus) -> None:
+        self.tripped = Seen(message.name, time.time_ns())
+
+    def _on_injected(self, message: DiagnosticStatus) -> None:
+        self.injected_ns = int(message.values[0].value)
+
+
+def _strokes() -> JointTrajectory:
+    points = [Waypoint(0, 0.0, 0.0)]
+    for stroke in range(_STROKES):
+        points += trapezoid(points[-1], 0.0 if stroke % 2 else _STROKE, _SPEED, _ACCELERATION)
+    return message_from_waypoints(points)
+
+
+_MOTION = _strokes()

@@ -1,0 +1,56 @@
+"""Which lifecycle nodes are alive, and in which state, from their heartbeats."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+
+from straightcomp_ros.contract import HEARTBEAT
+
+_TICK_S = 0.05
+
+
+class Heartbeats:
+    """Listens from its making on.
+
+    Args:
+        node: listens.
+        names: nodes to watch; they count as silent until the first heartbeat.
+        timeout: silence that counts, s.
+    """
+
+    def __init__(self, node: Node, names: Sequence[str], timeout: float = 1.0) -> None:
+        self._timeout = timeout
+        self._ages = dict.fromkeys(names, timeout)
+        self.states = dict.fromkeys(names, "")
+        """Lifecycle state of each node, as it said last."""
+        self._ticked = time.monotonic()
+        node.create_subscription(DiagnosticStatus, HEARTBEAT, self._on_heartbeat, 100)
+        node.create_timer(_TICK_S, self._tick)
+
+    def silent(self) -> list[str]:
+        """Nodes without a heartbeat for that long."""
+        return [name for name, age in self._ages.items() if age >= self._timeout]
+
+    def lost(self) -> list[str]:
+        """Those of them that had one before."""
+        return [name for name in self.silent() if self.states[name]]
+
+    def in_state(self, state: str) -> bool:
+        """Whether all nodes are alive and in this lifecycle state."""
+        return not self.silent() and set(self.states.values()) == {state}
+
+    def _tick(self) -> None:
+        # A process that stood still must not take its own silence for the others'.
+        now = time.monotonic()
+        passed, self._ticked = min(now - self._ticked, 2.0 * _TICK_S), now
+        for name in self._ages:
+            self._ages[name] += passed
+
+    def _on_heartbeat(self, message: DiagnosticStatus) -> None:
+        if message.name in self._ages:
+            self._ages[message.name] = 0.0
+            self.states[message.name] = message.message

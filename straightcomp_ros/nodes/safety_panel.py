@@ -1,0 +1,95 @@
+"""The driver's services and topics of its safety state machine: what an operator or a cell controller sees of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import SetBool, Trigger
+
+from straightcomp_ros.contract import SAFETY_STATE, TRIP
+from straightcomp_ros.nodes.clock import now_ns
+from straightcomp_ros.nodes.managed import ManagedNode
+from straightcomp_ros.safety.faults import FAULTS
+from straightcomp_ros.safety.machine import Condition, SafetyMachine
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Who comes later gets the last message too."""
+
+
+class SafetyPanel:
+    """``~/enable``, ``~/reset_fault``, the topic `safety_state`, and the topic `trip` for requests to switch off.
+
+    Args:
+        node: the driver.
+        safety: its state machine.
+        refusal: why the amplifier may not be switched on now, apart from faults; empty if it may.
+        switched_on: called before the amplifier is switched on.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        safety: SafetyMachine,
+        refusal: Callable[[], str],
+        switched_on: Callable[[], None],
+    ) -> None:
+        self._node, self._safety = node, safety
+        self._refusal, self._switched_on = refusal, switched_on
+        self._publisher = node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
+        self._reported: tuple[Condition, str] | None = None
+        node.create_service(SetBool, "~/enable", self._on_enable)
+        node.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
+        node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
+        self.report()
+
+    def report(self) -> None:
+        """Publish the state, and log a fault, if it is not as reported last."""
+        fault, condition = self._safety.fault, self._safety.condition
+        now = (condition, self._safety.reason)
+        if now == self._reported:
+            return
+        self._reported = now
+        values = {"condition": condition.value, "time_ns": str(fault.time_ns if fault else now_ns())}
+        self._publisher.publish(
+            DiagnosticStatus(
+                level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
+                name=fault.name if fault else "",
+                message=fault.reason if fault else f"amplifier {condition.value}",
+                hardware_id=self._node.get_fully_qualified_name(),
+                values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            )
+        )
+        if fault:
+            self._node.get_logger().error(f"fault, amplifier off: {self._safety.reason}")
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Switch the amplifier on (refused while a fault is latched or no fresh command comes in), or off."""
+        if not request.data:
+            self._safety.disable()
+            response.success, response.message = True, "amplifier off"
+        else:
+            refusal = "" if self._safety.fault else self._refusal()
+            if not refusal:
+                self._switched_on()
+                refusal = self._safety.enable()
+            response.success, response.message = not refusal, refusal or "amplifier on"
+            self._node.get_logger().info(f"enable: {response.message}")
+        self.report()
+        return response
+
+    def _on_reset_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Clear the latched fault; the amplifier stays off."""
+        reason = self._safety.reason
+        self._safety.reset()
+        self.report()
+        response.success, response.message = True, f"cleared: {reason}" if reason else "there was no fault"
+        return response
+
+    def _on_trip(self, message: DiagnosticStatus) -> None:
+        # Off it is anyway while the driver is not active; what happened then is not to be reset by anybody.
+        if self._node.active:
+            name = message.name if message.name in FAULTS else "tripped"
+            self._safety.trip(name, message.message or "no reason given", now_ns())
+            self.report()

@@ -1,0 +1,108 @@
+"""The safety state machine: the only place that switches the amplifier.
+
+OFF ──enable──▶ ON ──disable──▶ OFF         OFF, ON ──trip──▶ FAULT ──reset──▶ OFF
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from straightcomp_ros.hardware.interface import Hardware, HardwareError
+from straightcomp_ros.safety.faults import FAULTS
+
+
+class Condition(enum.Enum):
+    """State of the machine."""
+
+    OFF = "off"
+    ON = "on"
+    FAULT = "fault"
+
+
+class Event(enum.Enum):
+    """What moves it."""
+
+    ENABLE = "enable"
+    DISABLE = "disable"
+    TRIP = "trip"
+    RESET = "reset"
+
+
+TRANSITIONS: Mapping[tuple[Condition, Event], Condition] = {
+    (Condition.OFF, Event.ENABLE): Condition.ON,
+    (Condition.OFF, Event.DISABLE): Condition.OFF,
+    (Condition.OFF, Event.TRIP): Condition.FAULT,
+    (Condition.OFF, Event.RESET): Condition.OFF,
+    (Condition.ON, Event.ENABLE): Condition.ON,
+    (Condition.ON, Event.DISABLE): Condition.OFF,
+    (Condition.ON, Event.TRIP): Condition.FAULT,
+    (Condition.ON, Event.RESET): Condition.ON,
+    (Condition.FAULT, Event.DISABLE): Condition.FAULT,
+    (Condition.FAULT, Event.TRIP): Condition.FAULT,
+    (Condition.FAULT, Event.RESET): Condition.OFF,
+}
+"""All that can happen. A fault cannot be enabled away: (FAULT, ENABLE) is not there."""
+
+
+class Latched(NamedTuple):
+    """A fault that has been latched: its name, the reason in words, and when, ns since the epoch."""
+
+    name: str
+    reason: str
+    time_ns: int
+
+
+class SafetyMachine:
+    """Switches a machine's amplifier by the transitions above.
+
+    Args:
+        hardware: whose amplifier it is.
+    """
+
+    def __init__(self, hardware: Hardware) -> None:
+        self._hardware = hardware
+        self.condition = Condition.OFF
+        self.fault: Latched | None = None
+        """The first fault since the last reset: those that follow are its consequences."""
+        self.trips = 0
+        """Faults in all, with those that followed the first."""
+
+    def enable(self) -> str:
+        """Amplifier on; returns why not, or an empty text."""
+        if (self.condition, Event.ENABLE) not in TRANSITIONS:
+            return f"a fault is latched: {self.reason}; call reset_fault"
+        try:
+            self._hardware.enable()
+        except HardwareError as error:
+            return str(error)
+        self._go(Event.ENABLE)
+        return ""
+
+    def disable(self) -> None:
+        """Amplifier off."""
+        self._hardware.disable()
+        self._go(Event.DISABLE)
+
+    def trip(self, name: str, reason: str, time_ns: int) -> None:
+        """Amplifier off, and no way back but :meth:`reset`; ``name`` is one of the faults."""
+        self._hardware.disable()
+        self.trips += 1
+        if self.fault is None:
+            self.fault = Latched(FAULTS[name].name, reason, time_ns)
+            self._go(Event.TRIP)
+
+    def reset(self) -> None:
+        """Forget the fault; the amplifier stays as it is."""
+        self._hardware.reset_fault()
+        self.fault = None
+        self._go(Event.RESET)
+
+    @property
+    def reason(self) -> str:
+        """The fault in words; empty without one."""
+        return f"{self.fault.name}: {self.fault.reason}" if self.fault is not None else ""
+
+    def _go(self, event: Event) -> None:
+        self.condition = TRANSITIONS[self.condition, event]

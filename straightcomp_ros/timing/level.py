@@ -1,0 +1,44 @@
+"""Level of a node's diagnostics, with hysteresis: one that changes each second tells nobody anything."""
+
+from __future__ import annotations
+
+import enum
+
+_CLEAN_REPORTS = 5
+_OVERRUN_SHARE = 0.01
+
+
+class Level(enum.IntEnum):
+    """As diagnostic_msgs/DiagnosticStatus has them."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class Levels:
+    """The level of each report of one node.
+
+    A report with lost samples, or with overruns in more than 1 % of the samples, is a warning, and so are those after
+    it, until five in a row had neither. An error is one as long as it lasts, and leaves a warning behind for as long.
+    """
+
+    def __init__(self) -> None:
+        self._lost = self._overruns = self._samples = 0
+        self._clean = _CLEAN_REPORTS
+
+    def next(self, samples: int, lost: int, overruns: int, error: bool) -> tuple[Level, str]:
+        """Level and words for a report, from the node's counters since its start."""
+        new_lost, new_overruns = lost - self._lost, overruns - self._overruns
+        late = new_overruns > _OVERRUN_SHARE * max(samples - self._samples, 1)
+        self._samples, self._lost, self._overruns = samples, lost, overruns
+        self._clean = 0 if new_lost > 0 or late or error else self._clean + 1
+        if error:
+            return Level.ERROR, ""
+        if new_lost > 0:
+            return Level.WARN, f"{new_lost} samples lost in the last second"
+        if late:
+            return Level.WARN, f"{new_overruns} overruns in the last second"
+        if self._clean < _CLEAN_REPORTS:
+            return Level.WARN, "running again; something was wrong a moment ago"
+        return Level.OK, "running"

@@ -1,0 +1,177 @@
+"""The nodes as managed nodes: their transitions over the standard services, and what each state does and does not."""
+
+import time
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool, Trigger
+
+from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.contract import CONTROLLER_STATE, ENCODER, SAFETY_STATE, TRIP
+from straightcomp_ros.nodes.safety_panel import LATCHED
+from straightcomp_ros.nodes.streams import subscribe
+
+PATIENCE_S = 60.0
+_SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
+_SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
+FORGIVING = {
+    "driver": {"simulated.command_timeout": 1.0, "simulated.sample_memory": 2000},
+    "controller": {"sample_timeout": 30.0},
+}
+
+
+class Manager:
+    """Stands for a lifecycle manager and a cell controller."""
+
+    def __init__(self):
+        rclpy.init()
+        self.node = Node("manager")
+        self.safety = None
+        self.node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety, LATCHED)
+        self.trip = self.node.create_publisher(DiagnosticStatus, TRIP, 10)
+        self._clients = {}
+
+    def _on_safety(self, message):
+        self.safety = (message.name, {value.key: value.value for value in message.values}["condition"])
+
+    def until(self, condition, seconds=PATIENCE_S):
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, "it never came true"
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def call(self, kind, name, request):
+        client = self._clients.setdefault(name, self.node.create_client(kind, name))
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def change(self, node, label):
+        request = ChangeState.Request()
+        request.transition.label = label
+        return self.call(ChangeState, f"{node}/change_state", request).success
+
+    def state(self, node):
+        return self.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label
+
+    def set(self, node, **values):
+        parameters = [
+            Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        return self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
+
+    def enable(self, on=True):
+        return self.call(SetBool, "driver/enable", SetBool.Request(data=on))
+
+    def trigger(self, name):
+        return self.call(Trigger, name, Trigger.Request())
+
+    def amplifier_on(self):
+        rclpy.spin_once(self.node, timeout_sec=0.0)
+        return self.safety == ("", "on")
+
+    def switching(self):
+        """Whether the law switches, by some of its answers: nobody here hears all 2000 a second for long."""
+        found = self.heard(CONTROLLER_STATE)
+        return any(numbers[_SWITCHING] for numbers in found)
+
+    def heard(self, stream, count=20):
+        found = []
+        node = Node("listener")
+        subscribe(node, stream, lambda _, numbers: found.append(numbers))
+        end = time.monotonic() + PATIENCE_S
+        while len(found) < count:
+            assert time.monotonic() < end, f"nothing comes on {stream.topic}"
+            rclpy.spin_once(node, timeout_sec=0.05)
+        node.destroy_node()
+        return found
+
+
+@pytest.fixture
+def manager():
+    manager = Manager()
+    yield manager
+    manager.node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def loop(graph, manager, forgiving):
+    """Driver, feedforward and controller, amplifier on."""
+    parameters = {"driver": forgiving, "controller": {"sample_timeout": 30.0}}
+    for node in ("driver", "feedforward", "controller"):
+        graph.start(node, parameters.get(node, {}))
+    manager.until(lambda: manager.enable().success)
+    manager.until(manager.amplifier_on)
+    return manager
+
+
+def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_refused(graph, manager):
+    process = graph.start("driver", {"simulated.rate": 200, "autostart": False})
+    assert manager.state("driver") == "unconfigured"
+    assert not manager.change("driver", "activate")
+    assert manager.state("driver") == "unconfigured"
+    # What cannot be configured stays as it is; the next attempt takes what was mended.
+    assert manager.set("driver", guide__file="nowhere.csv").successful
+    assert not manager.change("driver", "configure")
+    assert manager.state("driver") == "unconfigured"
+    assert manager.set("driver", guide__file="config/guide_synthetic.csv").successful
+    for _ in range(2):
+        assert manager.change("driver", "configure") and manager.state("driver") == "inactive"
+        assert not manager.enable().success
+        assert manager.change("driver", "activate") and manager.state("driver") == "active"
+        manager.heard(ENCODER)
+        assert manager.change("driver", "deactivate") and manager.state("driver") == "inactive"
+        assert manager.change("driver", "cleanup") and manager.state("driver") == "unconfigured"
+    assert manager.change("driver", "shutdown") and manager.state("driver") == "finalized"
+    assert process.poll() is None
+    assert graph.stop(["driver"])["driver"] == 0
+
+
+def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loop):
+    loop.trip.publish(DiagnosticStatus(name="whatever", message="somebody is in there"))
+    loop.until(lambda: loop.safety == ("tripped", "fault"))
+    assert loop.change("driver", "deactivate") and loop.change("driver", "activate")
+    loop.heard(ENCODER)
+    refusal = loop.enable()
+    assert not refusal.success and "somebody is in there" in refusal.message
+    assert loop.trigger("driver/reset_fault").success
+    loop.until(lambda: loop.enable().success)
+    loop.until(loop.amplifier_on)
+    assert loop.change("driver", "deactivate")
+    loop.until(lambda: loop.safety == ("", "off"))
+
+
+def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
+    refused = loop.set("controller", control__law="linear", control__design__rho=-1.0)
+    assert not refused.successful and "control.design.rho" in refused.reason
+    refused = loop.set("controller", control__law="linear", rate=100)
+    assert not refused.successful and "'rate' is fixed while the node is configured" in refused.reason
+    assert loop.switching()  # the law is 'smc' as before
+    assert loop.set("controller", control__law="linear", control__current_limit=0.5).successful
+    loop.until(lambda: not loop.switching())
+    refused = loop.set("feedforward", map__file="nowhere.csv")
+    assert not refused.successful and "nowhere.csv" in refused.reason
+    assert loop.trigger("feedforward/reload_map").success
+    assert loop.set("driver", current_limit=0.95).successful
+    loop.heard(ENCODER)
+    assert loop.amplifier_on()
+
+
+def test_a_logger_that_is_managed_records_while_it_is_active_and_ends_its_bag_when_cleaned_up(graph, manager, tmp_path):
+    bag = tmp_path / "bag"
+    graph.start("logger", {"autostart": False, "output": str(bag), "nodes": "logger"})
+    assert manager.change("logger", "configure") and manager.change("logger", "activate")
+    assert manager.change("logger", "deactivate") and manager.change("logger", "cleanup")
+    assert (bag / "metadata.yaml").exists() and "parameters.yaml" in read_attachments(bag)
+    # The folder holds something now: the logger says so, and takes another.
+    assert not manager.change("logger", "configure")
+    assert manager.set("logger", output=str(tmp_path / "other")).successful
+    assert manager.change("logger", "configure") and manager.state("logger") == "inactive"

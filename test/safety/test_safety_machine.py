@@ -1,0 +1,55 @@
+"""The state machine that alone switches the amplifier, and the table of its faults."""
+
+import itertools
+import random
+from pathlib import Path
+
+from straightcomp_ros.hardware.interface import State
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.safety.faults import FAULTS, table
+from straightcomp_ros.safety.machine import TRANSITIONS, Condition, Event, SafetyMachine
+from straightcomp_ros.straightness.map import MapParameters, load_map
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
+
+
+def machine():
+    hardware = SimulatedHardware(SimulatedParameters(), load_map(MapParameters(file="config/guide_synthetic.csv")))
+    hardware.start(0)
+    return SafetyMachine(hardware), hardware
+
+
+def test_every_event_has_its_transition_in_every_condition_but_enabling_a_fault_away():
+    assert set(itertools.product(Condition, Event)) - set(TRANSITIONS) == {(Condition.FAULT, Event.ENABLE)}
+
+
+def test_the_amplifier_is_on_exactly_in_the_condition_on_whatever_comes():
+    safety, hardware = machine()
+    chance = random.Random(3)
+    for _ in range(2000):
+        event = chance.choice(list(Event))
+        before, fault = safety.condition, safety.fault
+        if event is Event.ENABLE:
+            assert bool(safety.enable()) is (before is Condition.FAULT)
+        elif event is Event.DISABLE:
+            safety.disable()
+        elif event is Event.TRIP:
+            safety.trip(chance.choice(list(FAULTS)), "a reason", 1)
+            assert safety.fault is (fault or safety.fault)  # the first one stays
+        else:
+            safety.reset()
+        assert safety.condition is TRANSITIONS.get((before, event), before)
+        assert (hardware.state is State.ON) is (safety.condition is Condition.ON)
+        assert (safety.fault is not None) is (safety.condition is Condition.FAULT)
+
+
+def test_a_machine_that_refuses_to_switch_on_leaves_the_condition_as_it_was():
+    safety, hardware = machine()
+    hardware.enable()
+    hardware.read(10**9)  # no command: its own timeout
+    assert "no command for" in safety.enable()
+    assert safety.condition is Condition.OFF
+
+
+def test_the_documented_table_is_the_code_s():
+    assert table() in DOCUMENT.read_text(), "put the output of straightcomp_ros.safety.faults.table() there"
