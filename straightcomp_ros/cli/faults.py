@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     parser.add_argument("--quick", action="store_true", help=f"{_QUICK} injections of each instead of {_REPEATS}")
     parser.add_argument("--only", metavar="TEXT", default="", help="only faults with this text in their name")
-    parser.add_argument("--output", metavar="FOLDER", help="keep bags and logs there")
+    parser.add_argument("--output", "-o", metavar="FOLDER", help="keep bags and logs there")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 

@@ -26,13 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tools = parser.add_subparsers(dest="tool", metavar="TOOL", required=True)
     user = tools.add_parser("user", help=f"add a user; the password is asked for, or taken from ${PASSWORD}")
     user.add_argument("file", type=Path, metavar="FILE", help="file of users, made if need be")
-    user.add_argument("name", metavar="NAME")
+    user.add_argument("name", metavar="NAME", help="of the user")
     user.add_argument(
         "--role", choices=ROLES, default=OPERATOR, help="viewers read, operators also command (default: %(default)s)"
     )
     cycle = tools.add_parser("cycle", help=f"run strokes; the password is asked for, or taken from ${PASSWORD}")
     cycle.add_argument("--url", default=OpcuaParameters().endpoint, help="endpoint (default: %(default)s)")
-    cycle.add_argument("--user", required=True, metavar="NAME")
+    cycle.add_argument("--user", required=True, metavar="NAME", help="one who may command")
     cycle.add_argument("--strokes", type=int, default=1, help="strokes forward and back (default: %(default)s)")
     cycle.add_argument("--progress", action="store_true", help="print lines 'progress FRACTION'")
     cycle.add_argument(
