@@ -34,7 +34,8 @@ def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> 
         if declaration.name in given:
             node.undeclare_parameter(declaration.name)
         fixed = not changeable or declaration.name.split(".")[0] in _FIXED
-        node.declare_parameter(declaration.name, value, _descriptor(declaration, fixed))
+        # What was given is in ``value``, an integer as the float that it stands for.
+        node.declare_parameter(declaration.name, value, _descriptor(declaration, fixed), ignore_override=True)
     return parameters
 
 

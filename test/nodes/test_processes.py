@@ -61,6 +61,11 @@ def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(graph, tmp_
     assert words in graph.last_words(node)
 
 
+def test_an_integer_is_taken_where_a_float_is_meant(graph):
+    graph.start("driver", {"simulated.command_timeout": 1, "simulated.hold_stiffness": 0})
+    wait_for_line(graph, "driver", "ready")
+
+
 def test_the_logger_refuses_a_folder_that_holds_something(graph, tmp_path):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "precious").write_text("data")
