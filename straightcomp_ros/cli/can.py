@@ -3,26 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import importlib
+
+from straightcomp_ros.cli.tools import add_tools, run_tool
 
 SUMMARY = "a CAN bus between processes, and recorded buses"
-
-_TOOLS = ("hub", "replay")
-"""Each is a module ``can_<name>`` beside this one, with SUMMARY, add_arguments and run, as a verb is."""
+run = run_tool
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the tools."""
-    tools = parser.add_subparsers(dest="tool", metavar="TOOL", required=True)
-    for name in _TOOLS:
-        module = importlib.import_module(f"straightcomp_ros.cli.can_{name}")
-        tool = tools.add_parser(
-            name, help=module.SUMMARY, description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-        )
-        module.add_arguments(tool)
-        tool.set_defaults(run_tool=module.run)
-
-
-def run(options: argparse.Namespace) -> int:
-    """Run the tool that was named."""
-    return int(options.run_tool(options))
+    add_tools(parser, "can", ("hub", "replay"))

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from waiting import wait_for_line
 
 from straightcomp_ros.shared_memory import remove_stale
 
@@ -40,13 +41,6 @@ def fast_dds_files_of(process):
     """Names of the lock files that a process has open."""
     links = [os.readlink(entry) for entry in Path(f"/proc/{process.pid}/fd").iterdir() if entry.is_symlink()]
     return {Path(link).name for link in links if link.startswith("/dev/shm/fastrtps_")}
-
-
-def wait_for_line(graph, node, text):
-    end = time.monotonic() + 120
-    while text not in graph.log(node).read_text():
-        assert time.monotonic() < end, graph.log(node).read_text()
-        time.sleep(0.05)
 
 
 @pytest.fixture

@@ -1,27 +1,17 @@
 """Each node as a process: parameters, signals, exit codes."""
 
 import signal
-import time
 
 import pytest
+from waiting import wait_for_line
 
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.launcher import Graph
 
 NODES = ("driver", "feedforward", "controller", "logger", "cell")
 
 
 def extra(node, tmp_path):
     return {"output": str(tmp_path / "bag")} if node == "logger" else {}
-
-
-def wait_for_line(graph: Graph, node: str, text: str, seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if text in graph.log(node).read_text():
-            return
-        time.sleep(0.05)
-    pytest.fail(f"{node} never printed {text!r}; it printed: {graph.log(node).read_text()}")
 
 
 @pytest.mark.parametrize("node", NODES)

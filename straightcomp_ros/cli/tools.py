@@ -1,0 +1,25 @@
+"""Verbs that are families of tools: each tool is a module of its own, made as a verb is."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Sequence
+
+
+def add_tools(parser: argparse.ArgumentParser, verb: str, names: Sequence[str], metavar: str = "TOOL") -> None:
+    """Declare the tools of ``verb``: for each name the module ``<verb>_<name>`` beside this one, with SUMMARY,
+    add_arguments and run."""
+    tools = parser.add_subparsers(dest="tool", metavar=metavar, required=True)
+    for name in names:
+        module = importlib.import_module(f"straightcomp_ros.cli.{verb}_{name}")
+        tool = tools.add_parser(
+            name, help=module.SUMMARY, description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        module.add_arguments(tool)
+        tool.set_defaults(run_tool=module.run)
+
+
+def run_tool(options: argparse.Namespace) -> int:
+    """Run the tool that was named."""
+    return int(options.run_tool(options))
