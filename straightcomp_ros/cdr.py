@@ -10,8 +10,9 @@ whole bag. A message of another layout is refused, never misread.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,11 @@ class Layout:
         constants: the constant byte runs: after the stamp, between the numbers.
         runs: how many float64 follow each constant run.
         places: for each column the message's array and the joint whose entry it is.
+        pack: ``pack(stamp_ns, *numbers)`` serialises one message: header stamp in ns since the epoch, and as many
+            float64 as ``columns``.
+        unpack: ``unpack(data)`` reads one: (stamp in ns, numbers in the order of ``columns``); raises
+            :class:`LayoutMismatch` for other constants, or fewer bytes.
+        size: bytes of a message.
     """
 
     type_name: str
@@ -42,56 +48,67 @@ class Layout:
     constants: tuple[bytes, ...]
     runs: tuple[int, ...]
     places: tuple[tuple[str, str], ...]
+    pack: Callable[..., bytes] = field(init=False, repr=False, compare=False)
+    unpack: Callable[[bytes], tuple[int, tuple[float, ...]]] = field(init=False, repr=False, compare=False)
+    size: int = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         parts = [f"{len(constant)}s{run}d" for constant, run in zip(self.constants, self.runs, strict=True)]
         packer = struct.Struct("<4siI" + "".join(parts))
-        object.__setattr__(self, "_struct", packer)
-        object.__setattr__(self, "_plain", self.runs == (len(self.columns),) and len(self.constants) == 1)
+        # Each message of a 2 kHz loop comes through these: what can be found out now is not looked up then.
+        object.__setattr__(self, "pack", self._make_pack(packer))
+        object.__setattr__(self, "unpack", self._make_unpack(packer))
+        object.__setattr__(self, "size", packer.size)
 
-    @property
-    def size(self) -> int:
-        """Bytes of a message."""
-        return int(self._struct.size)  # type: ignore[attr-defined]
+    def _make_pack(self, packer: struct.Struct) -> Callable[..., bytes]:
+        pack, constants = packer.pack, self.constants
+        if len(constants) == 1:
+            (constant,) = constants
 
-    def pack(self, stamp_ns: int, *numbers: float) -> bytes:
-        """Serialise one message.
+            def pack_one_run(stamp_ns: int, *numbers: float) -> bytes:
+                sec, nanosec = divmod(stamp_ns, NANOSECONDS)
+                return pack(_ENCAPSULATION, sec, nanosec, constant, *numbers)
 
-        Args:
-            stamp_ns: header stamp in ns since the epoch.
-            numbers: as many float64 as ``columns``.
-        """
-        sec, nanosec = divmod(stamp_ns, NANOSECONDS)
-        if self._plain:  # type: ignore[attr-defined]
-            return bytes(self._struct.pack(_ENCAPSULATION, sec, nanosec, self.constants[0], *numbers))  # type: ignore[attr-defined]
-        arguments: list[bytes | float] = []
-        first = 0
-        for constant, run in zip(self.constants, self.runs, strict=True):
-            arguments.append(constant)
-            arguments.extend(numbers[first : first + run])
-            first += run
-        return bytes(self._struct.pack(_ENCAPSULATION, sec, nanosec, *arguments))  # type: ignore[attr-defined]
+            return pack_one_run
+        order, number = [], len(constants)
+        for index, run in enumerate(self.runs):
+            order += [index, *range(number, number + run)]
+            number += run
+        in_order = itemgetter(*order)
 
-    def unpack(self, data: bytes) -> tuple[int, list[float]]:
-        """Read one message: (stamp in ns, numbers in the order of ``columns``).
+        def pack_runs(stamp_ns: int, *numbers: float) -> bytes:
+            sec, nanosec = divmod(stamp_ns, NANOSECONDS)
+            return pack(_ENCAPSULATION, sec, nanosec, *in_order(constants + numbers))
 
-        Raises:
-            LayoutMismatch: other constants, or too short.
-        """
-        try:
-            fields = self._struct.unpack_from(data)  # type: ignore[attr-defined]
-        except struct.error as error:
-            raise LayoutMismatch(f"{self.type_name}: {len(data)} bytes, {self.size} expected") from error
-        if fields[0] != _ENCAPSULATION:
-            raise LayoutMismatch(f"{self.type_name}: encapsulation {fields[0].hex()} is not little-endian CDR")
-        numbers: list[float] = []
-        place = 3
-        for constant, run in zip(self.constants, self.runs, strict=True):
-            if fields[place] != constant:
-                raise LayoutMismatch(f"{self.type_name}: other names or array lengths than {self.columns}")
-            numbers.extend(fields[place + 1 : place + 1 + run])
+        return pack_runs
+
+    def _make_unpack(self, packer: struct.Struct) -> Callable[[bytes], tuple[int, tuple[float, ...]]]:
+        unpack_from = packer.unpack_from
+        at_constants, at_numbers, place = [0], list[int](), 3
+        for run in self.runs:
+            at_constants.append(place)
+            at_numbers.extend(range(place + 1, place + 1 + run))
             place += 1 + run
-        return fields[1] * NANOSECONDS + fields[2], numbers
+        expected, constant_fields = (_ENCAPSULATION, *self.constants), itemgetter(*at_constants)
+        # Of one item an itemgetter makes no tuple; of a slice it does.
+        number_fields = (
+            itemgetter(*at_numbers) if at_numbers[1:] else itemgetter(slice(at_numbers[0], at_numbers[0] + 1))
+        )
+
+        def unpack(data: bytes) -> tuple[int, tuple[float, ...]]:
+            try:
+                fields = unpack_from(data)
+            except struct.error as error:
+                raise LayoutMismatch(f"{self.type_name}: {len(data)} bytes, {self.size} expected") from error
+            if constant_fields(fields) != expected:
+                raise LayoutMismatch(
+                    f"{self.type_name}: encapsulation {fields[0].hex()} is not little-endian CDR"
+                    if fields[0] != _ENCAPSULATION
+                    else f"{self.type_name}: other names or array lengths than {self.columns}"
+                )
+            return fields[1] * NANOSECONDS + fields[2], number_fields(fields)
+
+        return unpack
 
     @property
     def dtype(self) -> np.dtype:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -19,8 +20,12 @@ from mcap.records import Chunk, ChunkIndex
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_FIELDS = 22
 """Bytes of a message record's content before the message itself."""
+_FRAME = _MESSAGE.size - _MESSAGE_FIELDS
 _INDEX = struct.Struct("<BQHI")
 _INDEX_ENTRY = 16
+
+ChannelMessage = tuple[int, int, int, bytes]
+"""Channel id, log time and publish time in ns, serialised message."""
 
 COMPRESSORS: Mapping[str, tuple[str, Callable[[bytes], bytes]]] = {
     "zstd": ("zstd", zstandard.ZstdCompressor().compress),
@@ -44,31 +49,36 @@ class OpenChunk:
 
     def __init__(self) -> None:
         self.records = bytearray()
-        self._entries: dict[int, list[int]] = {}
+        self._index: list[int] = []  # of each message: channel, log time, offset
 
-    def add_message(self, channel_id: int, log_time_ns: int, publish_time_ns: int, data: bytes) -> None:
-        """Append one message; times in ns, not negative."""
-        fields = _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_FIELDS + len(data), channel_id, 0, log_time_ns, publish_time_ns)
-        record, offset = fields + data, len(self.records)
-        entries = self._entries.get(channel_id)
-        if entries is None:
-            entries = self._entries[channel_id] = []
+    def add_messages(self, messages: Iterable[ChannelMessage]) -> None:
+        """Append messages; times in ns, not negative."""
+        offset = len(self.records)
+        pack = _MESSAGE.pack
+        parts: list[bytes] = []
+        index: list[int] = []
+        for channel_id, log_time_ns, publish_time_ns, data in messages:
+            content = _MESSAGE_FIELDS + len(data)
+            parts += (pack(Opcode.MESSAGE, content, channel_id, 0, log_time_ns, publish_time_ns), data)
+            index += (channel_id, log_time_ns, offset)
+            offset += _FRAME + content
+        records = b"".join(parts)
         # No call from here on: Python serves an interrupt at calls only, so both happen or none.
-        self.records += record
-        entries += (log_time_ns, offset)
+        self.records += records
+        self._index += index
 
     @property
     def has_messages(self) -> bool:
         """False for an empty chunk: MCAP has no use for one."""
-        return any(self._entries.values())
+        return bool(self._index)
 
     def full(self, position: int, compression: str) -> FullChunk:
         """Close the chunk for the file offset ``position``; the chunk itself stays as it is."""
         name, compress = COMPRESSORS[compression]
         records = bytes(self.records)
-        entries = {channel: flat for channel, flat in self._entries.items() if flat}
-        times = [time for flat in entries.values() for time in flat[::2]]
-        first, last = (min(times), max(times)) if times else (0, 0)
+        messages = np.array(self._index, dtype="<u8").reshape(-1, 3)
+        times = messages[:, 1]
+        first, last = (int(times.min()), int(times.max())) if len(times) else (0, 0)
         builder = RecordBuilder()
         compressed = compress(records)
         Chunk(
@@ -80,12 +90,11 @@ class OpenChunk:
             uncompressed_size=len(records),
         ).write(builder)
         chunk_length = builder.count
-        offsets = {}
-        for channel, flat in entries.items():
-            offsets[channel] = position + builder.count
-            size = len(flat) // 2 * _INDEX_ENTRY
-            builder.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
-            builder.write(struct.pack(f"<{len(flat)}Q", *flat))
+        offsets, counts = {}, {}
+        for channel in np.unique(messages[:, 0]).tolist():
+            entries = messages[messages[:, 0] == channel, 1:].tobytes()
+            offsets[channel], counts[channel] = position + builder.count, len(entries) // _INDEX_ENTRY
+            builder.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries)
         index = ChunkIndex(
             message_start_time=first,
             message_end_time=last,
@@ -97,5 +106,4 @@ class OpenChunk:
             compressed_size=len(compressed),
             uncompressed_size=len(records),
         )
-        counts = {channel: len(flat) // 2 for channel, flat in entries.items()}
         return FullChunk(builder.end(), index, counts)  # type: ignore[no-untyped-call]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 
-_STAMP = struct.Struct("<iI")
-_STAMP_PLACE = 4
+import numpy as np
+
+from straightcomp_ros.cdr import NANOSECONDS
+
+_STAMP = slice(4, 12)
 """A header's stamp follows the four bytes of the CDR encapsulation."""
+_STAMP_TYPE = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
 
 
 class Losses:
@@ -18,21 +22,21 @@ class Losses:
 
     def __init__(self) -> None:
         self._last: dict[str, int] = {}
-        self._steps: dict[str, dict[int, int]] = {}
+        self._steps: dict[str, Counter[int]] = {}
 
-    def add(self, topic: str, data: bytes) -> None:
-        """A serialised message that begins with a header."""
-        sec, nanosec = _STAMP.unpack_from(data, _STAMP_PLACE)
-        stamp = sec * 1_000_000_000 + nanosec
-        last = self._last.get(topic)
-        if last is None:
-            self._steps.setdefault(topic, {})
-        elif stamp <= last:
-            return  # repeated or overtaken
-        else:
-            steps = self._steps[topic]
-            steps[stamp - last] = steps.get(stamp - last, 0) + 1
-        self._last[topic] = stamp
+    def add(self, topic: str, messages: Iterable[bytes]) -> None:
+        """Serialised messages of one topic, in their order; each begins with a header."""
+        stamps = np.frombuffer(b"".join([data[_STAMP] for data in messages if len(data) >= _STAMP.stop]), _STAMP_TYPE)
+        if not len(stamps):
+            return
+        times = stamps["sec"].astype(np.int64) * NANOSECONDS + stamps["nanosec"]
+        # A stamp that is repeated or overtaken stands still here, and makes no step.
+        newest = np.maximum.accumulate(np.append(self._last.get(topic, times[0]), times))
+        steps, counts = np.unique(np.diff(newest), return_counts=True)
+        self._steps.setdefault(topic, Counter()).update(
+            {step: count for step, count in zip(steps.tolist(), counts.tolist(), strict=True) if step}
+        )
+        self._last[topic] = int(newest[-1])
 
     def interrupt(self) -> None:
         """What comes next does not follow what came last: between them messages were left out on purpose."""

@@ -12,7 +12,7 @@ import struct
 import time
 import zlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
@@ -34,7 +34,7 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from straightcomp_ros.bags.chunk import OpenChunk
+from straightcomp_ros.bags.chunk import ChannelMessage, OpenChunk
 
 LIBRARY = "straightcomp_ros"
 
@@ -80,11 +80,11 @@ class McapOutput:
         self._channels += [channel]
         return channel.id
 
-    def add_message(self, channel_id: int, log_time_ns: int, publish_time_ns: int, data: bytes) -> None:
-        """Add a message to the open chunk, and write the chunk when it is full."""
+    def add_messages(self, messages: Iterable[ChannelMessage]) -> None:
+        """Add messages to the open chunk, and write the chunk when it is full."""
         if not self._chunk.records:
             self._chunk_started = time.monotonic()
-        self._chunk.add_message(channel_id, log_time_ns, publish_time_ns, data)
+        self._chunk.add_messages(messages)
         if len(self._chunk.records) >= self._chunk_size:
             self.flush()
 

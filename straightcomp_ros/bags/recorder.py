@@ -12,13 +12,15 @@ from pathlib import Path
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import Definition
 from straightcomp_ros.bags.disk import DiskGuard
-from straightcomp_ros.bags.intake import BREAK, Intake
+from straightcomp_ros.bags.intake import BREAK, Intake, Message
 from straightcomp_ros.bags.losses import Losses
 from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
 
-_WRITE_INTERVAL_S = 0.02
+_WRITE_INTERVAL_S = 0.05
+_AT_ONCE = 500
+"""Messages that are written as one: a small part of a chunk."""
 
 
 @dataclass(frozen=True)
@@ -193,12 +195,24 @@ class Recorder:
         while self._new_topics:
             topic = self._new_topics.popleft()
             self._bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)
+        messages: list[Message] = []
         for _ in range(count):
             message = queue.popleft()
+            if message is not BREAK:
+                messages.append(message)
+            if message is BREAK or len(messages) >= _AT_ONCE:
+                self._write_unbroken(messages)
+                messages = []
             if message is BREAK:
                 self._losses.interrupt()
-                continue
-            self._bag.write(*message)
-            self.written += 1
-            if message[0] in self._stamped:
-                self._losses.add(*message[:2])
+        self._write_unbroken(messages)
+
+    def _write_unbroken(self, messages: list[Message]) -> None:
+        self._bag.write_all(messages)
+        self.written += len(messages)
+        stamped: dict[str, list[bytes]] = {}
+        for topic, data, _, _ in messages:
+            if topic in self._stamped:
+                stamped.setdefault(topic, []).append(data)
+        for topic, of_topic in stamped.items():
+            self._losses.add(topic, of_topic)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.chunk import COMPRESSORS
 from straightcomp_ros.bags.definitions import Definition, definition
 from straightcomp_ros.bags.information import BagFile, Topic, as_yaml, bag_information
+from straightcomp_ros.bags.intake import Message
 from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.qos import TopicQos
 
@@ -144,9 +145,36 @@ class BagWriter:
                 channel_id = self._channel_ids[topic]
             if self._file_began_ns is None:
                 self._file_began_ns = log_time_ns
-            self._output.add_message(channel_id, log_time_ns, max(publish_time_ns, 0), data)
+            self._output.add_messages([(channel_id, log_time_ns, max(publish_time_ns, 0), data)])
         except OSError as error:
-            raise BagError(f"bag {self.path} cannot be written: {error.strerror}; free space on the disk") from error
+            raise self._refused(error) from error
+
+    def write_all(self, messages: Sequence[Message]) -> None:
+        """Add messages in this order, as :meth:`write` does for one: a fraction of the cost where the file goes on.
+
+        Args:
+            messages: topic, serialised message, log time and publish time of each.
+        """
+        try:
+            if not self._goes_on(messages):
+                for message in messages:
+                    self.write(*message)
+                return
+            ids = self._channel_ids
+            self._output.add_messages([(ids[topic], log, max(sent, 0), data) for topic, data, log, sent in messages])
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def _goes_on(self, messages: Sequence[Message]) -> bool:
+        """Whether all of these go into the file that is open, and nothing is wrong with any."""
+        if self._closed or self._file_finished or self._file_began_ns is None:
+            return False
+        times = [log_time_ns for _, _, log_time_ns, _ in messages]
+        known = self._channel_ids.keys() >= {topic for topic, *_ in messages}
+        return known and bool(times) and min(times) >= 0 and not self._is_full(max(times))
+
+    def _refused(self, error: OSError) -> BagError:
+        return BagError(f"bag {self.path} cannot be written: {error.strerror}; free space on the disk")
 
     def _is_full(self, log_time_ns: int) -> bool:
         if self._file_began_ns is None:

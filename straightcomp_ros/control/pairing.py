@@ -71,6 +71,10 @@ class Pairing:
         if len(references) > _WAITING:
             references.popleft()
 
+    def short(self, ahead_ns: int) -> bool:
+        """Whether a sample ``ahead_ns`` after the last one would be served by an older reference than is meant."""
+        return not self._references or self._references[-1][0] < self._last_ns + ahead_ns - self._lead_ns
+
     def take(self) -> Iterator[Paired]:
         """Samples that can be served now: (stamp in ns, sample, reference at that stamp, its age in ns)."""
         samples, references = self._samples, self._references

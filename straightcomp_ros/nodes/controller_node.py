@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from rclpy.node import Node
@@ -19,9 +19,8 @@ from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.locked_loop import LockedLoop
 from straightcomp_ros.nodes.managed import ManagedNode
-from straightcomp_ros.nodes.periodic import PeriodicLoop
-from straightcomp_ros.nodes.phase_lock import PhaseLock
 from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.nodes.trip import tripper
@@ -29,12 +28,9 @@ from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES
 
-_SAMPLE_WAIT_NS = 50_000
-"""How long a sample is to wait for the cycle that uses it: the usual jitter of its arrival."""
-
-_LOOKS = 5
 _LOOK_FOR_SILENCE_S = 0.05
-_LOOK_AGAIN_S = 40e-6
+_SPARE_REFERENCES = 2
+"""Samples to come that have theirs already when the next references are fetched."""
 
 
 class ControllerPart:
@@ -60,11 +56,11 @@ class ControllerPart:
         self._pairing = self._new_pairing()
         self._publish_command = publisher(node, COMMAND)
         self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
-        self._samples_seen = self._commands = self._refused = self._idle_cycles = 0
+        self._samples_seen = self._commands = self._refused = 0
         self._gaps = StampGaps()
         self._trip = tripper(node)
         self._silent, self._seen = 0, 0
-        self.loop: PeriodicLoop | None = None
+        self.loop: LockedLoop | None = None
         self._unspun: Node | None = None
         if parameters.trigger == "sample":
             subscribe(node, ENCODER, self._on_sample)
@@ -73,8 +69,8 @@ class ControllerPart:
             self._unspun = unspun_node(node)
             self._samples, self._references = (Inbox(node, self._unspun, stream) for stream in (ENCODER, REFERENCE))
             period_ns = round(1e9 / parameters.rate)
-            self._phase = PhaseLock(period_ns, _SAMPLE_WAIT_NS)
-            self.loop = PeriodicLoop(period_ns, self._cycle)
+            self._spare_ns = _SPARE_REFERENCES * period_ns
+            self.loop = LockedLoop(period_ns, self._samples.wait, self._cycle)
             self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
             node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
         Diagnostics(node, self._counters)
@@ -107,39 +103,32 @@ class ControllerPart:
         if self._learning is not None:
             self._learning.save()
 
-    def _add_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+    def _add_sample(self, stamp_ns: int, numbers: Sequence[float]) -> None:
         self._samples_seen += 1
         self._gaps.see(stamp_ns)
         self._pairing.add_sample(stamp_ns, numbers)
 
-    def _on_sample(self, stamp_ns: int, numbers: list[float]) -> None:
+    def _on_sample(self, stamp_ns: int, numbers: Sequence[float]) -> None:
         if not self._node.active:
             return
         self._add_sample(stamp_ns, numbers)
         self._answer()
 
-    def _on_reference(self, stamp_ns: int, numbers: list[float]) -> None:
+    def _on_reference(self, stamp_ns: int, numbers: Sequence[float]) -> None:
         self._pairing.add_reference(stamp_ns, numbers)
         self._answer()
 
-    def _cycle(self, _: int) -> None:
-        for _ in range(_LOOKS):
-            samples = self._samples.fetch()
-            if samples:
-                break
-            # Just too early would cost a whole period of latency: better look again, a little later.
-            time.sleep(_LOOK_AGAIN_S)
-        else:
-            self._idle_cycles += 1
+    def _cycle(self) -> tuple[int, int]:
+        samples = self._samples.fetch()
         fetched_ns = time.time_ns()
         for stamp_ns, numbers, _ in samples:
             self._add_sample(stamp_ns, numbers)
         self._answer()
-        # References are for samples to come: nothing waits for this.
-        for stamp_ns, numbers, _ in self._references.fetch():
-            self._pairing.add_reference(stamp_ns, numbers)
-        if samples and self.loop:
-            self.loop.shift(self._phase.shift_ns(fetched_ns - samples[-1][2]))
+        # They are for samples to come, and come some at a time.
+        if self._pairing.short(self._spare_ns):
+            for stamp_ns, numbers, _ in self._references.fetch():
+                self._pairing.add_reference(stamp_ns, numbers)
+        return len(samples), max(0, fetched_ns - samples[-1][2]) if samples else 0
 
     def _answer(self) -> None:
         for stamp_ns, sample, reference, age_ns in self._pairing.take():
@@ -166,8 +155,6 @@ class ControllerPart:
             "commands": self._commands,
             "refused_samples": self._refused,
             "unmatched_samples": self._pairing.unmatched,
-            "idle_cycles": self._idle_cycles,
-            "phase_error_us": self._phase.error_ns * 1e-3 if self.loop else 0.0,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
             **(self._learning.counters() if self._learning is not None else {}),
         }

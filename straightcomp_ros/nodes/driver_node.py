@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
@@ -42,6 +43,8 @@ from straightcomp_ros.timing.report import AMPLIFIER, LATENCY, LOST, OVERRUNS, S
 _SAMPLE_WAIT_NS = 100_000
 """How long a sample that came by itself is to wait for the loop: the receiving thread needs some of it."""
 _SLOW_WATCH_S = 0.05
+_TURNS_OF_OTHERS = 3
+"""The middleware's thread that receives the sample, the controller, and our own thread that receives the command."""
 
 
 class DriverPart:
@@ -75,7 +78,8 @@ class DriverPart:
         self._command_stamp_ns = 0
         self._latency = math.nan
         self._latencies = Histogram()
-        self._started = False
+        self._started = self._gives_way = False
+        self._lateness = 0.0
         self._safety = SafetyMachine(self._hardware)
         self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._watch_switched)
         self._sample_watch = SampleWatch(parameters.watch, period_ns)
@@ -129,39 +133,59 @@ class DriverPart:
             # The machine samples when this loop is to wake: a sample is then never a period old when fetched.
             self._hardware.start(from_monotonic(wake_ns))
             self._started = True
+            self._gives_way = os.sched_getscheduler(0) == os.SCHED_FIFO
         now, system_now = now_ns(), self._system_ns()
         if not -self._clock_step_ns <= system_now - now - self._clock_offset_ns <= self._clock_step_ns:
             self._see_clock_step()
-        for stamp_ns, numbers, received_ns in self._inbox.fetch():
-            # The machine has not been integrated past its last sample yet: the command acts from when it came in.
-            self._accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
+        if self._newest is None or self._command_stamp_ns != self._newest.stamp_ns:
+            self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
+        for sample, _ in samples:
+            self._hand_out(sample)
+        if samples and self._gives_way:
+            # Whom the sample has woken on this CPU is not to wait for the records.
+            for _ in range(_TURNS_OF_OTHERS):
+                os.sched_yield()
         for sample, truth in samples:
-            self._publish(sample, truth)
+            self._record(sample, truth)
+        # Usually the answer to this sample is among them, and the next one need not wait for this.
+        self._fetch_commands(now_ns(), self._system_ns())
         if self._hardware.fault and self._safety.fault is None:
             self._trip(self._hardware.fault_name, self._hardware.fault)
         arrival_ns = self._hardware.newest_arrival_ns
         if samples and arrival_ns is not None and self.loop:
             self.loop.shift(self._phase.shift_ns(now - arrival_ns))
 
+    def _fetch_commands(self, now: int, system_now: int) -> None:
+        for stamp_ns, numbers, received_ns in self._inbox.fetch():
+            # The machine has not been integrated past its last sample yet: the command acts from when it came in.
+            self._accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
+
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
-        lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
-        current = self._hardware.applied_current
-        finding = self._sample_watch.check(sample, current)
+        self._hand_out(sample)
+        self._record(sample, truth)
+
+    def _hand_out(self, sample: Sample) -> None:
+        """What the controller waits for."""
+        finding = self._sample_watch.check(sample, self._hardware.applied_current)
         if finding is not None:
             self._trip(*finding)
         self._publish_sample(*sample[:3], math.nan, sample.current)
+        self._lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
+        self._samples += 1
+        self._newest = sample
+
+    def _record(self, sample: Sample, truth: Truth | None) -> None:
+        """What is only watched and recorded."""
         if self._samples % POSITION_EVERY == 0:
             self._publish_position(*sample[:3])
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
         on = 1.0 if self._hardware.state is State.ON else 0.0
-        self._publish_state(sample.stamp_ns, self._latency, lateness, current, on)
+        self._publish_state(sample.stamp_ns, self._latency, self._lateness, self._hardware.applied_current, on)
         self._latency = math.nan
-        self._samples += 1
-        self._newest = sample
 
-    def _on_lockstep_command(self, stamp_ns: int, numbers: list[float]) -> None:
+    def _on_lockstep_command(self, stamp_ns: int, numbers: Sequence[float]) -> None:
         if self._lockstep and self._lockstep.awaits(stamp_ns) and self._check(numbers[0]):
             self._commands += 1
             self._latency = self._lockstep.delay_ns * 1e-9

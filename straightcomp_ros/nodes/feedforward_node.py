@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -140,8 +139,6 @@ class FeedforwardPart:
             self._gaps.see(stamp_ns)
             self._x = numbers[0]
             self._publish(stamp_ns, *self._feedforward.step(stamp_ns, self._x))
-            # With real-time scheduling driver and controller would have to wait for the end of this.
-            os.sched_yield()
 
     def _counters(self) -> dict[str, object]:
         return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 import time
@@ -34,7 +33,6 @@ from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
 
 _FETCH_INTERVAL_NS = 20_000_000
-_YIELD_EVERY = 8
 
 
 class LoggerPart:
@@ -114,9 +112,6 @@ class LoggerPart:
                 if topic == self._encoder:
                     self._samples += 1
                     self._gaps.see(header_stamp_ns(data))
-                if not self._received % _YIELD_EVERY:
-                    # With real-time scheduling nodes of the same priority would have to wait for the end of this.
-                    os.sched_yield()
                 add(topic, data, info["received_timestamp"], info["source_timestamp"])
 
     def _note_time(self) -> None:

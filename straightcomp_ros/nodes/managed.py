@@ -25,7 +25,7 @@ from straightcomp_ros.contract import HEARTBEAT
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.nodes.changes import ParameterChanges
 from straightcomp_ros.nodes.declare import declare
-from straightcomp_ros.nodes.periodic import PeriodicLoop
+from straightcomp_ros.nodes.periodic import Loop
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
@@ -43,7 +43,7 @@ _HEARTBEAT_S = 0.1
 class Part(Protocol):
     """What a managed node does. It is made by *configure*, and is at rest then."""
 
-    loop: PeriodicLoop | None
+    loop: Loop | None
     """Runs while the node is active, in the place of the executor, which gets the idle time."""
 
     def activate(self) -> None:
@@ -110,7 +110,7 @@ class ManagedNode(LifecycleNode):
                 raise self._failure
 
     @property
-    def loop(self) -> PeriodicLoop | None:
+    def loop(self) -> Loop | None:
         """What is to run now in the place of the executor."""
         return self._part.loop if self._part is not None and self._active else None
 

@@ -6,12 +6,24 @@ import ctypes
 import sys
 import time
 from collections.abc import Callable
+from typing import Protocol
 
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import OVERRUNS, TIMER_ERROR, written
 
 _PR_SET_TIMERSLACK = 29
-_IDLE_EVERY_NS = 20_000_000
+IDLE_EVERY_NS = 20_000_000
+"""Time between two turns of the work that can wait."""
+
+
+class Loop(Protocol):
+    """What runs in the place of an executor."""
+
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
+        """Loop until ``stopped()``; ``idle`` is called some 50 times a second, for work that can wait."""
+
+    def report(self) -> dict[str, object]:
+        """Values for the diagnostics: overruns, and how late the cycles since the last report were."""
 
 
 class PeriodicLoop:
@@ -45,7 +57,7 @@ class PeriodicLoop:
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
         """Loop until ``stopped()``; ``idle`` is called some 50 times a second, for work that can wait."""
-        _exact_sleep()
+        exact_sleep()
         period_ns, cycle = self._period_ns, self._cycle
         monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
         wake_ns = next_idle_ns = monotonic_ns()
@@ -58,7 +70,7 @@ class PeriodicLoop:
             self.cycles += 1
             if wake_ns >= next_idle_ns:
                 idle()
-                next_idle_ns = wake_ns + _IDLE_EVERY_NS
+                next_idle_ns = wake_ns + IDLE_EVERY_NS
             wake_ns += period_ns + self._shift_ns
             self._shift_ns = 0
             behind_ns = monotonic_ns() - wake_ns
@@ -68,7 +80,8 @@ class PeriodicLoop:
                 wake_ns += missed * period_ns
 
 
-def _exact_sleep() -> None:
+def exact_sleep() -> None:
+    """Let this thread wake up when it asked to."""
     # Linux wakes a normal thread up to 50 µs late on purpose, to save power; a tenth of our period.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)

@@ -22,7 +22,7 @@ from rclpy.task import Future
 from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakePart, ManagedNode
-from straightcomp_ros.nodes.periodic import PeriodicLoop
+from straightcomp_ros.nodes.periodic import Loop
 from straightcomp_ros.shared_memory import remove_stale
 
 EXIT_CONFIGURATION = 2
@@ -30,7 +30,7 @@ EXIT_CONFIGURATION = 2
 # Longer values overflow in the executor and end the wait at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
-_CALLBACKS_AT_ONCE = 4
+_CALLBACKS_AT_ONCE = 2
 
 
 class Runnable(Protocol):
@@ -39,7 +39,7 @@ class Runnable(Protocol):
     node: Node
     done: Future  # its result is the process's exit code
     realtime: RealtimeParameters
-    loop: PeriodicLoop | None  # runs in the place of the executor, which then gets the idle time
+    loop: Loop | None  # runs in the place of the executor, which then gets the idle time
 
     def close(self) -> None:
         """Leave everything safe and saved. The ROS context may be gone already."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -19,7 +20,8 @@ _MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg
 
 _BURST = 8
 """Messages of a burst: 4 ms at 2 kHz, and not so many that publishing them takes a control cycle."""
-_LONGEST_BURST_S = 0.05
+_LONGEST_BURST_S = 0.2
+"""For the last samples before a stop; a logger that is killed may lose half a second."""
 
 
 def message_type(type_name: str) -> Any:
@@ -34,13 +36,21 @@ def stream_qos(depth: int = 1000) -> QoSProfile:
 
 def publisher(node: Node, stream: Stream) -> Callable[..., None]:
     """A function ``publish(stamp_ns, *numbers)`` for one stream."""
-    layout = stream.layout
-    publish = node.create_publisher(message_type(layout.type_name), stream.topic, stream_qos()).publish
+    publish, pack = _raw_publisher(node, stream), stream.layout.pack
 
     def send(stamp_ns: int, *numbers: float) -> None:
-        publish(layout.pack(stamp_ns, *numbers))
+        publish(pack(stamp_ns, *numbers))
 
     return send
+
+
+def _raw_publisher(node: Node, stream: Stream) -> Callable[[bytes], None]:
+    """A function that publishes a serialised message."""
+    publisher = node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos())
+    # The publisher's own method would lock it against being destroyed by another thread, and ask what it was given:
+    # that costs a loop 5 µs a message. None of our nodes destroys one while another thread uses it.
+    publish: Callable[[bytes], None] = publisher.handle.publish_raw
+    return publish
 
 
 class BurstPublisher:
@@ -51,14 +61,13 @@ class BurstPublisher:
     """
 
     def __init__(self, node: Node, stream: Stream) -> None:
-        self._layout = stream.layout
-        self._publish = node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos()).publish
+        self._pack, self._publish = stream.layout.pack, _raw_publisher(node, stream)
         self._waiting: list[bytes] = []
         node.create_timer(_LONGEST_BURST_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message, now or with those that follow it."""
-        self._waiting.append(self._layout.pack(stamp_ns, *numbers))
+        self._waiting.append(self._pack(stamp_ns, *numbers))
         if len(self._waiting) >= _BURST:
             self.flush()
 
@@ -69,7 +78,7 @@ class BurstPublisher:
         self._waiting.clear()
 
 
-def subscribe(node: Node, stream: Stream, callback: Callable[[int, list[float]], None]) -> None:
+def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[float]], None]) -> None:
     """Call ``callback(stamp_ns, numbers)`` for each message of a stream, as it comes.
 
     A message of another layout is handled as :func:`_reader` says.
@@ -100,11 +109,16 @@ class Inbox:
         self._read = _reader(node, stream)
         self._queue = RawQueue(unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic))
 
-    def fetch(self) -> list[tuple[int, list[float], int]]:
+    def wait(self, timeout_ns: int) -> None:
+        """Return when a message is there, or after ``timeout_ns``."""
+        self._queue.wait(timeout_ns)
+
+    def fetch(self) -> list[tuple[int, Sequence[float], int]]:
         """What has come since the last call: (stamp in ns, numbers, time of reception in ns since the epoch)."""
+        read = self._read
         messages = []
         for data, info in self._queue.fetch():
-            message = self._read(data)
+            message = read(data)
             if message:
                 messages.append((*message, info["received_timestamp"]))
         return messages
@@ -124,18 +138,27 @@ class RawQueue:
         self._kind = kind
         self._subscription = unspun.create_subscription(kind, topic, lambda _: None, qos or stream_qos(), raw=True)
         self._handle = self._subscription.handle
+        self._wait_set = _rclpy.WaitSet(1, 0, 0, 0, 0, 0, unspun.context.handle)
 
     @property
     def connected(self) -> bool:
         """Whether a publisher is there, and the middleware has connected it."""
         return bool(self._subscription.get_publisher_count())
 
-    def fetch(self) -> Iterator[tuple[bytes, Mapping[str, int]]]:
+    def wait(self, timeout_ns: int) -> None:
+        """Return when a message is there, or after ``timeout_ns``."""
+        # A wait leaves nothing in its set but what is ready.
+        self._wait_set.clear_entities()
+        self._wait_set.add_subscription(self._handle)
+        self._wait_set.wait(timeout_ns)
+
+    def fetch(self) -> list[tuple[bytes, Mapping[str, int]]]:
         """Messages since the last call, with the middleware's times ``received_timestamp`` and ``source_timestamp``."""
         take, kind = self._handle.take_message, self._kind
-        with self._handle:
-            while (message := take(kind, True)) is not None:
-                yield message
+        messages = []
+        while (message := take(kind, True)) is not None:
+            messages.append(message)
+        return messages
 
 
 def unspun_node(node: Node) -> Node:
@@ -149,7 +172,7 @@ def unspun_node(node: Node) -> Node:
     )
 
 
-def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, list[float]] | None]:
+def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence[float]] | None]:
     """A function from a serialised message to (stamp_ns, numbers), or None where it lacks what the stream promises.
 
     A message of another layout (other names or order, from somebody else's publisher) is deserialised and
@@ -157,12 +180,12 @@ def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, list[flo
     """
     layout = stream.layout
     kind = message_type(layout.type_name)
-    warned = False
+    warned, unpack = False, layout.unpack
 
-    def read(data: bytes) -> tuple[int, list[float]] | None:
+    def read(data: bytes) -> tuple[int, Sequence[float]] | None:
         nonlocal warned
         try:
-            return layout.unpack(data)
+            return unpack(data)
         except LayoutMismatch:
             pass
         try:

@@ -49,19 +49,23 @@ def test_a_snapshot_has_the_last_seconds_only_and_memory_stays_bounded():
 
 
 def test_lost_messages_are_counted_by_topic_from_the_stamps():
-    source, losses = random.Random(4), Losses()
+    source, losses, one_by_one = random.Random(4), Losses(), Losses()
     lost = {"/encoder": 0, "/command": 0}
     for stream in (ENCODER, COMMAND):
         topic = f"/{stream.topic}"
+        batch = []
         for number in range(1000):
             # The first and the last come, so that all that is lost lies between.
             if 0 < number < 999 and source.random() < 0.1:
                 lost[topic] += 1
                 continue
             data = stream.layout.pack(START_NS + 500_000 * number, *(0.0 for _ in stream.layout.columns))
-            for _ in range(2 if number % 100 == 0 else 1):
-                losses.add(topic, data)
-    assert losses.by_topic() == lost
+            batch += [data] * (2 if number % 100 == 0 else 1)
+            one_by_one.add(topic, [data])
+            if source.random() < 0.05 or number == 999:
+                losses.add(topic, batch)
+                batch = []
+    assert losses.by_topic() == one_by_one.by_topic() == lost
     assert lost["/encoder"] > 50
 
 
