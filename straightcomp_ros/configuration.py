@@ -33,7 +33,11 @@ class RealtimeParameters:
         minimum=0,
         maximum=98,
     )
-    cpus: str = parameter("", "CPUs that the node may use, separated by commas, e.g. '2,3'; empty for all")
+    cpus: str = parameter(
+        "",
+        "CPUs that the node may use, separated by commas, e.g. '2,3'; 'loop' for the last one that the process may use,"
+        " 'rest' for all but that; empty for all",
+    )
     lock_memory: bool = parameter(False, "Keep the process's memory from being paged out")
     keep_awake: bool = parameter(
         False, "Keep all CPUs from sleeping while the node runs: faster wake-ups for more electric power"

@@ -28,7 +28,7 @@ def apply(realtime: RealtimeParameters) -> list[str]:
         A sentence for each thing that was refused, with the remedy.
     """
     steps: list[tuple[bool, Callable[[RealtimeParameters], None], str, str]] = [
-        (bool(realtime.cpus), _set_cpus, f"CPUs '{realtime.cpus}'", "name CPUs that this process may use"),
+        (bool(realtime.cpus), _set_cpus, f"CPUs '{realtime.cpus}'", "name CPUs that this process may use, 'loop' or 'rest'"),
         (realtime.priority > 0, _set_priority, f"priority {realtime.priority}", "give this user rtprio in limits.conf"),
         (realtime.lock_memory, _lock_memory, "locking memory", "give this user memlock in limits.conf"),
         (
@@ -49,7 +49,11 @@ def apply(realtime: RealtimeParameters) -> list[str]:
 
 
 def _set_cpus(realtime: RealtimeParameters) -> None:
-    cpus = {int(cpu) for cpu in realtime.cpus.split(",")}
+    permitted = os.sched_getaffinity(0)
+    loop = {max(permitted)}
+    # With a single CPU the rest is on it too.
+    named = {"loop": loop, "rest": permitted - loop or loop}
+    cpus = named.get(realtime.cpus) or {int(cpu) for cpu in realtime.cpus.split(",")}
     for thread in os.listdir("/proc/self/task"):
         os.sched_setaffinity(int(thread), cpus)
 

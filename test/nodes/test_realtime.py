@@ -48,6 +48,12 @@ def test_the_process_stays_on_the_cpus_named():
     assert report(f"cpus='{cpu}'")[-1].startswith(f"[{cpu}]")
 
 
+def test_loop_and_rest_share_out_the_cpus():
+    *others, last = sorted(os.sched_getaffinity(0))
+    assert report("cpus='loop'")[-1].startswith(f"[{last}]")
+    assert report("cpus='rest'")[-1].startswith(str(others or [last]))
+
+
 @pytest.mark.parametrize("cpus", ["4095", "none", "0,", "-1"])
 def test_cpus_that_cannot_be_had_are_refused_in_words(cpus):
     before = os.sched_getaffinity(0)
