@@ -57,7 +57,7 @@ class PeriodicLoop:
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
         """Loop until ``stopped()``; ``idle`` is called some 50 times a second, for work that can wait."""
-        exact_sleep()
+        _exact_sleep()
         period_ns, cycle = self._period_ns, self._cycle
         monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
         wake_ns = next_idle_ns = monotonic_ns()
@@ -80,8 +80,7 @@ class PeriodicLoop:
                 wake_ns += missed * period_ns
 
 
-def exact_sleep() -> None:
-    """Let this thread wake up when it asked to."""
+def _exact_sleep() -> None:
     # Linux wakes a normal thread up to 50 µs late on purpose, to save power; a tenth of our period.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
