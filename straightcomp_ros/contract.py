@@ -27,6 +27,11 @@ class Stream:
     layout: Layout
     description: str
 
+    @property
+    def copy_topic(self) -> str:
+        """Topic of the copy of a stream in :data:`COPIED`."""
+        return f"{self.topic}_bursts"
+
 
 ENCODER = Stream(
     "encoder",
@@ -77,6 +82,10 @@ TRUTH = Stream(
 ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)
 """Streams of every graph."""
 STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
+COPIED = (ENCODER, COMMAND)
+"""Streams that one node waits for, and others only watch: those read the same messages, eight at a time, from the copy
+that their publisher keeps on a topic of its own. A reader of the stream itself costs its publisher a wake-up in each
+period."""
 
 DISPLACEMENT = Stream(
     "displacement",
@@ -88,8 +97,7 @@ DISPLACEMENT = Stream(
 POSITION = Stream(
     "position",
     joint_state([STAGE, PLATFORM], position=["x", "y"]),
-    "Every eighth sample of both encoders in m, for those who only watch: a reader of the encoder's own topic costs "
-    "the driver a wake-up in each period. Not recorded.",
+    "Every eighth sample of both encoders in m, for those who only look on. Not recorded.",
 )
 POSITION_EVERY = 8
 """Samples to one message of ``position``."""

@@ -18,11 +18,12 @@ from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
+from straightcomp_ros.nodes.copies import CopiedPublisher
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.locked_loop import LockedLoop
 from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.runner import run_managed
-from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, subscribe, unspun_node
 from straightcomp_ros.nodes.trip import tripper
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
@@ -54,7 +55,7 @@ class ControllerPart:
         self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate), learning=self._learning)
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=parameters.trigger == "sample")
         self._pairing = self._new_pairing()
-        self._publish_command = publisher(node, COMMAND)
+        self._publish_command = CopiedPublisher(node, COMMAND, copied=parameters.trigger == "timer")
         self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
         self._samples_seen = self._commands = self._refused = 0
         self._gaps = StampGaps()
@@ -137,6 +138,7 @@ class ControllerPart:
                 self._refused += 1
                 continue
             self._publish_command(stamp_ns, command.current)
+            self._publish_command.copy()
             self._publish_state(stamp_ns, *command[1:], age_ns * 1e-9)
             self._commands += 1
 

@@ -25,6 +25,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.nodes.clock import from_monotonic, now_ns
+from straightcomp_ros.nodes.copies import CopiedPublisher
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.lockstep import Lockstep
 from straightcomp_ros.nodes.managed import ManagedNode
@@ -70,7 +71,7 @@ class DriverPart:
         self._hardware = hardware or make_hardware(parameters)
         period_ns = round(1e9 / parameters.machine.rate)
         self._phase = PhaseLock(period_ns, _SAMPLE_WAIT_NS)
-        self._publish_sample = publisher(node, ENCODER)
+        self._publish_sample = CopiedPublisher(node, ENCODER, copied=not parameters.lockstep)
         self._publish_position = publisher(node, POSITION)
         self._publish_truth = BurstPublisher(node, TRUTH)
         self._publish_state = BurstPublisher(node, DRIVER_STATE)
@@ -177,6 +178,7 @@ class DriverPart:
 
     def _record(self, sample: Sample, truth: Truth | None) -> None:
         """What is only watched and recorded."""
+        self._publish_sample.copy()
         if self._samples % POSITION_EVERY == 0:
             self._publish_position(*sample[:3])
         if truth is not None:

@@ -13,6 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.configuration import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
+from straightcomp_ros.nodes.copies import CopiedQueue
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.periodic import PeriodicLoop
@@ -54,7 +55,7 @@ class FeedforwardPart:
         self._centred = False
         self._gaps = StampGaps()
         self._unspun = unspun_node(node)
-        self._inbox = Inbox(node, self._unspun, ENCODER)
+        self._inbox = Inbox(node, self._unspun, ENCODER, CopiedQueue(node, self._unspun, ENCODER))
         self.loop = PeriodicLoop(round(parameters.interval * 1e9), self._cycle)
         node.create_service(Trigger, "~/reload_map", self._on_reload_map)
         node.create_service(SetBool, "~/center", self._on_center)

@@ -6,6 +6,7 @@ import re
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,14 +20,15 @@ from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cdr import header_stamp_ns
 from straightcomp_ros.configuration import LoggerNodeParameters
-from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
+from straightcomp_ros.contract import COPIED, DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
+from straightcomp_ros.nodes.copies import CopiedQueue
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.other_topics import OtherTopics
 from straightcomp_ros.nodes.recorder_services import serve_recorder
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
 from straightcomp_ros.nodes.runner import run_managed
-from straightcomp_ros.nodes.streams import RawQueue, message_type, stream_qos, unspun_node
+from straightcomp_ros.nodes.streams import Fetched, RawQueue, message_type, stream_qos, unspun_node
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import Histogram
@@ -45,16 +47,19 @@ class LoggerPart:
         self._gaps, self._timer_errors = StampGaps(), Histogram()
         self._chosen = _pattern("topics", parameters.topics)
         others = _pattern("other_topics", parameters.other_topics)
-        self._topics: dict[str, RawQueue] = {}
+        self._topics: dict[str, Fetched] = {}
         self._unspun = unspun_node(node)
         self._remote = RemoteParameters(node, parameters.nodes.split())
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
         self._recorder = Recorder(_options(parameters), stamped, self._describe)
         for stream in STREAMS:
-            self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(parameters.queue_depth))
+            qos = stream_qos(parameters.queue_depth)
+            copied = partial(CopiedQueue, node, self._unspun, stream, qos) if stream in COPIED else None
+            self._record(message_type(stream.layout.type_name), stream.topic, qos, copied)
         self._record(JointTrajectory, STAGE_TRAJECTORY, QoSProfile(depth=10))
         self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
-        self._others = OtherTopics(node, self._unspun, others, self._topics, self._recorder.announce)
+        copies = [node.resolve_topic_name(stream.copy_topic) for stream in COPIED]
+        self._others = OtherTopics(node, self._unspun, others, [*self._topics, *copies], self._recorder.announce)
         serve_recorder(node, self._recorder, self._start, self._fetch)
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
@@ -76,14 +81,16 @@ class LoggerPart:
         """The free space that must stay may change."""
         return self._recorder.other_min_free(parameters.min_free_bytes)
 
-    def _record(self, kind: Any, topic: str, qos: QoSProfile) -> None:
+    def _record(
+        self, kind: Any, topic: str, qos: QoSProfile, make_queue: Callable[[], CopiedQueue] | None = None
+    ) -> None:
         if not self._chosen.fullmatch(topic):
             return
         full_name = self.node.resolve_topic_name(topic)
         type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
         stored = TopicQos(reliability=qos.reliability.name.lower(), depth=qos.depth)
         self._recorder.announce(Announced(full_name, type_name, stored))
-        self._topics[full_name] = RawQueue(self._unspun, kind, full_name, qos)
+        self._topics[full_name] = make_queue() if make_queue else RawQueue(self._unspun, kind, full_name, qos)
 
     def _start(self) -> str:
         folder = self._recorder.start()

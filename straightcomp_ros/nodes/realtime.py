@@ -28,7 +28,12 @@ def apply(realtime: RealtimeParameters) -> list[str]:
         A sentence for each thing that was refused, with the remedy.
     """
     steps: list[tuple[bool, Callable[[RealtimeParameters], None], str, str]] = [
-        (bool(realtime.cpus), _set_cpus, f"CPUs '{realtime.cpus}'", "name CPUs that this process may use, 'loop' or 'rest'"),
+        (
+            bool(realtime.cpus),
+            _set_cpus,
+            f"CPUs '{realtime.cpus}'",
+            "name CPUs that this process may use, 'loop' or 'rest'",
+        ),
         (realtime.priority > 0, _set_priority, f"priority {realtime.priority}", "give this user rtprio in limits.conf"),
         (realtime.lock_memory, _lock_memory, "locking memory", "give this user memlock in limits.conf"),
         (

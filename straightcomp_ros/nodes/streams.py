@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
@@ -34,19 +34,21 @@ def stream_qos(depth: int = 1000) -> QoSProfile:
     return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def publisher(node: Node, stream: Stream) -> Callable[..., None]:
-    """A function ``publish(stamp_ns, *numbers)`` for one stream."""
-    publish, pack = _raw_publisher(node, stream), stream.layout.pack
+def publisher(node: Node, stream: Stream) -> Callable[..., bytes]:
+    """A function ``publish(stamp_ns, *numbers)`` for one stream; it returns the serialised message."""
+    publish, pack = _raw_publisher(node, stream, stream.topic), stream.layout.pack
 
-    def send(stamp_ns: int, *numbers: float) -> None:
-        publish(pack(stamp_ns, *numbers))
+    def send(stamp_ns: int, *numbers: float) -> bytes:
+        data = pack(stamp_ns, *numbers)
+        publish(data)
+        return data
 
     return send
 
 
-def _raw_publisher(node: Node, stream: Stream) -> Callable[[bytes], None]:
+def _raw_publisher(node: Node, stream: Stream, topic: str) -> Callable[[bytes], None]:
     """A function that publishes a serialised message."""
-    publisher = node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos())
+    publisher = node.create_publisher(message_type(stream.layout.type_name), topic, stream_qos())
     # The publisher's own method would lock it against being destroyed by another thread, and ask what it was given:
     # that costs a loop 5 µs a message. None of our nodes destroys one while another thread uses it.
     publish: Callable[[bytes], None] = publisher.handle.publish_raw
@@ -56,18 +58,26 @@ def _raw_publisher(node: Node, stream: Stream) -> Callable[[bytes], None]:
 class BurstPublisher:
     """A stream that nobody acts on, published some samples at a time: each message is as it was, only later.
 
-    Waking a sleeping reader costs the writer some 20 µs, more than all else about a message. In a burst only the
-    first message finds the reader asleep.
+    In a burst only the first message finds its readers asleep.
+
+    Args:
+        node: publishes.
+        stream: what it publishes.
+        topic: if not the stream's own.
     """
 
-    def __init__(self, node: Node, stream: Stream) -> None:
-        self._pack, self._publish = stream.layout.pack, _raw_publisher(node, stream)
+    def __init__(self, node: Node, stream: Stream, topic: str = "") -> None:
+        self._pack, self._publish = stream.layout.pack, _raw_publisher(node, stream, topic or stream.topic)
         self._waiting: list[bytes] = []
         node.create_timer(_LONGEST_BURST_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message, now or with those that follow it."""
-        self._waiting.append(self._pack(stamp_ns, *numbers))
+        self.add(self._pack(stamp_ns, *numbers))
+
+    def add(self, data: bytes) -> None:
+        """The same for one that is serialised already."""
+        self._waiting.append(data)
         if len(self._waiting) >= _BURST:
             self.flush()
 
@@ -93,6 +103,21 @@ def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[floa
     node.create_subscription(message_type(stream.layout.type_name), stream.topic, receive, stream_qos(), raw=True)
 
 
+Messages = list[tuple[bytes, Mapping[str, int]]]
+"""Serialised messages with the middleware's times ``received_timestamp`` and ``source_timestamp``."""
+
+
+class Fetched(Protocol):
+    """Messages that wait until they are fetched."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether a publisher is there, and the middleware has connected it."""
+
+    def fetch(self) -> Messages:
+        """Messages since the last call."""
+
+
 class Inbox:
     """A stream whose messages wait in the middleware until they are fetched.
 
@@ -103,14 +128,17 @@ class Inbox:
         node: for whose topic names and warnings the inbox stands.
         unspun: from :func:`unspun_node`.
         stream: what to receive.
+        queue: where its messages wait, if not in a queue of the stream's own topic.
     """
 
-    def __init__(self, node: Node, unspun: Node, stream: Stream) -> None:
+    def __init__(self, node: Node, unspun: Node, stream: Stream, queue: Fetched | None = None) -> None:
         self._read = _reader(node, stream)
-        self._queue = RawQueue(unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic))
+        self._queue = queue or RawQueue(
+            unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic)
+        )
 
     def wait(self, timeout_ns: int) -> None:
-        """Return when a message is there, or after ``timeout_ns``."""
+        """Return when a message is there, or after ``timeout_ns``; only with a queue of the stream's own."""
         self._queue.wait(timeout_ns)
 
     def fetch(self) -> list[tuple[int, Sequence[float], int]]:
@@ -135,7 +163,7 @@ class RawQueue:
     """
 
     def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile | None = None) -> None:
-        self._kind = kind
+        self._unspun, self._kind = unspun, kind
         self._subscription = unspun.create_subscription(kind, topic, lambda _: None, qos or stream_qos(), raw=True)
         self._handle = self._subscription.handle
         self._wait_set = _rclpy.WaitSet(1, 0, 0, 0, 0, 0, unspun.context.handle)
@@ -152,13 +180,17 @@ class RawQueue:
         self._wait_set.add_subscription(self._handle)
         self._wait_set.wait(timeout_ns)
 
-    def fetch(self) -> list[tuple[bytes, Mapping[str, int]]]:
-        """Messages since the last call, with the middleware's times ``received_timestamp`` and ``source_timestamp``."""
+    def fetch(self) -> Messages:
+        """Messages since the last call."""
         take, kind = self._handle.take_message, self._kind
         messages = []
         while (message := take(kind, True)) is not None:
             messages.append(message)
         return messages
+
+    def close(self) -> None:
+        """Receive nothing more."""
+        self._unspun.destroy_subscription(self._subscription)
 
 
 def unspun_node(node: Node) -> Node:
