@@ -31,16 +31,18 @@ class CopiedPublisher:
     def __init__(self, node: Node, stream: Stream, copied: bool) -> None:
         self._publish = publisher(node, stream)
         self._copies = BurstPublisher(node, stream, stream.copy_topic) if copied else None
-        self._last = b""
+        self._uncopied: list[bytes] = []
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message."""
-        self._last = self._publish(stamp_ns, *numbers)
+        self._uncopied.append(self._publish(stamp_ns, *numbers))
 
     def copy(self) -> None:
-        """The same message for the copy: called when those who wait for it have got it."""
+        """Copy what was published since the last call: when those who wait for it have got it."""
         if self._copies is not None:
-            self._copies.add(self._last)
+            for data in self._uncopied:
+                self._copies.add(data)
+        self._uncopied.clear()
 
 
 class CopiedQueue:

@@ -147,6 +147,7 @@ class DriverPart:
             # Whom the sample has woken on this CPU is not to wait for the records.
             for _ in range(_TURNS_OF_OTHERS):
                 os.sched_yield()
+        self._publish_sample.copy()
         for sample, truth in samples:
             self._record(sample, truth)
         # Usually the answer to this sample is among them, and the next one need not wait for this.
@@ -164,6 +165,7 @@ class DriverPart:
 
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
         self._hand_out(sample)
+        self._publish_sample.copy()
         self._record(sample, truth)
 
     def _hand_out(self, sample: Sample) -> None:
@@ -178,7 +180,6 @@ class DriverPart:
 
     def _record(self, sample: Sample, truth: Truth | None) -> None:
         """What is only watched and recorded."""
-        self._publish_sample.copy()
         if self._samples % POSITION_EVERY == 0:
             self._publish_position(*sample[:3])
         if truth is not None:

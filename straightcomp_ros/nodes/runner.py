@@ -30,7 +30,7 @@ EXIT_CONFIGURATION = 2
 # Longer values overflow in the executor and end the wait at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
-_CALLBACKS_AT_ONCE = 2
+_CALLBACKS_AT_ONCE = 3
 
 
 class Runnable(Protocol):

@@ -20,8 +20,8 @@ _MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg
 
 _BURST = 8
 """Messages of a burst: 4 ms at 2 kHz, and not so many that publishing them takes a control cycle."""
-_LONGEST_BURST_S = 0.2
-"""For the last samples before a stop; a logger that is killed may lose half a second."""
+_FLUSH_S = 0.5
+"""For the last samples, when no more come: a burst that nothing fills waits for so long at most."""
 
 
 def message_type(type_name: str) -> Any:
@@ -69,7 +69,7 @@ class BurstPublisher:
     def __init__(self, node: Node, stream: Stream, topic: str = "") -> None:
         self._pack, self._publish = stream.layout.pack, _raw_publisher(node, stream, topic or stream.topic)
         self._waiting: list[bytes] = []
-        node.create_timer(_LONGEST_BURST_S, self.flush)
+        node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message, now or with those that follow it."""
