@@ -7,6 +7,7 @@ The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -23,8 +24,11 @@ from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakePart, ManagedNode
 from straightcomp_ros.nodes.periodic import Loop
+from straightcomp_ros.share import share_path
 from straightcomp_ros.shared_memory import remove_stale
 
+_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+"""Where Fast DDS finds its settings; the file says what ours are for."""
 EXIT_CONFIGURATION = 2
 """A parameter or a file is wrong; nothing was started."""
 # Longer values overflow in the executor and end the wait at once.
@@ -93,6 +97,7 @@ def _run(
     stop = _StopRequest()
     # What a killed node left in shared memory would stay for good, and the middleware stumbles over its ports.
     remove_stale()
+    os.environ.setdefault(_PROFILE_VARIABLE, str(share_path("config/fastdds.xml")))
     try:
         rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
