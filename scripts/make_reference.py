@@ -43,6 +43,9 @@ def reference() -> str:
     for stream in contract.STREAMS:
         numbers = ", ".join(f"`{name}`" for name in stream.layout.columns)
         lines.append(f"| `{stream.topic}` | {stream.layout.type_name} | {numbers} | {stream.description} |")
+    for stream in contract.COPIED:
+        text = f"Copy of `{stream.topic}` for who only watches, eight messages at a time."
+        lines.append(f"| `{stream.copy_topic}` | {stream.layout.type_name} | as `{stream.topic}` | {text} |")
     for constant, text in _texts_below_constants(contract).items():
         found = SLOW_TOPIC.fullmatch(text)
         if found:

@@ -44,7 +44,7 @@ class LockedLoop:
         }
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
-        """Loop until ``stopped()``; ``idle`` is called some 50 times a second, for work that can wait."""
+        """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
         period_ns, wait, cycle, record = self._period_ns, self._wait, self._cycle, self._lateness.record
         monotonic_ns = time.monotonic_ns
         due_ns = next_idle_ns = monotonic_ns()

@@ -34,7 +34,6 @@ EXIT_CONFIGURATION = 2
 # Longer values overflow in the executor and end the wait at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
-_CALLBACKS_AT_ONCE = 3
 
 
 class Runnable(Protocol):
@@ -187,10 +186,5 @@ def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
     gc.collect()
     gc.freeze()
     gc.disable()
-    return lambda: _turn(executor)
-
-
-def _turn(executor: Executor) -> None:
-    # Each call runs one callback at most: with fewer calls than the timers have, services would wait ever longer.
-    for _ in range(_CALLBACKS_AT_ONCE):
-        executor.spin_once(timeout_sec=0)
+    # Runs one callback at most: never enough of them to make the next cycle late.
+    return lambda: executor.spin_once(timeout_sec=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -20,6 +21,8 @@ _MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg
 
 _BURST = 8
 """Messages of a burst: 4 ms at 2 kHz, and not so many that publishing them takes a control cycle."""
+_first_bursts = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
+"""Lengths of the first bursts of a process's streams."""
 _FLUSH_S = 0.5
 """For the last samples, when no more come: a burst that nothing fills waits for so long at most."""
 
@@ -69,6 +72,8 @@ class BurstPublisher:
     def __init__(self, node: Node, stream: Stream, topic: str = "") -> None:
         self._pack, self._publish = stream.layout.pack, _raw_publisher(node, stream, topic or stream.topic)
         self._waiting: list[bytes] = []
+        # The bursts of a node's streams must not all fall into the same cycle.
+        self._room = next(_first_bursts)
         node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
@@ -78,7 +83,9 @@ class BurstPublisher:
     def add(self, data: bytes) -> None:
         """The same for one that is serialised already."""
         self._waiting.append(data)
-        if len(self._waiting) >= _BURST:
+        self._room -= 1
+        if not self._room:
+            self._room = _BURST
             self.flush()
 
     def flush(self) -> None:

@@ -353,3 +353,35 @@ def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
         found = [data for _, _, data in reader.messages()]
     assert sorted(found) == sorted(message.data for message in kept)
     assert read_streams(tmp_path / "bag", LAYOUTS)
+
+
+def test_messages_written_together_make_the_file_that_single_ones_make(tmp_path):
+    some = [(m.topic, m.data, m.log_time, m.publish_time) for m in messages(400)]
+    stored = {}
+    for name, together in (("single", False), ("together", True)):
+        with BagWriter(tmp_path / name, chunk_size=20_000, max_duration=0.05) as bag:
+            add_streams(bag)
+            for first in range(0, len(some), 37):
+                if together:
+                    bag.write_all(some[first : first + 37])
+                else:
+                    for message in some[first : first + 37]:
+                        bag.write(*message)
+        with Reader(tmp_path / name) as reader:
+            stored[name] = [(connection.topic, time, data) for connection, time, data in reader.messages()]
+        stored[name, "files"] = information(tmp_path / name)["files"]
+    assert stored["together"] == stored["single"] and len(stored["single"]) == len(some)
+    assert [file["message_count"] for file in stored["together", "files"]] == [
+        file["message_count"] for file in stored["single", "files"]
+    ]
+
+
+def test_one_wrong_message_among_many_is_refused_by_its_topic(tmp_path):
+    some = [(m.topic, m.data, m.log_time, m.publish_time) for m in messages(10)]
+    with BagWriter(tmp_path / "bag") as bag:
+        add_streams(bag)
+        bag.write_all(some)
+        with pytest.raises(BagError, match="'/unknown' was not added"):
+            bag.write_all([*some, ("/unknown", b"", 1, 1)])
+    with pytest.raises(BagError, match="is closed"):
+        bag.write_all(some)

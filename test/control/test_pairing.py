@@ -97,3 +97,13 @@ def test_samples_without_a_reference_are_forgotten_in_time_and_counted():
     for k in range(1500):
         pairing.add_sample(at(k), (k,))
     assert not list(pairing.take()) and pairing.unmatched == 500
+
+
+def test_references_run_short_when_a_sample_to_come_has_none_of_its_own():
+    pairing = Pairing(8 * PERIOD, wait=False)
+    assert pairing.short(0)
+    for k in range(20):
+        pairing.add_sample(at(k), (k,))
+    pairing.add_reference(at(12), quadratic(at(12)))
+    assert not pairing.short(PERIOD)
+    assert pairing.short(2 * PERIOD)

@@ -1,9 +1,10 @@
-"""The periodic loop and its phase lock, without a graph."""
+"""The loops and the phase lock, without a graph."""
 
 import itertools
 import random
 import time
 
+from straightcomp_ros.nodes.locked_loop import LockedLoop
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.phase_lock import PhaseLock
 
@@ -75,3 +76,58 @@ def test_a_shift_moves_all_later_wake_ups_once():
     loop.run(lambda: len(wakes) >= 6, idle=lambda: None)
     # A stalled machine may miss whole periods in between.
     assert [(wake - wakes[0]) % 5_000_000 for wake in wakes] == [0, 0, 0, 1_000_000, 1_000_000, 1_000_000]
+
+
+class Stream:
+    """Messages at given times in ns from now, and a loop that waits for them; time is simulated."""
+
+    def __init__(self, monkeypatch, arrivals):
+        self.now, self.arrivals, self.cycles, self.idle, self.errors = 0, list(arrivals), [], 0, []
+        monkeypatch.setattr(time, "monotonic_ns", lambda: self.now)
+        self.loop = LockedLoop(PERIOD, self.wait, self.cycle)
+
+    def wait(self, timeout_ns):
+        due = self.arrivals[0] if self.arrivals else self.now + timeout_ns
+        self.now = max(self.now, min(due, self.now + timeout_ns)) + 20_000
+
+    def cycle(self):
+        came = [arrival for arrival in self.arrivals if arrival <= self.now]
+        self.arrivals = self.arrivals[len(came) :]
+        self.cycles.append(len(came))
+        self.errors.append(self.loop.phase_error_ns)
+        return len(came), self.now - came[-1] if came else 0
+
+    def run(self, cycles):
+        def idle():
+            self.idle += 1
+
+        self.loop.run(lambda: len(self.cycles) >= cycles, idle)
+
+
+def test_a_locked_loop_has_one_cycle_for_each_message_and_says_how_steadily_they_come(monkeypatch):
+    source = random.Random(2)
+    jitter = [source.uniform(-30_000, 30_000) for _ in range(2000)]
+    stream = Stream(monkeypatch, [round(10_000_000 + k * PERIOD * 1.0001 + jitter[k]) for k in range(2000)])
+    stream.run(1900)
+    assert set(stream.cycles) == {1} and stream.loop.overruns == 0
+    settled = stream.errors[1000:]
+    assert max(map(abs, settled)) < 70_000
+    assert abs(sum(settled) / len(settled)) < 10_000
+
+
+def test_messages_found_together_are_overruns_and_a_new_source_is_locked_to_at_once(monkeypatch):
+    steady = [k * PERIOD for k in range(100)]
+    # Ten that were held up come together; then the source is started anew, in another phase.
+    held = [steady[-1] + 11 * PERIOD] * 10
+    anew = [held[-1] + 700_000_000 + k * PERIOD for k in range(200)]
+    stream = Stream(monkeypatch, steady + held + anew)
+    stream.run(200 + len(steady))
+    assert stream.loop.overruns == 9 and max(stream.cycles) == 10
+    assert abs(stream.loop.phase_error_ns) < 1000
+
+
+def test_without_messages_a_locked_loop_goes_on_with_its_idle_work(monkeypatch):
+    stream = Stream(monkeypatch, [])
+    stream.run(50)
+    assert set(stream.cycles) == {0} and stream.idle == 50
+    assert stream.loop.report()["overruns"] == 0
