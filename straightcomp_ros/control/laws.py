@@ -54,7 +54,7 @@ class TwistingDesign:
 class ControlParameters:
     """Law, design, and what the law believes of the plant."""
 
-    law: str = parameter("smc", "Control law", choices=LAWS)
+    law: str = parameter("smc_observer", "Control law", choices=LAWS)
     current_limit: float = parameter(0.9, "Largest |i_c| that a law asks for", unit="A", above=0.0, maximum=100.0)
     velocity_bandwidth: float = parameter(
         1000.0, "Bandwidth of the velocity estimate of 'linear' and 'smc'", unit="Hz", above=0.0, maximum=1e5
