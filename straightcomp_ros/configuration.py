@@ -129,7 +129,7 @@ class ControllerNodeParameters:
         "timer", "What starts a cycle: the node's own timer, or each sample's arrival", choices=("timer", "sample")
     )
     reference_lead: int = parameter(
-        16,
+        12,
         "A sample is served by the reference of so many samples before, extrapolated",
         unit="samples",
         minimum=0,

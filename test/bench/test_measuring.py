@@ -112,7 +112,7 @@ def test_at_every_rate_the_reference_leads_by_the_same_time_and_the_stage_moves_
     controller = node_parameters("controller", values["controller"])
     driver = node_parameters("driver", values["driver"])
     assert controller.rate == driver.simulated.rate == rate
-    assert controller.reference_lead / rate == 0.008 and driver.simulated.sample_memory / rate == 0.128
+    assert controller.reference_lead / rate == 0.006 and driver.simulated.sample_memory / rate == 0.128
     duration = forward_and_back(node_parameters("cell", values["cell"]).motion)[-1].time_ns * 1e-9
     assert duration == pytest.approx(seconds + 2.5)
     assert all(section["realtime.priority"] == 0 for section in values.values())
