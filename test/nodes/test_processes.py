@@ -46,7 +46,9 @@ def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(graph, tmp_pa
     ],
 )
 def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(graph, tmp_path, node, name, value, words):
-    process = graph.start(node, {name: value})
+    # The reaching condition is that of 'smc'.
+    law = {"control.law": "smc"} if node == "controller" else {}
+    process = graph.start(node, {**law, name: value})
     assert process.wait(timeout=120) == 2
     assert words in graph.last_words(node)
 
