@@ -17,7 +17,7 @@ def test_a_live_stroke_is_recorded_and_compensated(tmp_path, short_cycle):
     seen = []
     result = demonstrate(short_cycle, tmp_path, seen.append)
     figures, record = result.figures(), result.evaluation.record
-    assert figures["law"] == "smc"
+    assert figures["law"] == "smc_observer"
     assert figures["expected_samples"] >= 2000 * 3
     assert figures["lost_samples"] == figures["expected_samples"] - figures["received_samples"]
     # A machine that is busy with other things may drop some and disturb some; none does so most of the time.

@@ -25,7 +25,7 @@ def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, s
 
 
 def test_the_graph_learns_in_lockstep_what_the_simulation_learns(tmp_path, short_cycle):
-    short_cycle["controller"].update({"control.law": "smc", "trigger": "sample", "learning.learn": True})
+    short_cycle["controller"].update({"control.law": "linear", "trigger": "sample", "learning.learn": True})
     short_cycle["driver"].update({"lockstep": True, "lockstep_delay": 0.5})
     short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
     here, there = tmp_path / "offline.csv", tmp_path / "live.csv"
