@@ -35,8 +35,8 @@ from straightcomp_ros.share import share_path
 from straightcomp_ros.simulation import Simulation
 
 _LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
-_SOME_CHUNKS = 20_000
-"""Bytes of some chunks."""
+_SOME_CHUNKS = 40_000
+"""Bytes of some chunks, and of the descriptions and parameters before them."""
 
 
 def run(
@@ -202,10 +202,9 @@ def _killing(bag: Path, work: Path, runs: int) -> dict[str, Any]:
         killed = work / f"killed{number}"
         with Graph(work / f"logs{number}") as graph:
             logger = graph.start("logger", {"output": str(killed), "nodes": "player"})
-            # Topics are described before messages come.
-            described = _wait_for(killed)
+            begun = _wait_for(killed)
             graph.start("player", {"bag": str(bag.absolute()), "subscribers": 1})
-            _wait_for(killed, described + _SOME_CHUNKS)
+            _wait_for(killed, begun + _SOME_CHUNKS)
             time.sleep(random.uniform(0.2, 1.2))
             logger.send_signal(signal.SIGKILL)
             at_ns = time.time_ns()
