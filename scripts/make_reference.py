@@ -17,7 +17,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
 SERVES = {"recorder_services": "logger", "safety_panel": "driver"}
 """Modules with services of one node, and that node."""
-NO_PART_OF_THE_GRAPH = ("baseline",)
+NO_PART_OF_THE_GRAPH = ("baseline", "traffic")
 """Modules with nodes that only measurements start."""
 NODES = REPOSITORY / "straightcomp_ros" / "nodes"
 HEAD = """\

@@ -45,7 +45,7 @@ class RecorderOptions:
 
 @dataclass(frozen=True)
 class Announced:
-    """A topic that every bag gets: full name, type, quality of service, and the definition of a type that ROS 2's own
+    """A topic of every bag: full name, type, quality of service, and the definition of a type that ROS 2's own
     packages do not have."""
 
     name: str
@@ -76,6 +76,7 @@ class Recorder:
         self._options, self._stamped, self._describe = options, frozenset(stamped), describe
         self._topics: list[Announced] = []
         self._new_topics: deque[Announced] = deque()
+        self._expected: list[Announced] = []
         self._count = self.written = 0
         self._stopping, self._splitting = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -92,6 +93,11 @@ class Recorder:
         """Add a topic, to the present bag too. Its first message may follow at once."""
         self._topics.append(topic)
         self._new_topics.append(topic)
+
+    def expect(self, topic: Announced) -> None:
+        """Add a topic that is announced when it is known how it is offered. A bag that ends before lists it as it is
+        given here, without messages."""
+        self._expected.append(topic)
 
     def start(self) -> Path:
         """Begin a bag; returns its folder.
@@ -159,6 +165,9 @@ class Recorder:
             counts = {"received": intake.received, "written": self.written, "dropped": intake.dropped}
             self._bag.add_metadata("logger", {name: str(count) for name, count in counts.items()})
             self._bag.add_metadata("losses", {topic: str(count) for topic, count in self._losses.by_topic().items()})
+            for topic in self._expected:
+                if topic.name not in self._bag.topics:
+                    self._bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)
 
     def _closed_intake(self) -> Intake:
         intake = Intake(self._options.queue_limit)

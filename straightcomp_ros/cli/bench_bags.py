@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--bag", metavar="BAG", help="a recorded stroke (default: a full stroke is simulated)")
     parser.add_argument(
-        "--kill-runs", type=int, default=3, metavar="N", help="recordings to kill (default: %(default)s)"
+        "--kill-runs", type=int, default=20, metavar="N", help="recordings to kill (default: %(default)s)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 

@@ -6,6 +6,7 @@ import re
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.parameters import attach_map
-from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cdr import header_stamp_ns
@@ -24,7 +24,7 @@ from straightcomp_ros.contract import COPIED, DIAGNOSTICS, ENCODER, STAGE_TRAJEC
 from straightcomp_ros.nodes.copies import CopiedQueue
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.managed import ManagedNode
-from straightcomp_ros.nodes.other_topics import OtherTopics
+from straightcomp_ros.nodes.other_topics import OtherTopics, stored
 from straightcomp_ros.nodes.recorder_services import serve_recorder
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
 from straightcomp_ros.nodes.runner import run_managed
@@ -48,6 +48,8 @@ class LoggerPart:
         self._chosen = _pattern("topics", parameters.topics)
         others = _pattern("other_topics", parameters.other_topics)
         self._topics: dict[str, Fetched] = {}
+        self._unheard: dict[str, Announced] = {}
+        """Topics without a message so far."""
         self._unspun = unspun_node(node)
         self._remote = RemoteParameters(node, parameters.nodes.split())
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
@@ -88,8 +90,9 @@ class LoggerPart:
             return
         full_name = self.node.resolve_topic_name(topic)
         type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-        stored = TopicQos(reliability=qos.reliability.name.lower(), depth=qos.depth)
-        self._recorder.announce(Announced(full_name, type_name, stored))
+        # How it is offered is known when a publisher is there: at the first message.
+        self._unheard[full_name] = Announced(full_name, type_name, stored([qos]))
+        self._recorder.expect(self._unheard[full_name])
         self._topics[full_name] = make_queue() if make_queue else RawQueue(self._unspun, kind, full_name, qos)
 
     def _start(self) -> str:
@@ -113,13 +116,23 @@ class LoggerPart:
     def _take(self) -> None:
         add = self._recorder.intake.add
         self._received += self._others.fetch(add)
-        for topic, messages in self._topics.items():
-            for data, info in messages.fetch():
+        for topic, queue in self._topics.items():
+            messages = queue.fetch()
+            if messages and topic in self._unheard:
+                self._announce(topic)
+            for data, info in messages:
                 self._received += 1
                 if topic == self._encoder:
                     self._samples += 1
                     self._gaps.see(header_stamp_ns(data))
                 add(topic, data, info["received_timestamp"], info["source_timestamp"])
+
+    def _announce(self, topic: str) -> None:
+        announced = self._unheard.pop(topic)
+        publishers = self._unspun.get_publishers_info_by_topic(topic)
+        if publishers:
+            announced = replace(announced, qos=stored([publisher.qos_profile for publisher in publishers]))
+        self._recorder.announce(announced)
 
     def _note_time(self) -> None:
         # The executor's timer tells nothing of its own lateness: what counts is how long messages had to wait.

@@ -81,12 +81,10 @@ class OtherTopics:
             reason = f"has the types {', '.join(types)}" if len(types) > 1 else f"is of type {types[0]}, unknown here"
             self._node.get_logger().warning(f"topic '{name}' is not recorded: it {reason}")
             return
-        qos = offered([publisher.qos_profile for publisher in publishers])
-        stored = TopicQos(
-            reliability=qos.reliability.name.lower(), durability=qos.durability.name.lower(), depth=qos.depth
-        )
+        profiles = [publisher.qos_profile for publisher in publishers]
+        qos = offered(profiles)
         described = None if known(types[0]) else definition_of_class(kind)
-        self._announce(Announced(name, types[0], stored, described))
+        self._announce(Announced(name, types[0], stored(profiles), described))
         self._queues[name] = RawQueue(self._unspun, kind, name, qos)
         if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
             self._latched[name] = b"", 0
@@ -107,4 +105,18 @@ def offered(profiles: Iterable[QoSProfile]) -> QoSProfile:
         history=HistoryPolicy.KEEP_LAST,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def stored(profiles: Iterable[QoSProfile]) -> TopicQos:
+    """The same for a bag. Few middlewares tell of a publisher how many messages it keeps: that is stored as unknown
+    then, with a depth of 0, as rosbag2 does; `ros2 bag play` keeps as many as it sees fit."""
+    profiles = list(profiles)
+    told = all(profile.history == HistoryPolicy.KEEP_LAST and profile.depth for profile in profiles)
+    qos = offered(profiles)
+    return TopicQos(
+        reliability=qos.reliability.name.lower(),
+        durability=qos.durability.name.lower(),
+        history="keep_last" if told else "unknown",
+        depth=qos.depth if told else 0,
     )

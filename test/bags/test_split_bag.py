@@ -198,6 +198,24 @@ def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tm
     assert described[-1] is True
 
 
+def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_expected(tmp_path):
+    recorder = Recorder(RecorderOptions(str(tmp_path / "run")), [], lambda bag, at_end: True)
+    recorder.expect(Announced("/encoder", ENCODER.layout.type_name, TopicQos("best_effort")))
+    recorder.start()
+    recorder.stop()
+    recorder.start()
+    announced(recorder)
+    recorder.intake.add(*sample(0))
+    recorder.stop()
+
+    def only_topic(folder):
+        (topic,) = information(tmp_path / folder)["topics_with_message_count"]
+        return topic["topic_metadata"]["offered_qos_profiles"][0]["reliability"], topic["message_count"]
+
+    assert only_topic("run") == ("best_effort", 0)
+    assert only_topic("run_2") == ("reliable", 1)
+
+
 def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):
     recorder = Recorder(RecorderOptions(str(tmp_path / "run"), min_free=10**18), [], lambda bag, at_end: True)
     announced(recorder)

@@ -8,9 +8,11 @@ import pytest
 
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.bench import bags
+from straightcomp_ros.bench.traffic import TRAFFIC, lost
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.contract import COMMAND
+from straightcomp_ros.contract import COMMAND, DEFAULT_RATE
 from straightcomp_ros.simulation import Simulation
 
 
@@ -54,3 +56,24 @@ def test_a_bad_bag_is_refused(tmp_path, monkeypatch, capsys):
     (tmp_path / "bad.mcap").write_bytes(b"nothing")
     assert main(["bench", "bags", "--bag", str(tmp_path / "bad.mcap"), "--kill-runs", "0"]) == 1
     assert "is not an MCAP file" in capsys.readouterr().err
+
+
+def test_what_was_published_and_is_not_in_the_bag_is_lost_be_it_a_whole_topic_or_the_end_of_one(tmp_path):
+    encoder, *others, missing = TRAFFIC
+    with BagWriter(tmp_path / "bag") as bag:
+        for stream in TRAFFIC:
+            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+        stamps = dict.fromkeys((stream.topic for stream in others), range(10)) | {
+            encoder.topic: [0, 1, 4, 4, 4, 5, 6, 7],
+            missing.topic: [],
+        }
+        for stream in TRAFFIC:
+            for stamp in stamps[stream.topic]:
+                message = stream.layout.pack(stamp, *[0.0] * len(stream.layout.columns))
+                bag.write(f"/{stream.topic}", message, stamp, stamp)
+    assert lost(tmp_path / "bag", 10) == 4 + 10
+
+
+def test_the_load_is_16000_messages_a_second_of_eight_topics():
+    assert len({stream.topic for stream in TRAFFIC}) == 8
+    assert len(TRAFFIC) * DEFAULT_RATE == 16_000

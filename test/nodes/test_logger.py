@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import Range
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from straightcomp_ros.bags.definitions import definition
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.messages import read_messages
+from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.nodes.message_definition import definition_of_class
+from straightcomp_ros.nodes.other_topics import stored
 
 COUNT = 20_000
 
@@ -137,6 +139,39 @@ def test_recording_starts_stops_and_splits_by_service_and_takes_topics_of_others
     for folder in ("bag", "bag_2"):
         (recipe,) = read_messages(tmp_path / folder, "/recipe").data
         assert b"steel" in recipe
+
+
+def test_a_bag_tells_how_our_own_topics_were_offered_and_lists_those_that_nobody_sent(graph, tmp_path):
+    bag = tmp_path / "bag"
+    with caller() as node:
+        # Reliable, where the logger asks for best effort: what is stored is not what it asks for.
+        latched = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        encoder = node.create_publisher(JointState, "/encoder", latched)
+        graph.start("logger", {"output": str(bag), "nodes": "logger", "topics": "encoder|command"})
+        deadline, stamp = time.monotonic() + 120, 0
+        while size(bag / "bag_0.mcap") < 20_000:
+            assert time.monotonic() < deadline
+            stamp += 500_000
+            encoder.publish(ENCODER.layout.pack(stamp, 0.0, 0.0, 0.0, 0.0))
+            time.sleep(0.002)
+    assert graph.stop(["logger"])["logger"] == 0
+    found = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    topics = {entry["topic_metadata"]["name"]: entry for entry in found["topics_with_message_count"]}
+    assert set(topics) == {"/encoder", "/command"}
+    (qos,) = topics["/encoder"]["topic_metadata"]["offered_qos_profiles"]
+    assert (qos["reliability"], qos["durability"]) == ("reliable", "transient_local")
+    assert (qos["history"], qos["depth"]) in (("keep_last", 5), ("unknown", 0))
+    assert topics["/encoder"]["message_count"] == len(read_messages(bag, "/encoder").data) > 0
+    assert topics["/command"]["message_count"] == 0
+
+
+def test_what_a_bag_keeps_of_publishers_that_differ_is_what_all_can_serve():
+    best_effort = QoSProfile(depth=7, reliability=ReliabilityPolicy.BEST_EFFORT)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    untold = QoSProfile(history=HistoryPolicy.UNKNOWN, depth=0)
+    assert stored([latched]) == TopicQos("reliable", "transient_local", depth=1)
+    assert stored([best_effort, latched]) == TopicQos("best_effort", "volatile", depth=7)
+    assert stored([latched, untold]) == TopicQos("reliable", "volatile", "unknown", 0)
 
 
 def size(file) -> int:
