@@ -16,6 +16,9 @@ PARAMETERS = [FindPackageShare("straightcomp_ros"), "config", "straightcomp.yaml
 
 
 def _cell(context: LaunchContext) -> list[RegisterEventHandler | Node]:
+    if LaunchConfiguration("use_opcua").perform(context) == "true":
+        # Two would move the stage and switch the amplifier: the gateway's client runs the cycles.
+        return []
     chosen = []
     priority = LaunchConfiguration("rt_priority").perform(context)
     if priority:
@@ -45,6 +48,7 @@ def generate_launch_description() -> LaunchDescription:
                 "params_file", default_value=PathJoinSubstitution(PARAMETERS), description="YAML file of parameters"
             ),
             DeclareLaunchArgument("record", default_value="true", description="false: there is no logger"),
+            DeclareLaunchArgument("use_opcua", default_value="false", description="true: do not start it"),
             DeclareLaunchArgument(
                 "rt_priority", default_value="", description="SCHED_FIFO priority; empty: as the parameters say"
             ),

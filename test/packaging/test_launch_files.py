@@ -65,10 +65,16 @@ def kind(entity: Any) -> str:
     return type(entity).__name__
 
 
+def is_argument(entity: Any) -> bool:
+    return kind(entity) == "DeclareLaunchArgument"
+
+
 def entities(path: Path, arguments: dict[str, str] | None = None) -> list[Any]:
     """All that a launch file starts, with what it includes and what its functions return."""
     [described] = runpy.run_path(str(path))["generate_launch_description"]().args
-    context = {entity.args[0]: "" for entity in described if kind(entity) == "DeclareLaunchArgument"}
+    defaults = {entity.args[0]: entity.kwargs["default_value"] for entity in described if is_argument(entity)}
+    # A place in the package is found by launch alone.
+    context = {name: value if isinstance(value, str) else "" for name, value in defaults.items()}
     context.update(arguments or {})
     found: list[Any] = []
     for entity in described:
@@ -77,7 +83,7 @@ def entities(path: Path, arguments: dict[str, str] | None = None) -> list[Any]:
             found += entity.kwargs["function"](context)
         elif kind(entity) == "IncludeLaunchDescription":
             [source] = entity.args
-            assert set(dict(entity.kwargs["launch_arguments"])) == set(context)
+            assert set(dict(entity.kwargs["launch_arguments"])) == set(defaults)
             found += entities(REPOSITORY.joinpath(*source.args[0].args[0][1:]), context)
     return found
 
@@ -125,7 +131,8 @@ def test_the_cell_starts_each_node_once_in_the_same_namespace() -> None:
 def test_the_cell_takes_all_that_its_nodes_take() -> None:
     nodes = set().union(*(declared(path) for path in LAUNCH_FILES if path.name != "cell.launch.py"))
     assert declared(REPOSITORY / "launch" / "cell.launch.py") == nodes
-    assert nodes == {"namespace", "law", "map", "hardware", "record", "rt_priority", "params_file", "output"}
+    common = {"namespace", "record", "rt_priority", "params_file", "output"}
+    assert nodes == common | {"law", "map", "hardware", "use_opcua", "opcua_users"}
 
 
 def test_without_a_recording_there_is_no_logger_and_the_cell_does_not_wait_for_one() -> None:
@@ -135,10 +142,45 @@ def test_without_a_recording_there_is_no_logger_and_the_cell_does_not_wait_for_o
     assert chosen["nodes"].args == ("driver feedforward controller",)
 
 
+@pytest.mark.parametrize("record, logger", [("true", ["logger"]), ("false", [])])
+def test_with_opcua_the_gateway_stands_in_the_place_of_the_cell(record: str, logger: list[str]) -> None:
+    nodes = of_kind("Node", REPOSITORY / "launch" / "cell.launch.py", use_opcua="true", record=record)
+    others = ["driver", "feedforward", "controller", *logger]
+    assert [node.kwargs["name"] for node in nodes] == [*others, "opcua"]
+    gateway = nodes[-1].kwargs
+    assert configurations(gateway["namespace"]) == {"namespace"}
+    file, *chosen = gateway["parameters"]
+    assert configurations(file) == {"params_file"}
+    assert [(list(given), given["nodes"].args) for given in chosen] == (
+        [] if logger else [(["nodes"], (" ".join(others),))]
+    )
+
+
+def test_with_opcua_the_whole_launch_ends_when_the_gateway_has_ended() -> None:
+    found = entities(REPOSITORY / "launch" / "cell.launch.py", {"use_opcua": "true"})
+    [handler] = [entity for entity in found if kind(entity) == "RegisterEventHandler"]
+    [on_exit] = handler.args
+    assert on_exit.kwargs["target_action"].kwargs["name"] == "opcua"
+    assert found.index(handler) < found.index(on_exit.kwargs["target_action"])
+
+
+def test_the_gateway_takes_its_users_from_the_launch() -> None:
+    path = REPOSITORY / "launch" / "cell.launch.py"
+    [_, chosen] = of_kind("Node", path, use_opcua="true", opcua_users="/tmp/users")[-1].kwargs["parameters"]
+    assert (chosen["opcua.users"].args, chosen["opcua.users"].kwargs) == (("/tmp/users",), {"value_type": str})
+    known = yaml.safe_load((REPOSITORY / "config" / "straightcomp.yaml").read_text(encoding="utf-8"))
+    assert "opcua.users" in known["/**/opcua"]["ros__parameters"]
+
+
 def test_one_priority_is_given_to_all_nodes() -> None:
     nodes = of_kind("Node", REPOSITORY / "launch" / "cell.launch.py", rt_priority="20")
     given = [node.kwargs["parameters"][-1]["realtime.priority"] for node in nodes]
     assert [(value.args, value.kwargs) for value in given] == [(("20",), {"value_type": int})] * len(NODES)
+
+
+def test_the_gateway_has_the_same_priority() -> None:
+    nodes = of_kind("Node", REPOSITORY / "launch" / "cell.launch.py", rt_priority="20", use_opcua="true")
+    assert [node.kwargs["parameters"][-1]["realtime.priority"].args for node in nodes] == [("20",)] * len(NODES)
 
 
 def test_the_whole_launch_ends_when_the_cell_has_ended() -> None:
