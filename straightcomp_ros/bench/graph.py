@@ -16,9 +16,10 @@ from straightcomp_ros.bags.diagnostics import read_reports
 from straightcomp_ros.bench.processes import cores, usage
 from straightcomp_ros.bench.recording import Recording, read_window
 from straightcomp_ros.bench.window import Window, growth_mb_per_hour
-from straightcomp_ros.configuration import NODE_PARAMETERS, node_parameters
+from straightcomp_ros.configuration import NODE_PARAMETERS, ControllerNodeParameters, node_parameters
 from straightcomp_ros.contract import DEFAULT_RATE, PACKAGE, STROKE
 from straightcomp_ros.cycle import RECORDED, as_parameter_file, run_cycle
+from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.launcher import LaunchError, verb_command
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.timing.report import NodeTiming, summarise
@@ -30,7 +31,10 @@ _REST_S = 1.0
 _PAUSE_S = 0.5
 _DRIVER_TIMEOUT_S = 1.0
 """The machine forgives this much: a stall is to be measured, not to switch the law off."""
-_SCALED = {"driver": {"simulated.sample_memory": 256}, "controller": {"reference_lead": 8}}
+_SCALED = {
+    "driver": {"simulated.sample_memory": SimulatedParameters().sample_memory},
+    "controller": {"reference_lead": ControllerNodeParameters().reference_lead},
+}
 """Lengths of time that are given in samples: they stay what they are in seconds."""
 
 
