@@ -100,6 +100,7 @@ class ControllerPart:
 
     def deactivate(self) -> None:
         """No command goes out any more: the driver switches off. What was learned is kept."""
+        self._publish_command.flush()
         self._publish_state.flush()
         if self._learning is not None:
             self._learning.save()

@@ -17,6 +17,7 @@ from straightcomp_ros.contract import Stream
 from straightcomp_ros.nodes.streams import BurstPublisher, Messages, RawQueue, message_type, publisher
 
 _LOOK_S = 0.2
+_LONGEST_DELAY_NS = 1_000_000_000
 
 
 class CopiedPublisher:
@@ -43,6 +44,12 @@ class CopiedPublisher:
             for data in self._uncopied:
                 self._copies.add(data)
         self._uncopied.clear()
+
+    def flush(self) -> None:
+        """Publish what the copy still lacks."""
+        self.copy()
+        if self._copies is not None:
+            self._copies.flush()
 
 
 class CopiedQueue:
@@ -83,10 +90,15 @@ class CopiedQueue:
                 self._direct.close()
                 self._direct = None
         if copies and self._newest_ns is not None:
-            copies = [copy for copy in copies if header_stamp_ns(copy[0]) > self._newest_ns]
+            copies = [copy for copy in copies if not self._came_directly(header_stamp_ns(copy[0]), self._newest_ns)]
             if copies:
                 self._newest_ns = None
         return messages + copies
+
+    @staticmethod
+    def _came_directly(stamp_ns: int, newest_ns: int) -> bool:
+        # Copies are late by some milliseconds: one that seems later is of another source, with another clock.
+        return 0 <= newest_ns - stamp_ns < _LONGEST_DELAY_NS
 
     def _look(self) -> None:
         if self._direct is None and not self._copy.connected:

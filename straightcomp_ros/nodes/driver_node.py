@@ -118,6 +118,7 @@ class DriverPart:
         """Amplifier off; no samples any more. A fault stays latched."""
         self._safety.disable()
         self._panel.report()
+        self._publish_sample.flush()
         self._publish_truth.flush()
         self._publish_state.flush()
 
