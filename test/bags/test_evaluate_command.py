@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.control.laws import ControlParameters
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
 OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"cell.{name}={value}")]
@@ -33,7 +34,7 @@ def test_its_figures_are_those_of_the_simulation(bag, capsys):
     evaluated = figures(capsys, bag)
     for name in simulated.keys() & evaluated.keys() - {"law", "samples"}:
         assert evaluated[name] == pytest.approx(simulated[name], abs=1e-6), name
-    assert evaluated["law"] == simulated["law"] == "smc"
+    assert evaluated["law"] == simulated["law"] == ControlParameters().law
     assert [stroke["direction"] for stroke in evaluated["strokes"]] == ["forward", "backward"]
 
 

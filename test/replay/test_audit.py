@@ -14,7 +14,7 @@ from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.configuration import ControllerNodeParameters, node_parameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, STREAMS
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.pairing import Pairing
@@ -105,8 +105,8 @@ def test_what_is_lost_makes_the_rest_unverifiable_not_different(bag, tmp_path, t
 
     found = audit(rewritten(bag, tmp_path / "new", lose))
     assert found.different == 0 and found.missing == 1
-    # A lost reference serves eight samples later.
-    assert found.commands == {"encoder": 600, "reference": 608, "controller_state": 600}[topic]
+    lead = ControllerNodeParameters().reference_lead
+    assert found.commands == {"encoder": 600, "reference": 600 + lead, "controller_state": 600}[topic]
     assert found.commands + found.unverified == len(read_streams(bag, LAYOUTS)["command"])
 
 
