@@ -101,7 +101,9 @@ def demonstrate(
     except (BagError, MetricsError) as error:
         raise DemonstrationFailed(str(error)) from error
     recorded = float(evaluation.record.time[-1])
-    if recorded < 0.99 * duration:
+    # A client of the gateway switches on and off when it likes: the rests before and after are its own.
+    least = 0.99 * duration - (2.0 * cell.motion.settle if opcua_strokes else 0.0)
+    if recorded < least:
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
