@@ -126,7 +126,9 @@ class ControllerNodeParameters:
     autostart: bool = _autostart()
     rate: int = parameter(DEFAULT_RATE, "Control cycles per second", unit="Hz", minimum=10, maximum=20_000)
     trigger: str = parameter(
-        "timer", "What starts a cycle: the node's own timer, or each sample's arrival", choices=("timer", "sample")
+        "timer",
+        "timer: in real time, in step with the samples; sample: each waits for its reference (lockstep, replay)",
+        choices=("timer", "sample"),
     )
     reference_lead: int = parameter(
         12,

@@ -80,7 +80,6 @@ class DriverPart:
         self._latency = math.nan
         self._latencies = Histogram()
         self._started = self._gives_way = False
-        self._lateness = 0.0
         self._safety = SafetyMachine(self._hardware)
         self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._watch_switched)
         self._sample_watch = SampleWatch(parameters.watch, period_ns)
@@ -142,15 +141,14 @@ class DriverPart:
         if self._newest is None or self._command_stamp_ns != self._newest.stamp_ns:
             self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
-        for sample, _ in samples:
-            self._hand_out(sample)
+        latenesses = [self._hand_out(sample) for sample, _ in samples]
         if samples and self._gives_way:
             # Whom the sample has woken on this CPU is not to wait for the records.
             for _ in range(_TURNS_OF_OTHERS):
                 os.sched_yield()
         self._publish_sample.copy()
-        for sample, truth in samples:
-            self._record(sample, truth)
+        for (sample, truth), lateness in zip(samples, latenesses, strict=True):
+            self._record(sample, truth, lateness)
         # Usually the answer to this sample is among them, and the next one need not wait for this.
         self._fetch_commands(now_ns(), self._system_ns())
         if self._hardware.fault and self._safety.fault is None:
@@ -167,27 +165,27 @@ class DriverPart:
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
         self._hand_out(sample)
         self._publish_sample.copy()
-        self._record(sample, truth)
+        self._record(sample, truth, 0.0)
 
-    def _hand_out(self, sample: Sample) -> None:
-        """What the controller waits for."""
+    def _hand_out(self, sample: Sample) -> float:
+        """Publish what the controller waits for; returns how long after the sample that was, in s."""
         finding = self._sample_watch.check(sample, self._hardware.applied_current)
         if finding is not None:
             self._trip(*finding)
         self._publish_sample(*sample[:3], math.nan, sample.current)
-        self._lateness = 0.0 if self._lockstep else (now_ns() - sample.stamp_ns) * 1e-9
-        self._samples += 1
         self._newest = sample
+        return (now_ns() - sample.stamp_ns) * 1e-9
 
-    def _record(self, sample: Sample, truth: Truth | None) -> None:
+    def _record(self, sample: Sample, truth: Truth | None, lateness: float) -> None:
         """What is only watched and recorded."""
         if self._samples % POSITION_EVERY == 0:
             self._publish_position(*sample[:3])
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
         on = 1.0 if self._hardware.state is State.ON else 0.0
-        self._publish_state(sample.stamp_ns, self._latency, self._lateness, self._hardware.applied_current, on)
+        self._publish_state(sample.stamp_ns, self._latency, lateness, self._hardware.applied_current, on)
         self._latency = math.nan
+        self._samples += 1
 
     def _on_lockstep_command(self, stamp_ns: int, numbers: Sequence[float]) -> None:
         if self._lockstep and self._lockstep.awaits(stamp_ns) and self._check(numbers[0]):
