@@ -23,6 +23,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _FOLDER = Path("/dev/shm")
+_OTHER = {"_el": "_sl", "_sl": "_el"}
 _LOCK = re.compile(r"(fastrtps_(?:[0-9a-f]{16}|port\d{1,5}))_[es]l")
 _YOUNG_S = 2.0
 """Fast DDS locks and maps a file a moment after making it."""
@@ -78,6 +79,10 @@ def _is_free(path: Path) -> bool:
         os.close(descriptor)
 
 
+def _is_held(path: Path) -> bool:
+    return path.exists() and not _is_free(path)
+
+
 @contextmanager
 def _alone(folder: Path) -> Iterator[bool]:
     """Whether no other process cleans meanwhile.
@@ -126,7 +131,7 @@ def _removed_if_free(folder: Path, lock: str, name: str) -> list[str]:
     except OSError:
         return []
     try:
-        if not _locked(descriptor):
+        if not _locked(descriptor) or _is_held(folder / f"{name}{_OTHER[lock[-3:]]}"):
             return []
         # The lock file last, and while it is held: until then everybody takes the port for one in use.
         return _removed(folder, name, f"sem.{name}_mutex", lock)

@@ -67,6 +67,17 @@ def test_files_of_a_living_owner_stay_until_it_is_killed(tmp_path, owner):
     assert names(tmp_path) == set()
 
 
+def test_a_port_stays_whose_owner_holds_its_other_lock_file(tmp_path, owner):
+    # A process that is killed while it looks whether the port is shared leaves the file for that.
+    make(tmp_path, *PORT, "fastrtps_port7411_sl")
+    process = owner("exclusive", tmp_path / PORT[1])
+    assert remove_stale(tmp_path, young=0.0) == []
+    process.kill()
+    process.wait()
+    assert remove_stale(tmp_path, young=0.0)
+    assert set(PORT).isdisjoint(names(tmp_path))
+
+
 def test_files_that_were_just_made_stay(tmp_path):
     make(tmp_path, *PORT)
     assert remove_stale(tmp_path) == [] and names(tmp_path) == set(PORT)

@@ -28,6 +28,7 @@ from straightcomp_ros.model.stage import Waypoint, trapezoid
 from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.faulty_driver import INJECT, INJECTED
 from straightcomp_ros.nodes.heartbeats import Heartbeats
+from straightcomp_ros.nodes.middleware import own_profile
 from straightcomp_ros.nodes.safety_panel import LATCHED
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
@@ -35,10 +36,9 @@ from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
 _START_S = 90.0
 """A busy machine takes its time to start a node, and the middleware to connect it."""
 _ANSWER_S = 3.0
-_SETTLE_S = 0.15
-_REFUSALS = 6
+_SETTLE_S = 0.1
+_REFUSALS = 3
 _AT_THE_STOP = ("y_out_of_range", "y_frozen")
-_HEARTBEAT_PAUSE_S = 1.1
 _STROKE, _SPEED, _ACCELERATION = 0.1, 0.1, 0.4
 _STROKES = 600
 
@@ -74,13 +74,15 @@ class Stand:
             text=True,
         )
         self.processes: dict[str, int] = {}
+        self._codes: dict[int, int] = {}
         self.bags = 0
         self.condition, self.fault, self.tripped = "", None, None
         self.injected_ns = 0
         self._sends = 0
         self._echoed: Inbox | None = None
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node("fault_stand")
+        with own_profile():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            self.node = Node("fault_stand")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self.heartbeats = Heartbeats(self.node, RECORDED)
@@ -122,6 +124,7 @@ class Stand:
         if name == "logger":
             self.bags += 1
             words += ["-p", f"output:={self.bag}"]
+        self.heartbeats.forget(name)
         self.processes[name] = self._ask({"start": words, "log": str(self._folder / f"{name}.log")})["pid"]
 
     @property
@@ -137,7 +140,14 @@ class Stand:
 
     def exit_code(self, name: str) -> int | None:
         """How a node has ended, None while it runs."""
-        return self._ask({"wait": self.processes[name]})["code"]
+        process = self.processes[name]
+        if process not in self._codes:
+            code = self._ask({"wait": process})["code"]
+            if code is None:
+                return None
+            # The nursery tells it once.
+            self._codes[process] = code
+        return self._codes[process]
 
     def alive(self, names: tuple[str, ...] = RECORDED) -> bool:
         """Whether the processes of these nodes run."""
@@ -202,7 +212,6 @@ class Stand:
                 self.signal("driver", signal.SIGKILL)
                 self.until(lambda: self.exit_code("driver") is not None, _ANSWER_S)
                 self.start("driver")
-                self.spin(_HEARTBEAT_PAUSE_S)
                 continue
             if self.enable() and self.until(lambda: self.condition == "on", 1.0):
                 self.spin(_SETTLE_S)

@@ -6,6 +6,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +22,8 @@ from straightcomp_ros.safety.faults import ALLOWANCE_MS, FAULTS
 COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
 """s, in the trials."""
 _PATIENCE_S = 8.0
+_ANSWER_S, _REQUESTS = 1.0, 8
+"""A node that has just come up may lose a request, or its answer."""
 _AGAIN = 3
 """Injections in the place of one in whose time the machine stood still, so that another fault came first."""
 _OTHERS = {"command_timeout": COMMAND_TIMEOUT * 1e3 - 5.0, "sample_timeout": SAMPLE_TIMEOUT * 1e3 - 1000.0}
@@ -111,8 +114,7 @@ def _driver_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]
 def _logger_missed(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
     """Its heartbeat is missed, and the loop goes on."""
     found = time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"], _PATIENCE_S) else None
-    if stand.condition != "on":
-        failures.append(f"the amplifier is '{stand.condition}' without a logger")
+    _check_going_on(stand, failures)
     return found
 
 
@@ -135,10 +137,15 @@ def _recording_ended(stand: Stand, trial: Trial, failures: list[str]) -> int | N
     found = time.time_ns()
     if not (stand.bag / "metadata.yaml").exists():
         failures.append(f"bag {stand.bag.name} is not whole")
-    if stand.condition != "on":
-        failures.append(f"the amplifier is '{stand.condition}' without a logger")
+    _check_going_on(stand, failures)
     stand.start("logger")
     return found
+
+
+def _check_going_on(stand: Stand, failures: list[str]) -> None:
+    if stand.condition != "on":
+        reason = stand.fault.name if stand.fault else "no fault"
+        failures.append(f"without a logger the amplifier is '{stand.condition}': {reason}")
 
 
 def _check_refusal(stand: Stand, failures: list[str]) -> None:
@@ -186,10 +193,16 @@ def _disk_full(stand: Stand) -> int:
     stand.until(client.service_is_ready, _PATIENCE_S)
     value = Parameter("min_free_bytes", value=10**18).to_parameter_msg()
     at_ns = time.time_ns()
-    future = client.call_async(SetParameters.Request(parameters=[value]))
-    stand.until(future.done, _PATIENCE_S)
+    for _ in range(_REQUESTS):
+        answered = client.call_async(SetParameters.Request(parameters=[value])).done
+        if stand.until(partial(_answered_or_ended, stand, answered), _ANSWER_S):
+            break
     stand.node.destroy_client(client)
     return at_ns
+
+
+def _answered_or_ended(stand: Stand, answered: Callable[[], bool]) -> bool:
+    return answered() or stand.exit_code("logger") is not None
 
 
 _STOP, _KILL = signal.SIGSTOP, signal.SIGKILL

@@ -39,6 +39,10 @@ class Heartbeats:
         """Those of them that had one before."""
         return [name for name in self.silent() if self.states[name]]
 
+    def forget(self, name: str) -> None:
+        """Take the node for silent until its next heartbeat: it has been started anew."""
+        self._ages[name] = self._timeout
+
     def in_state(self, state: str) -> bool:
         """Whether all nodes are alive and in this lifecycle state."""
         return not self.silent() and set(self.states.values()) == {state}

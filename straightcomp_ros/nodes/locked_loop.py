@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 
@@ -54,7 +55,10 @@ class LockedLoop:
             count, age_ns = cycle()
             if count:
                 record(age_ns)
-                self.overruns += count - 1
+                if count > 1:
+                    self.overruns += count - 1
+                    # At a real-time priority a loop that never waits would keep the middleware's threads from running.
+                    os.sched_yield()
                 due_ns = self._follow(now_ns - age_ns, due_ns) + period_ns
             if now_ns >= next_idle_ns:
                 idle()

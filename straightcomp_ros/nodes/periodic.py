@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -60,11 +61,15 @@ class PeriodicLoop:
         _exact_sleep()
         period_ns, cycle = self._period_ns, self._cycle
         monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
+        give_way = os.sched_yield
         wake_ns = next_idle_ns = monotonic_ns()
         while not stopped():
             wait_ns = wake_ns - monotonic_ns()
             if wait_ns > 0:
                 sleep(wait_ns * 1e-9)
+            else:
+                # At a real-time priority a loop that never sleeps would keep the middleware's threads from running.
+                give_way()
             record(monotonic_ns() - wake_ns)
             cycle(wake_ns)
             self.cycles += 1

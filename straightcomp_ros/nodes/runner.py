@@ -7,7 +7,6 @@ The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI
 from __future__ import annotations
 
 import gc
-import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -23,12 +22,10 @@ from rclpy.task import Future
 from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakePart, ManagedNode
+from straightcomp_ros.nodes.middleware import own_profile
 from straightcomp_ros.nodes.periodic import Loop
-from straightcomp_ros.share import share_path
 from straightcomp_ros.shared_memory import remove_stale
 
-_PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-"""Where Fast DDS finds its settings; the file says what ours are for."""
 EXIT_CONFIGURATION = 2
 """A parameter or a file is wrong; nothing was started."""
 # Longer values overflow in the executor and end the wait at once.
@@ -94,12 +91,14 @@ def _run(
 ) -> int:
     # rclpy's own handlers shut the context down under a running callback; ours let it end first.
     stop = _StopRequest()
-    # What a killed node left in shared memory would stay for good, and the middleware stumbles over its ports.
-    remove_stale()
-    os.environ.setdefault(_PROFILE_VARIABLE, str(share_path("config/fastdds.xml")))
     try:
-        rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO)
-        node = make_node()
+        with own_profile():
+            # What a killed node left in shared memory would stay for good, and the middleware stumbles over its ports.
+            remove_stale()
+            rclpy.init(
+                args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
+            )
+            node = make_node()
     except Exception as error:
         # rclpy has one exception type for each kind of bad argument; all mean the same to the user.
         print(f"{name}: {error}", file=sys.stderr)

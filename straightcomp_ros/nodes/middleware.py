@@ -1,0 +1,61 @@
+"""This process's profile of Fast DDS: `config/fastdds.xml`, and a place of its own among the participants.
+
+Fast DDS takes the first place whose ports are free, which is that of the node that was just killed, with the same
+numbers of ports in shared memory. A writer that has not noticed the death yet opens the port of that number anew, takes
+it from the new node thereby, and that for each message (eProsima/Fast-DDS issues 2398 and 5053): the loop stands still.
+So each process takes a place where no port lies.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from straightcomp_ros.share import share_path
+
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+"""Where Fast DDS finds its settings; who sets it keeps his own."""
+_PLACES = 32
+"""As many as find each other without multicast."""
+_PORT_BASE, _PER_DOMAIN, _USER_UNICAST, _PER_PARTICIPANT = 7400, 250, 11, 2
+"""RTPS 2.2, 9.6.1.1."""
+
+
+@contextmanager
+def own_profile(shared_memory: Path = Path("/dev/shm")) -> Iterator[None]:
+    """Participants that are made meanwhile get the profile.
+
+    Enter it before anything is removed from shared memory: what a killed node left there marks its place.
+    """
+    if PROFILE_VARIABLE in os.environ:
+        yield
+        return
+    text = share_path("config/fastdds.xml").read_text()
+    place = free_place(shared_memory, int(os.environ.get("ROS_DOMAIN_ID") or 0), os.getpid())
+    with tempfile.NamedTemporaryFile("w", suffix=".xml") as file:
+        file.write(text.replace("<rtps>", f"<rtps>\n      <participantID>{place}</participantID>", 1))
+        file.flush()
+        os.environ[PROFILE_VARIABLE] = file.name
+        try:
+            yield
+        finally:
+            del os.environ[PROFILE_VARIABLE]
+
+
+def free_place(shared_memory: Path, domain: int, first: int) -> int:
+    """The first place from ``first`` on, around the circle, that nobody has or had; ``first``'s own if there is none.
+
+    Args:
+        shared_memory: folder with Fast DDS's files.
+        domain: ROS domain id.
+        first: any number; processes that start together should have different ones.
+    """
+    base = _PORT_BASE + _PER_DOMAIN * domain + _USER_UNICAST
+    for step in range(_PLACES):
+        place = (first + step) % _PLACES
+        if not any(shared_memory.glob(f"fastrtps_port{base + _PER_PARTICIPANT * place}*")):
+            return place
+    return first % _PLACES
