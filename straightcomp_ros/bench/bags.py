@@ -43,7 +43,7 @@ def run(
     bag: Path | None,
     kill_runs: int,
     record_s: float = 20.0,
-    progress: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str, float], None] = lambda text, done: None,
 ) -> dict[str, Any]:
     """Measure all.
 
@@ -51,7 +51,7 @@ def run(
         bag: a recorded stroke; a full stroke forward and back is simulated if None.
         kill_runs: recordings that are killed.
         record_s: length in s of the live recording, 16,000 messages a second on 8 topics.
-        progress: called with what comes next.
+        progress: called with what comes next, and the fraction that is done.
 
     Returns:
         ``record`` {lost, cpu_cores, us_per_message, bytes_per_message}: the first two of the live recording by the
@@ -65,22 +65,21 @@ def run(
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         if bag is None:
-            progress("simulating a stroke")
+            progress("simulating a stroke", 0.0)
             bag = work / "run"
             values = read_parameter_file(share_path("config/straightcomp.yaml"))
             simulation = Simulation(values)
             with SimulatedRun(bag, values, simulation.delay) as recording:
                 simulation.run(observe=recording.add)
         bag = Path(bag)
-        progress("recording")
+        progress("recording", 0.02)
         record = {**_live_recording(work, record_s), **_writing(bag, work)}
-        progress("reading")
+        progress("reading", 0.25)
         read = _reading(bag)
-        progress("evaluating")
+        progress("evaluating", 0.4)
         seconds = _evaluating(bag)
-        progress("killing recordings")
-        kill = _killing(bag, work, kill_runs)
-        progress("auditing")
+        kill = _killing(bag, work, kill_runs, lambda done: progress("killing recordings", 0.45 + 0.5 * done))
+        progress("auditing", 0.95)
         found = audit(bag)
     return {
         "record": record,
@@ -193,12 +192,13 @@ def _evaluating(bag: Path) -> float:
     return statistics.median(times)
 
 
-def _killing(bag: Path, work: Path, runs: int) -> dict[str, Any]:
+def _killing(bag: Path, work: Path, runs: int, progress: Callable[[float], None]) -> dict[str, Any]:
     """Recordings by the logger, killed at any moment: from the last saved message to the kill."""
     if not ros_available() or runs < 1:
         return {"runs": 0, "max_lost_s": None}
     worst = 0.0
     for number in range(runs):
+        progress(number / runs)
         killed = work / f"killed{number}"
         with Graph(work / f"logs{number}") as graph:
             logger = graph.start("logger", {"output": str(killed), "nodes": "player"})

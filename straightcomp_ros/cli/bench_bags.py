@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from straightcomp_ros.cli.evaluate import shown
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 
 SUMMARY = "recording, reading, evaluation, SIGKILL, audit"
 
@@ -29,11 +29,13 @@ def run(options: argparse.Namespace) -> int:
     from straightcomp_ros.launcher import LaunchError
 
     try:
-        figures = run(
-            Path(options.bag) if options.bag else None,
-            options.kill_runs,
-            progress=lambda text: notes.print(f"{text} …"),
-        )
+        with progress_bar() as bar:
+            task = bar.add_task("starting", total=1.0)
+            figures = run(
+                Path(options.bag) if options.bag else None,
+                options.kill_runs,
+                progress=lambda text, done: bar.update(task, description=text, completed=done),
+            )
     except (BagError, LaunchError) as error:
         raise CommandFailed(str(error)) from error
     if options.json:

@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.bench.step import law_costs, message_costs, simulation_cost
-from straightcomp_ros.cli.output import CommandFailed, console, print_json
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.parameters import ParameterError
@@ -36,11 +36,12 @@ def run(options: argparse.Namespace) -> int:
     values = chosen_parameters(options)
     controller = node_parameters("controller", values["controller"])
     try:
-        sample, speed = simulation_cost(values, min(options.repeats, _SIMULATIONS))
-        laws = law_costs(controller.control, controller.rate, options.repeats)
+        with working("timing"):
+            sample, speed = simulation_cost(values, min(options.repeats, _SIMULATIONS))
+            laws = law_costs(controller.control, controller.rate, options.repeats)
+            messages = message_costs(options.repeats)
     except (ParameterError, SurveyError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
-    messages = message_costs(options.repeats)
     figures = {
         "laws": {name: found.to_display() for name, found in laws.items()},
         "messages": {

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import can
 
-from straightcomp_ros.cli.output import CommandFailed, notes, print_json
+from straightcomp_ros.cli.output import CommandFailed, notes, print_json, working
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
 
     try:
         check_interface(parameters)
-        with opened_bus(parameters) as bus:
+        with opened_bus(parameters) as bus, working("sending"):
             sent = play(of_the_board(frames(), parameters.node), bus, options.speed)
     except (ParameterError, HardwareError) as error:
         raise CommandFailed(str(error), exit_code=2) from error

@@ -10,7 +10,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.assessment import Assessment
@@ -109,7 +109,8 @@ def assessed(bag: Path, remap: dict[str, str] | None = None) -> Assessment:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            assessment = assess(bag, evaluate_bag(bag, remap))
+            with working("evaluating"):
+                assessment = assess(bag, evaluate_bag(bag, remap))
         except BagError as error:
             raise CommandFailed(str(error)) from error
         except MetricsError as error:

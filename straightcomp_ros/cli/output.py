@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -29,17 +30,25 @@ class CommandFailed(Exception):
 
 def progress_bar() -> Progress:
     """A progress bar on standard error, silent when that is no terminal."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
+        TaskProgressColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
         console=notes,
         disable=not sys.stderr.isatty(),
         transient=True,
     )
+
+
+@contextmanager
+def working(description: str) -> Iterator[None]:
+    """The same for work of unknown length: the bar only moves."""
+    with progress_bar() as bar:
+        bar.add_task(description, total=None)
+        yield
 
 
 def print_json(values: Mapping[str, Any]) -> None:

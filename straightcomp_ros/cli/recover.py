@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 
 SUMMARY = "make a finished bag from a cut-off or damaged one"
 
@@ -28,7 +28,8 @@ def run(options: argparse.Namespace) -> int:
 
     try:
         bag = Path(options.bag)
-        result = recover(bag, Path(options.output) if options.output else default_output(bag))
+        with working("recovering"):
+            result = recover(bag, Path(options.output) if options.output else default_output(bag))
     except BagError as error:
         raise CommandFailed(str(error)) from error
     lost = None if result.lost is None else sum(result.lost.values())

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap, shown
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
@@ -58,7 +58,8 @@ def run(options: argparse.Namespace) -> int:
 def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
     from straightcomp_ros.replay.audit import audit
 
-    found = audit(bag, remap)
+    with working("computing the commands again"):
+        found = audit(bag, remap)
     if options.json:
         print_json(dataclasses.asdict(found))
     else:
@@ -99,7 +100,8 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> i
         changes.setdefault(node, {})[name] = value
     if options.law:
         changes.setdefault("controller", {})["control.law"] = options.law
-    result = what_if(bag, changes, remap)
+    with working("simulating"):
+        result = what_if(bag, changes, remap)
     columns = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
     if options.json:
         names = ("recorded", "simulated_as_recorded", "what_if")
@@ -125,7 +127,8 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int
             exit_code=2,
         )
     try:
-        found = replay_through_graph(bag, Path(options.output), remap)
+        with working("playing to the graph"):
+            found = replay_through_graph(bag, Path(options.output), remap)
     except LaunchError as error:
         raise CommandFailed(f"{error} (logs in {options.output}/logs)") from error
     if options.json:

@@ -26,7 +26,7 @@ from straightcomp_ros.cycle import RECORDED, as_parameter_file
 from straightcomp_ros.launcher import LaunchError, exit_words, isolated_environment
 from straightcomp_ros.model.stage import Waypoint, trapezoid
 from straightcomp_ros.nodes import realtime
-from straightcomp_ros.nodes.faulty_driver import INJECT, INJECTED
+from straightcomp_ros.nodes.faulty_driver import INJECT, INJECTED, NEW_MACHINE
 from straightcomp_ros.nodes.heartbeats import Heartbeats
 from straightcomp_ros.nodes.middleware import own_profile
 from straightcomp_ros.nodes.safety_panel import LATCHED
@@ -37,7 +37,8 @@ _START_S = 90.0
 """A busy machine takes its time to start a node, and the middleware to connect it."""
 _ANSWER_S = 3.0
 _SETTLE_S = 0.1
-_REFUSALS = 3
+_REFUSALS = 2
+_SENDS = 3
 _AT_THE_STOP = ("y_out_of_range", "y_frozen")
 _STROKE, _SPEED, _ACCELERATION = 0.1, 0.1, 0.4
 _STROKES = 600
@@ -120,7 +121,7 @@ class Stand:
         words = [module, "--ros-args", "--params-file", str(self._file)]
         if name == "driver":
             # More than once: the first may come before the driver is connected; it refuses those that it does not need.
-            self._sends = 3
+            self._sends = _SENDS
         if name == "logger":
             self.bags += 1
             words += ["-p", f"output:={self.bag}"]
@@ -208,10 +209,9 @@ class Stand:
                 self._trajectory.publish(_MOTION)
             refusals += 1
             if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.name in _AT_THE_STOP:
-                # The platform may have been driven to its stop, where no law gets it off: take a new machine.
-                self.signal("driver", signal.SIGKILL)
-                self.until(lambda: self.exit_code("driver") is not None, _ANSWER_S)
-                self.start("driver")
+                # The platform may have been driven to its stop, where no law gets it off.
+                self.inject(NEW_MACHINE)
+                self._sends = _SENDS
                 continue
             if self.enable() and self.until(lambda: self.condition == "on", 1.0):
                 self.spin(_SETTLE_S)

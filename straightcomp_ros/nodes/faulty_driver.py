@@ -1,6 +1,7 @@
 """driver, for trials: its machine, its clock and the way of its commands fail on demand.
 
 `inject` (diagnostic_msgs/DiagnosticStatus) names the fault, an empty name ends it; `injected` tells when it began.
+The name `new_machine` asks for another simulated machine, at rest in the middle.
 
     python -m straightcomp_ros.nodes.faulty_driver --ros-args …
 """
@@ -20,7 +21,7 @@ from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.runner import run_managed
 
 INJECT, INJECTED = "inject", "injected"
-CLOCK_STEP, LATE_COMMANDS = "clock_step", "late_commands"
+CLOCK_STEP, LATE_COMMANDS, NEW_MACHINE = "clock_step", "late_commands", "new_machine"
 _STEP_NS = 1_000_000_000
 
 
@@ -29,6 +30,7 @@ class FaultyDriver(DriverPart):
 
     def __init__(self, node: ManagedNode, parameters: DriverNodeParameters) -> None:
         self._step_ns = self._late_ns = 0
+        self._parameters = parameters
         self._faulty = FaultyHardware(make_hardware(parameters), self._tell)
         super().__init__(node, parameters, self._faulty, lambda: time.time_ns() + self._step_ns)
         self._injected = node.create_publisher(DiagnosticStatus, INJECTED, 10)
@@ -44,6 +46,10 @@ class FaultyDriver(DriverPart):
         elif kind == LATE_COMMANDS:
             self._late_ns = 2 * self._command_timeout_ns
             self._tell(kind, now_ns())
+        elif kind == NEW_MACHINE:
+            machine = make_hardware(self._parameters)
+            machine.start(now_ns())
+            self._faulty.replace(machine)
         else:
             self._faulty.inject(kind)
 
