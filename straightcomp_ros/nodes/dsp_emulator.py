@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import signal
 import sys
 import time
 
 import can
 
-from straightcomp_ros.configuration import DriverNodeParameters
+from straightcomp_ros.configuration import DriverNodeParameters, RealtimeParameters
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.frames import Codec
 from straightcomp_ros.hardware.can.link import opened_bus
@@ -115,6 +116,11 @@ class Emulator:
         self._close()
 
 
+def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
+    """The driver's real-time parameters for a board: it is no part of the host, whose loop has its CPU to itself."""
+    return dataclasses.replace(driver, cpus="rest") if driver.cpus == "loop" else driver
+
+
 def emulate(parameters: DriverNodeParameters, drift: float) -> int:
     """Be the board until SIGINT or SIGTERM; prints ``ready`` when it samples.
 
@@ -125,7 +131,7 @@ def emulate(parameters: DriverNodeParameters, drift: float) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: stopping.append(number))
     emulator = Emulator(parameters, drift)
-    for refusal in realtime.apply(parameters.realtime):
+    for refusal in realtime.apply(_beside_the_loop(parameters.realtime)):
         print(f"dsp_emulator: {refusal}", file=sys.stderr)
     print("ready", flush=True)
     try:
