@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.cycle import RECORDED
-from straightcomp_ros.nodes.soak_scene import LATE, Scene
+from straightcomp_ros.nodes.soak_scene import HELD_UP, Scene
 
 ENABLE_LIMIT_S = 2.0
 """From asking for the amplifier to 'on', with no fault latched and fresh commands."""
@@ -24,7 +24,6 @@ _TAKEN_BY_A_KILL_S = 0.5
 """What SIGKILL may take of a recording."""
 _FADE_S = 0.7
 """The feedforward refuses a change of its map while the one before is going on, for 0.5 s."""
-_TIMEOUT = ("command_timeout",)
 
 
 def amplifier_off_and_on(scene: Scene) -> list[str]:
@@ -139,12 +138,12 @@ def kill(scene: Scene) -> list[str]:
     stand.signal(name, signal.SIGKILL)
     if name == "logger":
         stand.spin(1.0)
-        scene.may_latch(LATE, failures)
+        scene.may_latch(HELD_UP, failures)
     elif name == "driver":
         _must_trip(scene, failures)
         stand.condition = ""
     else:
-        scene.must_latch(_TIMEOUT, failures)
+        scene.must_latch(HELD_UP, failures)
     failures += stand.restart(name)
     if name == "driver" and (not stand.until(lambda: stand.condition != "", 30.0) or stand.condition == "on"):
         failures.append(f"the new driver's amplifier is '{stand.condition}'")
@@ -161,13 +160,13 @@ def stop_for_long(scene: Scene) -> list[str]:
     elif name == "driver":
         _must_trip(scene, failures)
     else:
-        scene.must_latch(_TIMEOUT, failures)
+        scene.must_latch(HELD_UP, failures)
     scene.stand.signal(name, signal.SIGCONT)
     if name == "logger":
         scene.must_be_on(failures)
     elif name == "driver":
         # By its own clock the commands were missing for longer than by the controller's the samples.
-        scene.must_latch(LATE, failures)
+        scene.must_latch(HELD_UP, failures)
     return [f"{name}: {words}" for words in failures]
 
 
@@ -179,7 +178,7 @@ def stop_for_short(scene: Scene) -> list[str]:
     scene.stand.spin(scene.rng.uniform(0.01, 0.1))
     scene.stand.signal(name, signal.SIGCONT)
     scene.stand.spin(0.3)
-    scene.may_latch(() if name == "logger" else LATE, failures)
+    scene.may_latch(() if name == "logger" else HELD_UP, failures)
     return [f"{name}: {words}" for words in failures]
 
 

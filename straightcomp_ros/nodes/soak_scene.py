@@ -21,10 +21,9 @@ from straightcomp_ros.nodes.fault_stand import ACCELERATION, MOTION, MOTION_STRO
 from straightcomp_ros.nodes.streams import subscribe
 from straightcomp_ros.timing.report import SAMPLES
 
-LATE = ("command_timeout", "sample_timeout")
-"""What a fault may be called where a node stood still, or its peers were held up."""
-_OF_STALLS = (*LATE, "y_out_of_range", "y_frozen")
-"""What follows when the whole machine stands still: without commands the platform goes to its stop."""
+HELD_UP = ("command_timeout", "sample_timeout", "y_out_of_range", "y_frozen")
+"""What a fault may be called where a node stood still, its peers were held up, or the whole machine stood still:
+without commands the platform goes to its stop, and may be there before the time is out."""
 _STALL_MS, _STALL_S = 80.0, 1.0
 """Stalls of so long in all, in the time before a fault, may have led to it."""
 _REACTION_S = 3.0
@@ -162,7 +161,7 @@ class Scene:
         stall_ms = self._stalls.total_ms(at_ns - round(_STALL_S * 1e9), at_ns)
         if name in names:
             self.result.faults[name] += 1
-        elif name in _OF_STALLS and stall_ms >= _STALL_MS:
+        elif name in HELD_UP and stall_ms >= _STALL_MS:
             self.result.stalls[name] += 1
         else:
             allowed = f"allowed: {', '.join(names)}" if names else "none may"

@@ -12,7 +12,7 @@ from straightcomp_ros.bench.soak import Soak
 from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.nodes import soak_actions, soak_scene
 from straightcomp_ros.nodes.fault_stand import MOTION, Seen
-from straightcomp_ros.nodes.soak_scene import LATE, Scene
+from straightcomp_ros.nodes.soak_scene import HELD_UP, Scene
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 
@@ -64,22 +64,22 @@ def failures_of(check, *names):
 
 
 def test_a_fault_that_must_be_latched_must_have_the_right_name_and_keep_the_amplifier_off(scene, stand):
-    assert "no fault within 3 s" in failures_of(scene.must_latch, LATE)[0]
+    assert "no fault within 3 s" in failures_of(scene.must_latch, HELD_UP)[0]
     latch(stand, "x_jump")
-    assert "'x_jump' was latched; allowed: command_timeout" in failures_of(scene.must_latch, LATE)[0]
+    assert "'x_jump' was latched; allowed: command_timeout" in failures_of(scene.must_latch, HELD_UP)[0]
     latch(stand, "command_timeout")
-    assert failures_of(scene.must_latch, LATE) == [] and scene.result.faults == {"command_timeout": 1}
+    assert failures_of(scene.must_latch, HELD_UP) == [] and scene.result.faults == {"command_timeout": 1}
     stand.enables = True
-    assert "could be switched on" in failures_of(scene.must_latch, LATE)[0]
+    assert "could be switched on" in failures_of(scene.must_latch, HELD_UP)[0]
 
 
 def test_an_amplifier_that_may_not_be_off_is_a_failure(scene, stand):
     assert failures_of(scene.must_be_on) == []
     stand.condition = "off"
     assert "the amplifier is 'off'" in failures_of(scene.must_be_on)[0]
-    assert failures_of(scene.may_latch, LATE)
+    assert failures_of(scene.may_latch, HELD_UP)
     latch(stand, "sample_timeout")
-    assert failures_of(scene.may_latch, LATE) == []
+    assert failures_of(scene.may_latch, HELD_UP) == []
     assert "'sample_timeout' was latched; none may" in failures_of(scene.must_be_on)[0]
 
 
