@@ -151,6 +151,7 @@ def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
     failures: list[str] = []
     scene.must_be_on(failures)
     if failures:
+        scene.note(f"FAILED, with nothing done: {failures[0]}")
         result.actions[kind].failed += 1
         result.actions[kind].failures += [f"later, with nothing done: {words}" for words in failures]
         with suppress(LaunchError):
