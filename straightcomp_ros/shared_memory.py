@@ -19,7 +19,7 @@ import re
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _FOLDER = Path("/dev/shm")
@@ -66,6 +66,20 @@ def find_stale(folder: Path = _FOLDER, young: float = _YOUNG_S) -> list[str]:
         for name in sorted(os.listdir(folder))
         if _LOCK.fullmatch(name) and _is_old_and_ours(folder / name, young) and _is_free(folder / name)
     ]
+
+
+def held_by(process_id: int) -> set[str]:
+    """Names of the lock files of Fast DDS that a process has open.
+
+    Raises:
+        OSError: the process has ended.
+    """
+    names = set()
+    for entry in os.listdir(f"/proc/{process_id}/fd"):
+        # A descriptor may be closed in between.
+        with suppress(FileNotFoundError):
+            names.add(Path(os.readlink(f"/proc/{process_id}/fd/{entry}")).name)
+    return {name for name in names if _LOCK.fullmatch(name)}
 
 
 def _is_free(path: Path) -> bool:

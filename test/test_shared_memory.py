@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from straightcomp_ros.shared_memory import remove_stale
+from straightcomp_ros.shared_memory import held_by, remove_stale
 
 SEGMENT = ("fastrtps_0123456789abcdef", "fastrtps_0123456789abcdef_el")
 PORT = ("fastrtps_port7411", "fastrtps_port7411_el", "sem.fastrtps_port7411_mutex")
@@ -123,3 +123,10 @@ def test_many_that_clean_at_once_remove_each_file_once(tmp_path):
 
 def test_a_machine_without_the_folder_has_nothing_to_clean(tmp_path):
     assert remove_stale(tmp_path / "absent") == []
+
+
+def test_a_process_holds_the_lock_files_that_it_has_open(tmp_path):
+    make(tmp_path, *SEGMENT, *PORT)
+    with (tmp_path / SEGMENT[1]).open(), (tmp_path / PORT[0]).open():
+        assert held_by(os.getpid()) == {SEGMENT[1]}
+    assert held_by(os.getpid()) == set()

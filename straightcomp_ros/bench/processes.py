@@ -44,6 +44,24 @@ def usage(process_ids: Mapping[str, int]) -> Usage:
     return Usage(time.time_ns(), cpu, rss)
 
 
+def descriptors(process_id: int) -> int:
+    """Open file descriptors of a process.
+
+    Raises:
+        OSError: it has ended.
+    """
+    return len(os.listdir(f"/proc/{process_id}/fd"))
+
+
+def threads(process_id: int) -> int:
+    """Threads of a process.
+
+    Raises:
+        OSError: it has ended.
+    """
+    return len(os.listdir(f"/proc/{process_id}/task"))
+
+
 def cores(begin: Usage, end: Usage) -> dict[str, float]:
     """CPU cores that each process kept busy between two looks."""
     seconds = (end.time_ns - begin.time_ns) * 1e-9

@@ -31,6 +31,7 @@ _VERBS = (
     "reproduce",
     "robustness",
     "simulate",
+    "soak",
     "view",
 )
 _FIRST_STEPS = """\

@@ -30,7 +30,7 @@ from straightcomp_ros.nodes.faulty_driver import INJECT, INJECTED, NEW_MACHINE
 from straightcomp_ros.nodes.heartbeats import Heartbeats
 from straightcomp_ros.nodes.middleware import own_profile
 from straightcomp_ros.nodes.safety_panel import LATCHED
-from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
+from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints, trajectory_from_message
 from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
 
 _START_S = 90.0
@@ -40,8 +40,10 @@ _SETTLE_S = 0.1
 _REFUSALS = 2
 _SENDS = 3
 _AT_THE_STOP = ("y_out_of_range", "y_frozen")
-_STROKE, _SPEED, _ACCELERATION = 0.1, 0.1, 0.4
-_STROKES = 600
+_STROKE, _SPEED, ACCELERATION = 0.1, 0.1, 0.4
+MOTION_STROKES, STROKE_S = 600, _STROKE / _SPEED + _SPEED / ACCELERATION
+"""How many strokes a motion has, and how long each takes in s: forward and backward in turn, without a rest."""
+_STOP_S = 30.0
 
 
 class Seen(NamedTuple):
@@ -75,6 +77,7 @@ class Stand:
             text=True,
         )
         self.processes: dict[str, int] = {}
+        self.started: dict[str, float] = {}
         self._codes: dict[int, int] = {}
         self.bags = 0
         self.condition, self.fault, self.tripped = "", None, None
@@ -93,8 +96,7 @@ class Stand:
         self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
         self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self.command = publisher(self.node, COMMAND)
-        self._enable = self.node.create_client(SetBool, "driver/enable")
-        self._reset = self.node.create_client(Trigger, "driver/reset_fault")
+        self._clients: dict[str, Any] = {}
 
     def __enter__(self) -> Stand:
         self._answer()
@@ -126,6 +128,7 @@ class Stand:
             self.bags += 1
             words += ["-p", f"output:={self.bag}"]
         self.heartbeats.forget(name)
+        self.started[name] = time.monotonic()
         self.processes[name] = self._ask({"start": words, "log": str(self._folder / f"{name}.log")})["pid"]
 
     @property
@@ -186,8 +189,32 @@ class Stand:
 
     def enable(self) -> bool:
         """Ask for the amplifier; returns whether it was switched on."""
-        answer = self._call(self._enable, SetBool.Request(data=True))
+        answer = self.call(SetBool, "driver/enable", SetBool.Request(data=True))
         return answer is not None and answer.success
+
+    def move(self) -> None:
+        """Start the motion. The driver refuses it while the stage is not where the motion begins, so while it moves."""
+        self._trajectory.publish(_MOTION)
+
+    def kill(self, name: str) -> None:
+        """End a node's process, if it runs."""
+        if self.exit_code(name) is None:
+            self.signal(name, signal.SIGKILL)
+
+    def restart(self, name: str) -> list[str]:
+        """Start a node again that was killed, once it is gone; returns what else has gone wrong, in words."""
+        ended = not self.alive(tuple(other for other in RECORDED if other != name))
+        self.until(lambda: self.exit_code(name) is not None, _STOP_S)
+        self.start(name)
+        return ["another node has ended too"] if ended else []
+
+    def stop(self) -> dict[str, int | None]:
+        """Interrupt all nodes and wait until they have ended; returns their exit codes, None where one goes on."""
+        for name in RECORDED:
+            if self.exit_code(name) is None:
+                self.signal(name, signal.SIGINT)
+        self.until(lambda: not any(self.exit_code(name) is None for name in RECORDED), _STOP_S)
+        return {name: self.exit_code(name) for name in RECORDED}
 
     def switch_on(self) -> None:
         """Bring the whole graph to its working state: all nodes active, stage moving, amplifier on.
@@ -203,10 +230,10 @@ class Stand:
                 self._check_alive()
                 continue
             self.spin(0.03)
-            self._call(self._reset, Trigger.Request())
+            self.call(Trigger, "driver/reset_fault", Trigger.Request())
             if self._sends:
                 self._sends -= 1
-                self._trajectory.publish(_MOTION)
+                self.move()
             refusals += 1
             if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.name in _AT_THE_STOP:
                 # The platform may have been driven to its stop, where no law gets it off.
@@ -231,7 +258,12 @@ class Stand:
                 words = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()
                 raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {words[-1] if words else ''}")
 
-    def _call(self, client: Any, request: Any) -> Any:
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Ask a service of a node; returns its answer, or None where none came."""
+        client = self._clients.get(service)
+        if client is None:
+            client = self._clients[service] = self.node.create_client(kind, service)
+            self.until(client.service_is_ready, _ANSWER_S)
         future = client.call_async(request)
         if self.until(future.done, _ANSWER_S):
             return future.result()
@@ -266,9 +298,11 @@ class Stand:
 
 def _strokes() -> JointTrajectory:
     points = [Waypoint(0, 0.0, 0.0)]
-    for stroke in range(_STROKES):
-        points += trapezoid(points[-1], 0.0 if stroke % 2 else _STROKE, _SPEED, _ACCELERATION)
+    for stroke in range(MOTION_STROKES):
+        points += trapezoid(points[-1], 0.0 if stroke % 2 else _STROKE, _SPEED, ACCELERATION)
     return message_from_waypoints(points)
 
 
 _MOTION = _strokes()
+MOTION = trajectory_from_message(_MOTION)
+"""What :meth:`Stand.move` starts."""

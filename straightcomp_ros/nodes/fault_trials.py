@@ -80,7 +80,7 @@ def _latched_and_restarted(killed: str) -> Callable[[Stand, Trial, list[str]], i
 
     def judge(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
         found = _latched(stand, trial, failures)
-        _restart(stand, killed, failures)
+        failures += stand.restart(killed)
         return found
 
     return judge
@@ -105,7 +105,7 @@ def _driver_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str])
 def _driver_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
     found = _driver_missed(stand, trial, failures)
     stand.condition = ""
-    _restart(stand, "driver", failures)
+    failures += stand.restart("driver")
     if not stand.until(lambda: stand.condition != "", 30.0) or stand.condition == "on":
         failures.append(f"the new driver's amplifier is '{stand.condition}'")
     return found
@@ -126,7 +126,7 @@ def _logger_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str])
 
 def _logger_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
     found = _logger_missed(stand, trial, failures)
-    _restart(stand, "logger", failures)
+    failures += stand.restart("logger")
     return found
 
 
@@ -151,13 +151,6 @@ def _check_going_on(stand: Stand, failures: list[str]) -> None:
 def _check_refusal(stand: Stand, failures: list[str]) -> None:
     if stand.enable():
         failures.append("the fault was not latched: the amplifier could be switched on")
-
-
-def _restart(stand: Stand, name: str, failures: list[str]) -> None:
-    if not stand.alive(tuple(other for other in RECORDED if other != name)):
-        failures.append("another node has ended too")
-    stand.until(lambda: stand.exit_code(name) is not None, _PATIENCE_S)
-    stand.start(name)
 
 
 def _injected(kind: str) -> Callable[[Stand], None]:

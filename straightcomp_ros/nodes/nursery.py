@@ -32,14 +32,9 @@ def _start(words: list[str], log: str) -> int:
     nothing = os.open(os.devnull, os.O_RDONLY)
     for source, target in ((nothing, 0), (output, 1), (output, 2)):
         os.dup2(source, target)
-    code = 70
-    try:
-        sys.argv = words
-        code = importlib.import_module(f"straightcomp_ros.nodes.{words[0]}").main()
-    finally:
-        # Not the parent's way out: its buffers and handlers are the parent's.
-        sys.stdout.flush()
-        os._exit(code)
+    sys.argv = words
+    # Through the interpreter's own end: only there does the middleware remove its files from shared memory.
+    sys.exit(importlib.import_module(f"straightcomp_ros.nodes.{words[0]}").main())
 
 
 def _ended(pid: int) -> int | None:
