@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -35,17 +35,6 @@ from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
 
 _FETCH_INTERVAL_NS = 20_000_000
-_LOOKS_FOR_PUBLISHERS = 25
-"""Fetches until a topic whose publisher never showed is recorded as we subscribed to it."""
-
-
-@dataclass
-class _Unheard:
-    """A topic before its first message is recorded."""
-
-    announced: Announced
-    messages: list[Any] = field(default_factory=list)
-    looks: int = 0
 
 
 class LoggerPart:
@@ -59,7 +48,8 @@ class LoggerPart:
         self._chosen = _pattern("topics", parameters.topics)
         others = _pattern("other_topics", parameters.other_topics)
         self._topics: dict[str, Fetched] = {}
-        self._unheard: dict[str, _Unheard] = {}
+        self._unheard: dict[str, Announced] = {}
+        """Topics without a message so far."""
         self._unspun = unspun_node(node)
         self._remote = RemoteParameters(node, parameters.nodes.split())
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
@@ -101,9 +91,8 @@ class LoggerPart:
         full_name = self.node.resolve_topic_name(topic)
         type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
         # How it is offered is known when a publisher is there: at the first message.
-        announced = Announced(full_name, type_name, stored([qos]))
-        self._unheard[full_name] = _Unheard(announced)
-        self._recorder.expect(announced)
+        self._unheard[full_name] = Announced(full_name, type_name, stored([qos]))
+        self._recorder.expect(self._unheard[full_name])
         self._topics[full_name] = make_queue() if make_queue else RawQueue(self._unspun, kind, full_name, qos)
 
     def _start(self) -> str:
@@ -129,8 +118,8 @@ class LoggerPart:
         self._received += self._others.fetch(add)
         for topic, queue in self._topics.items():
             messages = queue.fetch()
-            if topic in self._unheard:
-                messages = self._heard(topic, messages)
+            if messages and topic in self._unheard:
+                self._announce(topic)
             for data, info in messages:
                 self._received += 1
                 if topic == self._encoder:
@@ -138,22 +127,12 @@ class LoggerPart:
                     self._gaps.see(header_stamp_ns(data))
                 add(topic, data, info["received_timestamp"], info["source_timestamp"])
 
-    def _heard(self, topic: str, messages: Sequence[Any]) -> Sequence[Any]:
-        """A new topic's messages, once it is known how it is offered: they may come before word of its publisher."""
-        new = self._unheard[topic]
-        new.messages += messages
-        if not new.messages:
-            return ()
+    def _announce(self, topic: str) -> None:
+        announced = self._unheard.pop(topic)
         publishers = self._unspun.get_publishers_info_by_topic(topic)
-        new.looks += 1
-        if not publishers and new.looks < _LOOKS_FOR_PUBLISHERS and self.node.active:
-            return ()
-        announced = new.announced
         if publishers:
             announced = replace(announced, qos=stored([publisher.qos_profile for publisher in publishers]))
         self._recorder.announce(announced)
-        del self._unheard[topic]
-        return new.messages
 
     def _note_time(self) -> None:
         # The executor's timer tells nothing of its own lateness: what counts is how long messages had to wait.
