@@ -12,11 +12,10 @@ from datetime import datetime
 from pathlib import Path
 
 from straightcomp_ros.analysis.plot import plot_run
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import results_table, timing_table
 from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate, on_hub
-from straightcomp_ros.launcher import ros_available
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
@@ -51,11 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the graph, print the figures, save the plot."""
-    if not ros_available():
-        raise CommandFailed(
-            "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
-            exit_code=2,
-        )
+    require_ros()
     if options.opcua and options.lockstep:
         raise CommandFailed("--opcua runs in real time; allowed without --lockstep", exit_code=2)
     if options.opcua and importlib.util.find_spec("asyncua") is None:

@@ -14,10 +14,10 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.bench.faults import summary
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import rounded
-from straightcomp_ros.launcher import LaunchError, ros_available
+from straightcomp_ros.launcher import LaunchError
 
 SUMMARY = "inject every fault in the running graph and measure its detection"
 _REPEATS, _QUICK = 20, 3
@@ -34,11 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print."""
-    if not ros_available():
-        raise CommandFailed(
-            "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
-            exit_code=2,
-        )
+    require_ros()
     from straightcomp_ros.nodes.fault_trials import TRIALS, run_trials, trial_parameters
 
     chosen = [trial for trial in TRIALS if options.only in trial.name]

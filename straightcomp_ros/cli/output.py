@@ -28,6 +28,21 @@ class CommandFailed(Exception):
         self.exit_code = exit_code
 
 
+def require_ros() -> None:
+    """Refuse to go on where rclpy is not there.
+
+    Raises:
+        CommandFailed: so it is.
+    """
+    from straightcomp_ros.launcher import ros_available
+
+    if not ros_available():
+        raise CommandFailed(
+            "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
+            exit_code=2,
+        )
+
+
 def progress_bar() -> Progress:
     """A progress bar on standard error, silent when that is no terminal."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn

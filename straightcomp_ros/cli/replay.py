@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap, shown
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
@@ -118,14 +118,10 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> i
 
 
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
-    from straightcomp_ros.launcher import LaunchError, ros_available
+    from straightcomp_ros.launcher import LaunchError
     from straightcomp_ros.replay.graph import replay_through_graph
 
-    if not ros_available():
-        raise CommandFailed(
-            "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
-            exit_code=2,
-        )
+    require_ros()
     try:
         with working("playing to the graph"):
             found = replay_through_graph(bag, Path(options.output), remap)

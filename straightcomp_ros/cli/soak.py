@@ -14,10 +14,10 @@ from typing import Any
 
 from rich.table import Table
 
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import rounded
-from straightcomp_ros.launcher import LaunchError, ros_available
+from straightcomp_ros.launcher import LaunchError
 
 SUMMARY = "run the graph for a long time under random actions and check it after each"
 
@@ -38,11 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run and print."""
-    if not ros_available():
-        raise CommandFailed(
-            "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
-            exit_code=2,
-        )
+    require_ros()
     if not 0.0 < options.minutes <= 7 * 24 * 60:
         raise CommandFailed(f"--minutes {options.minutes:g}: allowed: above 0, up to a week", exit_code=2)
     if options.output and Path(options.output).is_dir() and any(Path(options.output).iterdir()):

@@ -98,13 +98,7 @@ def refused_parameters(scene: Scene) -> list[str]:
 
 def pause_and_resume(scene: Scene) -> list[str]:
     """The recorder leaves some time out."""
-    failures: list[str] = []
-    scene.interrupt()
-    _recorder(scene, "pause", failures)
-    scene.stand.spin(scene.rng.uniform(0.1, 0.5))
-    _recorder(scene, "resume", failures)
-    scene.must_be_on(failures)
-    return failures
+    return _recorded_in_parts(scene, "pause", "resume", (0.1, 0.5))
 
 
 def split(scene: Scene) -> list[str]:
@@ -117,13 +111,7 @@ def split(scene: Scene) -> list[str]:
 
 def another_bag(scene: Scene) -> list[str]:
     """The recorder finishes its bag and begins another."""
-    failures: list[str] = []
-    scene.interrupt()
-    _recorder(scene, "stop", failures)
-    scene.stand.spin(scene.rng.uniform(0.0, 0.3))
-    _recorder(scene, "start", failures)
-    scene.must_be_on(failures)
-    return failures
+    return _recorded_in_parts(scene, "stop", "start", (0.0, 0.3))
 
 
 def kill(scene: Scene) -> list[str]:
@@ -250,6 +238,16 @@ def _set(scene: Scene, node: str, values: Mapping[str, Any]) -> Any:
 def _values(scene: Scene, node: str, names: Mapping[str, Any]) -> dict[str, Any]:
     answer = scene.ask(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=list(names)))
     return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
+
+
+def _recorded_in_parts(scene: Scene, end: str, begin: str, between_s: tuple[float, float]) -> list[str]:
+    failures: list[str] = []
+    scene.interrupt()
+    _recorder(scene, end, failures)
+    scene.stand.spin(scene.rng.uniform(*between_s))
+    _recorder(scene, begin, failures)
+    scene.must_be_on(failures)
+    return failures
 
 
 def _recorder(scene: Scene, service: str, failures: list[str]) -> None:

@@ -52,7 +52,6 @@ class Scene:
         rng: chooses.
         rate: samples per second.
         result: gets faults and times.
-
         stalls: tells whether this machine stood still.
         log: file for what is done, and when.
         maps: files with a map that the feedforward may be given.
