@@ -27,6 +27,13 @@ def own_domain(monkeypatch):
     monkeypatch.setenv("RCUTILS_LOGGING_BUFFERED_STREAM", "0")
 
 
+@pytest.fixture(autouse=True)
+def untraced_nodes(request, monkeypatch):
+    """Nodes that keep time against each other run without coverage, which makes each step two or three times longer."""
+    if request.node.get_closest_marker("keeps_time"):
+        monkeypatch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)
+
+
 @pytest.fixture
 def graph(tmp_path):
     with Graph(tmp_path / "logs", dict(os.environ)) as graph:

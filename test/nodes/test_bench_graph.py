@@ -6,6 +6,8 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 
+pytestmark = pytest.mark.keeps_time
+
 NODES = ("driver", "feedforward", "controller", "logger")
 
 

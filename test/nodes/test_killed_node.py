@@ -30,6 +30,8 @@ rclpy.spin(node)
 LISTENER = """
 import rclpy
 from std_msgs.msg import Int64
+
+pytestmark = pytest.mark.keeps_time
 rclpy.init()
 node = rclpy.create_node("listener")
 node.create_subscription(Int64, "count", lambda message: print(message.data, flush=True), 10)

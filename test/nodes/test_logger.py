@@ -23,6 +23,8 @@ from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.nodes.message_definition import definition_of_class
 from straightcomp_ros.nodes.other_topics import stored
 
+pytestmark = pytest.mark.keeps_time
+
 COUNT = 20_000
 
 

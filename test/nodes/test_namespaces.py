@@ -2,6 +2,7 @@
 
 import time
 
+import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
@@ -10,6 +11,8 @@ from std_srvs.srv import SetBool
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
 from straightcomp_ros.launcher import executable_command
 from straightcomp_ros.nodes.safety_panel import LATCHED
+
+pytestmark = pytest.mark.keeps_time
 
 PATIENCE_S = 60.0
 

@@ -9,6 +9,8 @@ import pytest
 
 from straightcomp_ros.launcher import verb_command
 
+pytestmark = pytest.mark.keeps_time
+
 
 @pytest.fixture
 def page(graph):
