@@ -79,6 +79,7 @@ setup(
             "cantools",
             "dask[distributed]",
             "mypy",
+            "psutil",
             "pytest-cov",
             "coverage>=7.10",
             "ruff",

@@ -1,6 +1,8 @@
 """A process's place among the participants of Fast DDS, and its profile."""
 
 import os
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 
 from straightcomp_ros.nodes.middleware import PROFILE_VARIABLE, free_place, own_profile
@@ -33,7 +35,7 @@ def test_without_a_free_place_the_first_one_is_left_to_fast_dds(tmp_path):
 def test_the_profile_is_the_shipped_one_with_a_place(tmp_path, monkeypatch):
     monkeypatch.delenv(PROFILE_VARIABLE, raising=False)
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
-    with own_profile(tmp_path):
+    with own_profile(shared_memory=tmp_path):
         own = words(ElementTree.parse(os.environ[PROFILE_VARIABLE]).getroot())
     assert PROFILE_VARIABLE not in os.environ
     shipped = words(ElementTree.parse(share_path("config/fastdds.xml")).getroot())
@@ -43,6 +45,46 @@ def test_the_profile_is_the_shipped_one_with_a_place(tmp_path, monkeypatch):
 
 def test_a_profile_of_the_users_own_stays(tmp_path, monkeypatch):
     monkeypatch.setenv(PROFILE_VARIABLE, "mine.xml")
-    with own_profile(tmp_path):
+    with own_profile(shared_memory=tmp_path):
         assert os.environ[PROFILE_VARIABLE] == "mine.xml"
     assert os.environ[PROFILE_VARIABLE] == "mine.xml"
+
+
+def test_who_commands_keeps_out_of_shared_memory_where_all_traffic_stays_on_this_machine(tmp_path, monkeypatch):
+    monkeypatch.delenv(PROFILE_VARIABLE, raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with own_profile(commands=True, shared_memory=tmp_path):
+        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+        own = words(ElementTree.parse(os.environ[PROFILE_VARIABLE]).getroot())
+    assert PROFILE_VARIABLE not in os.environ
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert ("type", "UDPv4") in own
+    assert ("type", "SHM") not in own
+    # Elsewhere it would not be found: its profile knows no other machine.
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    with own_profile(commands=True, shared_memory=tmp_path):
+        assert ("type", "SHM") in words(ElementTree.parse(os.environ[PROFILE_VARIABLE]).getroot())
+
+
+def test_both_profiles_forget_a_killed_process_after_the_same_time():
+    def of(path):
+        return [word for word in words(ElementTree.parse(share_path(path)).getroot()) if word[0] in ("sec", "nanosec")]
+
+    assert of("config/fastdds.xml") == of("config/fastdds_loopback.xml")
+
+
+def test_a_commanding_process_opens_no_shared_memory_and_no_socket_beyond_loopback(monkeypatch):
+    monkeypatch.delenv(PROFILE_VARIABLE, raising=False)
+    script = """
+import os, psutil, rclpy
+from straightcomp_ros.nodes.middleware import own_profile
+with own_profile(commands=True):
+    rclpy.init()
+    node = rclpy.create_node("commander")
+process = psutil.Process()
+print([entry for entry in os.listdir("/proc/self/fd") if "fastrtps_" in os.path.realpath("/proc/self/fd/" + entry)])
+print(sorted({each.laddr.ip for each in process.net_connections("udp")}))
+"""
+    environment = dict(os.environ, ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, timeout=120)
+    assert done.stdout.splitlines() == ["[]", "['127.0.0.1']"], done.stderr
