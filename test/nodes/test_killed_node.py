@@ -12,6 +12,8 @@ from waiting import wait_for_line
 
 from straightcomp_ros.shared_memory import remove_stale
 
+pytestmark = pytest.mark.keeps_time
+
 SHARED_MEMORY = Path("/dev/shm")
 TALKER = """
 import rclpy
@@ -30,8 +32,6 @@ rclpy.spin(node)
 LISTENER = """
 import rclpy
 from std_msgs.msg import Int64
-
-pytestmark = pytest.mark.keeps_time
 rclpy.init()
 node = rclpy.create_node("listener")
 node.create_subscription(Int64, "count", lambda message: print(message.data, flush=True), 10)

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.keeps_time
 
 def test_the_graph_is_at_work_again_after_every_kind_of_action_and_nothing_is_lost(tmp_path):
     # A process of its own: the run takes real-time priority.
-    words = ["soak", "--minutes", "0.75", "--seed", "4", "--json", "--output", str(tmp_path / "soak")]
+    words = ["soak", "--minutes", "1", "--seed", "4", "--json", "--output", str(tmp_path / "soak")]
     command = [sys.executable, "-m", "straightcomp_ros.cli.main", *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     figures = json.loads(done.stdout)
