@@ -241,7 +241,7 @@ class CellNode:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros cell_node`."""
-    return run("cell", CellNode, commands=True)
+    return run("cell", CellNode, by_sockets=True)
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ class Stand:
         self.injected_ns = 0
         self._sends = 0
         self._echoed: Inbox | None = None
-        with own_profile(commands=True):
+        with own_profile(by_sockets=True):
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             self.node = Node("fault_stand")
         self._executor = SingleThreadedExecutor()

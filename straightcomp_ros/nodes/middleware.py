@@ -1,7 +1,7 @@
 """This process's profile of Fast DDS: `config/fastdds.xml`, and a place of its own among the participants.
 
 Who commands or watches the graph talks with it over loopback sockets (`config/fastdds_loopback.xml`): they cost a
-message some 50 µs more, but whoever is killed, on either side, leaves nothing there that stops the other.
+message some 50 µs more, but whoever is killed or held up, on either side, leaves nothing there that stops the other.
 
 In shared memory it does. Fast DDS takes the first place whose ports are free, which is that of the node that was just
 killed, with the same numbers of ports in shared memory. A writer that has not noticed the death yet opens the port of
@@ -29,19 +29,18 @@ _PORT_BASE, _PER_DOMAIN, _USER_UNICAST, _PER_PARTICIPANT = 7400, 250, 11, 2
 
 
 @contextmanager
-def own_profile(commands: bool = False, shared_memory: Path = Path("/dev/shm")) -> Iterator[None]:
+def own_profile(by_sockets: bool = False, shared_memory: Path = Path("/dev/shm")) -> Iterator[None]:
     """Participants that are made meanwhile get the profile.
 
     Enter it before anything is removed from shared memory: what a killed node left there marks its place.
 
     Args:
-        commands: sends and receives little, and must be heard; it keeps out of shared memory where
-            ROS_AUTOMATIC_DISCOVERY_RANGE keeps all traffic on this machine.
+        by_sockets: keep out of shared memory, where ROS_AUTOMATIC_DISCOVERY_RANGE keeps all traffic on this machine.
         shared_memory: folder with Fast DDS's files.
     """
     if PROFILE_VARIABLE in os.environ:
         yield
-    elif commands and os.environ.get(_RANGE_VARIABLE) == "LOCALHOST":
+    elif by_sockets and os.environ.get(_RANGE_VARIABLE) == "LOCALHOST":
         # For LOCALHOST rmw_fastrtps adds shared memory, whatever the profile says. This one is for this machine anyway.
         profile = str(share_path("config/fastdds_loopback.xml"))
         with _set(_RANGE_VARIABLE, "SYSTEM_DEFAULT"), _set(PROFILE_VARIABLE, profile):

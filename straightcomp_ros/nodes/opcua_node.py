@@ -117,7 +117,7 @@ def _server(parameters: OpcuaNodeParameters, names: list[str]):
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros opcua_node`."""
-    return run("opcua", OpcuaNode, commands=True)
+    return run("opcua", OpcuaNode, by_sockets=True)
 
 
 if __name__ == "__main__":

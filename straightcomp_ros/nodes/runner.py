@@ -50,11 +50,11 @@ def run(
     make: Callable[[Node], Runnable],
     arguments: Sequence[str] | None = None,
     executor: Callable[[], Executor] = EventsExecutor,
-    commands: bool = False,
+    by_sockets: bool = False,
 ) -> int:
     """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
 
-    With ``commands`` it keeps out of shared memory: see :mod:`~.middleware`.
+    With ``by_sockets`` it keeps out of shared memory: see :mod:`~.middleware`.
 
     Returns:
         Exit code: 0 after a stop that was asked for, 2 when parameters or files are wrong, 1 when the node
@@ -66,7 +66,7 @@ def run(
         make,
         lambda runnable: _spin(runnable, executor()),
         arguments,
-        commands,
+        by_sockets,
     )
 
 
@@ -92,12 +92,12 @@ def _run(
     make: Callable[[Any], Any],
     spin: Callable[[Any], int],
     arguments: Sequence[str] | None,
-    commands: bool = False,
+    by_sockets: bool = False,
 ) -> int:
     # rclpy's own handlers shut the context down under a running callback; ours let it end first.
     stop = _StopRequest()
     try:
-        with own_profile(commands):
+        with own_profile(by_sockets):
             # What a killed node left in shared memory would stay for good, and the middleware stumbles over its ports.
             remove_stale()
             rclpy.init(

@@ -50,10 +50,10 @@ def test_a_profile_of_the_users_own_stays(tmp_path, monkeypatch):
     assert os.environ[PROFILE_VARIABLE] == "mine.xml"
 
 
-def test_who_commands_keeps_out_of_shared_memory_where_all_traffic_stays_on_this_machine(tmp_path, monkeypatch):
+def test_sockets_take_the_place_of_shared_memory_where_all_traffic_stays_on_this_machine(tmp_path, monkeypatch):
     monkeypatch.delenv(PROFILE_VARIABLE, raising=False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with own_profile(commands=True, shared_memory=tmp_path):
+    with own_profile(by_sockets=True, shared_memory=tmp_path):
         assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
         own = words(ElementTree.parse(os.environ[PROFILE_VARIABLE]).getroot())
     assert PROFILE_VARIABLE not in os.environ
@@ -62,7 +62,7 @@ def test_who_commands_keeps_out_of_shared_memory_where_all_traffic_stays_on_this
     assert ("type", "SHM") not in own
     # Elsewhere it would not be found: its profile knows no other machine.
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    with own_profile(commands=True, shared_memory=tmp_path):
+    with own_profile(by_sockets=True, shared_memory=tmp_path):
         assert ("type", "SHM") in words(ElementTree.parse(os.environ[PROFILE_VARIABLE]).getroot())
 
 
@@ -73,14 +73,14 @@ def test_both_profiles_forget_a_killed_process_after_the_same_time():
     assert of("config/fastdds.xml") == of("config/fastdds_loopback.xml")
 
 
-def test_a_commanding_process_opens_no_shared_memory_and_no_socket_beyond_loopback(monkeypatch):
+def test_a_process_with_sockets_opens_no_shared_memory_and_no_socket_beyond_loopback(monkeypatch):
     monkeypatch.delenv(PROFILE_VARIABLE, raising=False)
     script = """
 import os, psutil, rclpy
 from straightcomp_ros.nodes.middleware import own_profile
-with own_profile(commands=True):
+with own_profile(by_sockets=True):
     rclpy.init()
-    node = rclpy.create_node("commander")
+    node = rclpy.create_node("any")
 process = psutil.Process()
 print([entry for entry in os.listdir("/proc/self/fd") if "fastrtps_" in os.path.realpath("/proc/self/fd/" + entry)])
 print(sorted({each.laddr.ip for each in process.net_connections("udp")}))
