@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -31,6 +32,7 @@ EXIT_CONFIGURATION = 2
 # Longer values overflow in the executor and end the wait at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
+_FAREWELL_S = 0.2
 
 
 class Runnable(Protocol):
@@ -125,6 +127,9 @@ def _run(
         return EXIT_FAILURE
     finally:
         node.destroy_node()
+        # The others send to this process until they have heard that nobody reads here any more. Once its ports are
+        # gone, Fast DDS makes them anew for each message: long enough for the loop to be late.
+        time.sleep(_FAREWELL_S)
         rclpy.try_shutdown()
 
 
