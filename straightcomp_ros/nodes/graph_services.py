@@ -18,14 +18,13 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.contract import STAGE_TRAJECTORY
 from straightcomp_ros.model.stage import Waypoint
-from straightcomp_ros.monitoring.observation import ABSENT
+from straightcomp_ros.monitoring.observation import ABSENT, SILENT
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 
 _LOOK_EVERY_S = 0.5
 _SILENT_AFTER_S = 5.0
 _MOST_WAITING = 4
 _PLAIN = "plain"
-_SILENT = "silent"
 _UPWARDS: Mapping[int, int] = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
@@ -113,7 +112,7 @@ class _Lifecycle:
     def state(self) -> str:
         if not self._get.ready:
             return _PLAIN
-        return self._label if time.monotonic() - self._answered < _SILENT_AFTER_S else _SILENT
+        return self._label if time.monotonic() - self._answered < _SILENT_AFTER_S else SILENT
 
     def look(self) -> None:
         if not self._get(GetState.Request(), self._see):

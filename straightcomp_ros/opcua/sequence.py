@@ -21,7 +21,6 @@ _REPORTED_WITHIN_S = 1.5
 """A fault that is there, or one that is gone, shows in the diagnostics by then."""
 _ARRIVE_WITHIN_S = 5.0
 _ARRIVED_M = 10e-6
-_WENT_OFF = "the amplifier went off"
 MOST_STROKES = 1_000_000
 
 
@@ -125,9 +124,6 @@ class CellSequence:
             trouble = self._trouble(seen)
             if trouble:
                 self._enter(State.ABORTING, trouble)
-        if self.state is State.ABORTED and self.message == _WENT_OFF and seen.fault:
-            # The reason comes with the driver's next diagnostics.
-            self.message = f"{_WENT_OFF}: {seen.fault}"
         work = self._works.get(self.state)
         if work is not None and work(seen):
             self._enter(DONE[self.state], self.message)
@@ -153,7 +149,7 @@ class CellSequence:
         if not seen.fresh:
             return "no samples come in"
         on = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
-        return _WENT_OFF if self.state in on and not seen.amplifier_on else ""
+        return "the amplifier went off" if self.state in on and not seen.amplifier_on else ""
 
     def _due(self) -> bool:
         """Whether to ask (again) now."""
