@@ -51,6 +51,8 @@ class GraphServices:
         self.refusal = ""
         self._enable = _Caller(node, SetBool, "driver/enable")
         self._reset = _Caller(node, Trigger, "driver/reset_fault")
+        self._reload_map = _Caller(node, Trigger, "feedforward/reload_map")
+        self._center = _Caller(node, SetBool, "feedforward/center")
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self._lifecycles = {name: _Lifecycle(node, name) for name in names}
         self._present: set[str] = set()
@@ -86,6 +88,14 @@ class GraphServices:
     def reset_faults(self, then: Answer = lambda refusal: None) -> None:
         """Clear what is latched."""
         self._reset.ask(Trigger.Request(), then)
+
+    def reload_map(self, then: Answer) -> None:
+        """Read the map's file again."""
+        self._reload_map.ask(Trigger.Request(), then)
+
+    def center(self, middle: bool, then: Answer) -> None:
+        """Take the reference to the middle of the travel, or back to the map."""
+        self._center.ask(SetBool.Request(data=middle), then)
 
     def move(self, waypoints: Sequence[Waypoint]) -> None:
         """Move the stage, starting when this arrives."""

@@ -88,6 +88,11 @@ async def rights(url):
             "reset": await outcome(commands.call_method(path("Commands.Reset"))),
             "start": await outcome(start),
             "start without strokes": await outcome(commands.call_method(path("Commands.Start"))),
+            "reload map": await outcome(commands.call_method(path("Commands.ReloadMap"))),
+            "center": await outcome(commands.call_method(path("Commands.Center"), True)),
+            "center by a number": await outcome(
+                commands.call_method(path("Commands.Center"), ua.Variant(1, ua.VariantType.UInt32))
+            ),
             "add": await outcome(made.nodes.objects.add_object(2, "Intruder")),
             "delete": await outcome(made.delete_nodes([state])),
         }
@@ -132,6 +137,17 @@ async def around(url):
     await made.disconnect()
     await victim.disconnect()
     return results
+
+
+async def leave(url, count):
+    """Give commands and be gone before the answers."""
+    for _ in range(int(count)):
+        made = await connect(url, OPERATOR)
+        call = asyncio.ensure_future(made.get_node(path("Commands")).call_method(path("Commands.Reset")))
+        await asyncio.sleep(0.3)
+        made.disconnect_socket()
+        await outcome(asyncio.wait_for(call, 5))
+    return {}
 
 
 async def flood(url, count):
