@@ -71,7 +71,7 @@ def test_colcon_recognises_an_ament_python_package(workspace: Path) -> None:
     assert colcon(workspace, "list").split() == ["straightcomp_ros", "src/straightcomp_ros", "(ros.ament_python)"]
 
 
-@pytest.mark.parametrize("name", [*(f"{node}_node" for node in NODES), "straightcomp"])
+@pytest.mark.parametrize("name", [*(f"{node}_node" for node in (*NODES, "player", "opcua")), "straightcomp"])
 def test_every_executable_is_where_ros2_run_looks(prefix: Path, name: str) -> None:
     assert os.access(executable(prefix, name), os.X_OK)
 
