@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 ACTIVE = "active"
 ABSENT = "absent"
+SILENT = "silent"
 READY_STATES = (ACTIVE, "plain")
 """A node in one of these states works. ``plain``: it is there and has no lifecycle."""
 
@@ -21,7 +22,7 @@ class Observation:
         faults: by node, what is wrong; empty where all is well.
         unrecorded: topics that the logger, where there is one, is not connected to.
         fresh: samples are coming in.
-        amplifier_on: samples come in, and the newest was taken with the amplifier on.
+        amplifier_on: samples come in, and the driver says that the amplifier is on.
         stamp_ns: of the newest sample, ns since the epoch; 0 before the first.
         x, y: newest position in m; NaN before the first.
         still: the stage has not moved for a tenth of a second.

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
@@ -41,6 +41,7 @@ from straightcomp_ros.contract import (
     ENCODER,
     PLATFORM,
     REFERENCE,
+    SAFETY_STATE,
     STAGE,
     STAGE_TRAJECTORY,
     STREAMS,
@@ -57,8 +58,10 @@ from straightcomp_ros.nodes.clock import now_ns
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.runner import EXIT_CONFIGURATION, run
+from straightcomp_ros.nodes.safety_panel import LATCHED, safety_status
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import message_type, stream_qos
+from straightcomp_ros.safety.machine import Condition
 from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.map import load_map
 from straightcomp_ros.timing.gaps import StampGaps
@@ -101,6 +104,8 @@ class Driver(_Plain):
         self._hardware = SimulatedHardware(parameters.simulated, load_map(parameters.guide))
         self._latency = math.nan
         self._encoder, self._truth, self._state = map(self.publisher, (ENCODER, TRUTH, DRIVER_STATE))
+        self._safety = node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
+        self._told: State | None = None
         self.subscribe(COMMAND, self._on_command)
         node.create_service(SetBool, "~/enable", self._on_enable)
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10)
@@ -121,6 +126,9 @@ class Driver(_Plain):
             numbers = [self._latency, lateness, self._hardware.applied_current, on]
             self._state(_variables(DRIVER_STATE, sample.stamp_ns, numbers))
             self._latency = math.nan
+        if self._hardware.state is not self._told:
+            self._told = self._hardware.state
+            self._safety.publish(safety_status(Condition(self._told.value), None, self.node.get_name()))
 
     def _on_command(self, message: JointState) -> None:
         now = now_ns()

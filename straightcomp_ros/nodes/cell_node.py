@@ -31,17 +31,15 @@ from straightcomp_ros.model.stage import cycles
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.heartbeats import Heartbeats
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
-from straightcomp_ros.nodes.safety_panel import LATCHED
+from straightcomp_ros.nodes.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 from straightcomp_ros.nodes.streams import subscribe
+from straightcomp_ros.safety.machine import Condition
 from straightcomp_ros.timing.report import LOST
 
 _TICK_S = 0.05
-_ENABLED = DRIVER_STATE.layout.columns.index("enabled")
 _SETTLE_S = 1.5
 """A node that has just come up allocates and connects for about a second more, and loses messages meanwhile."""
-_REASON_S = 1.5
-"""Time that the driver gets to tell why the amplifier is off."""
 _HOME_S = 1.0
 """Time that the reference takes to the middle, or back to the map, and the platform to follow."""
 _FIRST_HEARTBEAT_S = 2.0
@@ -63,10 +61,9 @@ class CellNode:
         self.node, self.done, self.realtime, self.loop = node, Future(), self._parameters.realtime, None
         self._waypoints = cycles(self._parameters.motion, self._parameters.strokes)
         self._first_stamp_ns = self._stamp_ns = 0
-        self._amplifier_on = False
+        self._safety = SafetyState()
         self._last_sample = 0.0
         self._reports: dict[str, dict[str, str]] = {}
-        self._fault = ""
         self._faults = 0
         names = self._parameters.nodes.split()
         self._heartbeats = Heartbeats(node, names, self._parameters.heartbeat_timeout)
@@ -134,6 +131,10 @@ class CellNode:
         while True:
             answer = yield from self._switch(True)
             if answer.success:
+                # The driver's answer may come before its state. Should that be a fault already, the motion sees it.
+                yield from self._until(
+                    lambda: self._safety.condition is not Condition.OFF, lambda: "the driver does not say that it is on"
+                )
                 return
             if time.monotonic() > deadline:
                 raise CycleFailed(f"the driver refuses to enable: {answer.message}")
@@ -151,7 +152,6 @@ class CellNode:
     def _follow_motion(self, first_ns: int) -> Iterator[None]:
         duration_ns = self._waypoints[-1].time_ns
         self._last_sample = time.monotonic()
-        off_since = None
         while True:
             # In lockstep there is no sample before the trajectory.
             first_ns = first_ns or self._first_stamp_ns
@@ -166,22 +166,23 @@ class CellNode:
             lost = self._heartbeats.lost()
             if lost:
                 raise CycleFailed(f"no heartbeat of: {', '.join(lost)}")
-            off_since = None if self._amplifier_on else off_since or time.monotonic()
-            # The reason comes within a moment.
-            if off_since and (self._fault or time.monotonic() - off_since > _REASON_S):
+            if not self._safety.amplifier_on:
                 yield from self._recover()
-                off_since = None
             yield
 
     def _recover(self) -> Iterator[None]:
         """Switch on again after a fault, if that is still allowed."""
-        reason, self._faults = self._fault or "no reason given", self._faults + 1
+        self._faults += 1
         if self._faults > self._parameters.recoveries:
-            raise CycleFailed(f"amplifier off in mid-cycle: {reason}")
-        self.node.get_logger().warning(f"fault {self._faults}: {reason}; switching on again")
+            raise CycleFailed(f"amplifier off in mid-cycle: {self._reason}")
+        self.node.get_logger().warning(f"fault {self._faults}: {self._reason}; switching on again")
         yield from self._ask(self._reset, Trigger.Request())
+        yield from self._until(lambda: not self._safety.fault, lambda: f"the fault remains: {self._safety.fault}")
         yield from self._switch_on()
-        self._amplifier_on, self._fault = True, ""
+
+    @property
+    def _reason(self) -> str:
+        return self._safety.fault or "somebody has switched it off"
 
     def _missing_nodes(self) -> list[str]:
         present = self.node.get_node_names_and_namespaces()
@@ -221,10 +222,9 @@ class CellNode:
                 self._enable.call_async(SetBool.Request(data=False))
             self.done.set_result(EXIT_FAILURE)
 
-    def _on_driver_state(self, stamp_ns: int, numbers: list[float]) -> None:
+    def _on_driver_state(self, stamp_ns: int, _: list[float]) -> None:
         self._first_stamp_ns = self._first_stamp_ns or stamp_ns
         self._stamp_ns = stamp_ns
-        self._amplifier_on = bool(numbers[_ENABLED])
         self._last_sample = time.monotonic()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -233,7 +233,7 @@ class CellNode:
             self._reports[node] = {value.key: value.value for value in status.values}
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
-        self._fault = f"{message.name}: {message.message}" if message.name else ""
+        self._safety = SafetyState.of(message)
 
     def close(self) -> None:
         """Nothing to make safe: the driver switches off when commands cease."""

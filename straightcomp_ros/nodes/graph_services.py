@@ -18,14 +18,13 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.contract import STAGE_TRAJECTORY
 from straightcomp_ros.model.stage import Waypoint
-from straightcomp_ros.monitoring.observation import ABSENT
+from straightcomp_ros.monitoring.observation import ABSENT, SILENT
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 
 _LOOK_EVERY_S = 0.5
 _SILENT_AFTER_S = 5.0
 _MOST_WAITING = 4
 _PLAIN = "plain"
-_SILENT = "silent"
 _UPWARDS: Mapping[int, int] = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
@@ -52,6 +51,8 @@ class GraphServices:
         self.refusal = ""
         self._enable = _Caller(node, SetBool, "driver/enable")
         self._reset = _Caller(node, Trigger, "driver/reset_fault")
+        self._reload_map = _Caller(node, Trigger, "feedforward/reload_map")
+        self._center = _Caller(node, SetBool, "feedforward/center")
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self._lifecycles = {name: _Lifecycle(node, name) for name in names}
         self._present: set[str] = set()
@@ -88,6 +89,14 @@ class GraphServices:
         """Clear what is latched."""
         self._reset.ask(Trigger.Request(), then)
 
+    def reload_map(self, then: Answer) -> None:
+        """Read the map's file again."""
+        self._reload_map.ask(Trigger.Request(), then)
+
+    def center(self, middle: bool, then: Answer) -> None:
+        """Take the reference to the middle of the travel, or back to the map."""
+        self._center.ask(SetBool.Request(data=middle), then)
+
     def move(self, waypoints: Sequence[Waypoint]) -> None:
         """Move the stage, starting when this arrives."""
         self._trajectory.publish(message_from_waypoints(waypoints))
@@ -113,7 +122,7 @@ class _Lifecycle:
     def state(self) -> str:
         if not self._get.ready:
             return _PLAIN
-        return self._label if time.monotonic() - self._answered < _SILENT_AFTER_S else _SILENT
+        return self._label if time.monotonic() - self._answered < _SILENT_AFTER_S else SILENT
 
     def look(self) -> None:
         if not self._get(GetState.Request(), self._see):

@@ -17,17 +17,19 @@ from straightcomp_ros.contract import (
     DIAGNOSTICS,
     DRIVER_STATE,
     POSITION,
+    SAFETY_STATE,
     UNCONNECTED,
 )
-from straightcomp_ros.monitoring.observation import Observation
+from straightcomp_ros.monitoring.observation import ABSENT, SILENT, Observation
 from straightcomp_ros.monitoring.strokes import StrokeErrors
+from straightcomp_ros.nodes.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.nodes.streams import Inbox, unspun_node
 from straightcomp_ros.timing.report import LOST, SAMPLES
 
 _FRESH_S = 0.5
 _REPORT_LASTS_S = 5.0
 _YIELD_EVERY = 64
-_ENABLED = DRIVER_STATE.layout.columns.index("enabled")
+_DRIVER = "driver"
 _ERROR = CONTROLLER_STATE.layout.columns.index("error")
 _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
 Messages = list[tuple[int, list[float], int]]
@@ -46,7 +48,7 @@ class GraphWatch:
     """Reads only streams that come in bursts or seldom: their readers cost the writing loops next to nothing.
 
     Args:
-        node: watches; must be spun for the diagnostics.
+        node: watches; must be spun for the diagnostics and the safety state.
     """
 
     def __init__(self, node: Node) -> None:
@@ -56,9 +58,10 @@ class GraphWatch:
         self._controller = Inbox(node, unspun, CONTROLLER_STATE)
         self._driver = Inbox(node, unspun, DRIVER_STATE)
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
+        node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
+        self._safety = SafetyState()
         self._strokes = StrokeErrors()
         self._last_ns, self._last_came = 0, -math.inf
-        self._amplifier_on = False
         self._x = self._y = self._error = self._sigma = math.nan
         self._reports: dict[str, tuple[float, dict[str, str]]] = {}
         self._errors: dict[str, str] = {}
@@ -80,7 +83,6 @@ class GraphWatch:
             self._error, self._sigma = fetched.controller[-1][1][_ERROR], fetched.controller[-1][1][_SIGMA]
         if fetched.driver:
             self._last_ns, self._last_came = fetched.driver[-1][0], time.monotonic()
-            self._amplifier_on = bool(fetched.driver[-1][1][_ENABLED])
         return fetched
 
     def reports(self) -> dict[str, dict[str, str]]:
@@ -95,10 +97,10 @@ class GraphWatch:
         controller = reports.get("controller", {})
         return Observation(
             nodes=dict(states),
-            faults={node: text for node, text in self._errors.items() if node in reports},
+            faults=self._faults(states, reports),
             unrecorded=self._unrecorded(states, reports),
             fresh=fresh,
-            amplifier_on=fresh and self._amplifier_on,
+            amplifier_on=fresh and self._safety.amplifier_on,
             stamp_ns=self._last_ns,
             x=self._x,
             y=self._y,
@@ -110,6 +112,13 @@ class GraphWatch:
             lost_samples=int(controller.get(LOST, 0)),
         )
 
+    def _faults(self, states: Mapping[str, str], reports: Mapping[str, object]) -> dict[str, str]:
+        """By node. The driver's are in its safety state at once, a second before they are in its diagnostics."""
+        faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
+        if self._safety.fault and states.get(_DRIVER) not in (ABSENT, SILENT):
+            faults[_DRIVER] = self._safety.fault
+        return faults
+
     def _unrecorded(self, states: Mapping[str, str], reports: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
         if "logger" not in states:
             return ()
@@ -118,6 +127,9 @@ class GraphWatch:
             return ("all topics",)
         wanted = {self._node.resolve_topic_name(stream.topic) for stream in ALWAYS_PUBLISHED}
         return tuple(sorted(wanted.intersection(unconnected.split())))
+
+    def _on_safety_state(self, message: DiagnosticStatus) -> None:
+        self._safety = SafetyState.of(message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -19,6 +19,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.service import Service
 from rclpy.task import Future
+from rclpy.timer import Timer
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.contract import HEARTBEAT
@@ -75,6 +76,9 @@ class ManagedNode(LifecycleNode):
         make: ``make(node, parameters)`` makes the part.
     """
 
+    _life: object | None = None
+    """Of the part, from before it is made until it is released; before it, and after it, there is none."""
+
     def __init__(self, name: str, parameter_set: type, make: MakePart) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.node = self
@@ -109,6 +113,17 @@ class ManagedNode(LifecycleNode):
             if self._failure is not None:
                 raise self._failure
 
+    def create_timer(self, period: float, callback: Callable[[], None], *more: Any, **options: Any) -> Timer:
+        """A timer. One of a part that has been released does nothing: the executor calls it once more where it was due
+        already, and what it works with is gone."""
+        life = self._life
+
+        def due() -> None:
+            if life is None or life is self._life:
+                callback()
+
+        return super().create_timer(period, due, *more, **options)
+
     @property
     def loop(self) -> Loop | None:
         """What is to run now in the place of the executor."""
@@ -141,6 +156,7 @@ class ManagedNode(LifecycleNode):
         self._failure = None
         # What the node has of its own stays when the part goes.
         self._own = {kind: set(map(id, getattr(self, kind))) for kind in _DESTROY}
+        self._life = object()
 
         def configure() -> None:
             self._part = self._make(self, self._changes.parameters())
@@ -209,6 +225,7 @@ class ManagedNode(LifecycleNode):
             gc.collect()
 
     def _destroy_entities(self) -> None:
+        self._life = None
         for kind, destroy in _DESTROY.items():
             own = self._own.get(kind, set())
             for entity in list(getattr(self, kind)):

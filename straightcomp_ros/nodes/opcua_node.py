@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -16,9 +17,14 @@ from straightcomp_ros.nodes.graph_services import GraphServices
 from straightcomp_ros.nodes.graph_watch import GraphWatch
 from straightcomp_ros.nodes.remote_parameters import RemoteParameters
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
+from straightcomp_ros.opcua.orders import Order
 from straightcomp_ros.opcua.sequence import CellSequence
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.parameters import ParameterError
+
+if TYPE_CHECKING:
+    # It needs asyncua, which is not everywhere.
+    from straightcomp_ros.opcua.server import Request
 
 _TICK_S = 0.02
 
@@ -35,6 +41,7 @@ class OpcuaNode:
         self._sequence = CellSequence(self._services, parameters.motion, parameters.start_timeout)
         self._alarms = Alarms(parameters.error_limit)
         self._commands = 0
+        self._answers: list[tuple[Request, str]] = []
         self._told = ""
         self._server = _server(parameters, names)
         Diagnostics(node, lambda: {"samples": self._commands, "state": self._sequence.state.name.lower()})
@@ -45,10 +52,9 @@ class OpcuaNode:
     def _tick(self) -> None:
         self._watch.fetch()
         seen = self._watch.observation(self._services.states)
-        answers = []
         for request in self._server.requests():
             self._commands += 1
-            answers.append((request, self._sequence.command(request.command, request.strokes)))
+            self._obey(request)
         self._sequence.tick(seen)
         self._tell()
         sequence = self._sequence
@@ -58,17 +64,28 @@ class OpcuaNode:
                 message=sequence.message,
                 strokes=sequence.strokes,
                 strokes_done=sequence.strokes_done,
+                centred=sequence.centred,
                 seen=seen,
                 alarms=self._alarms.active(seen, sequence.state, time.monotonic()),
                 limits=self._limits(),
             )
         )
         # Afterwards: a client that reads the state when its call has returned sees what the call has done.
+        answers, self._answers = self._answers, []
         for request, refusal in answers:
             request.answer.set_result(refusal)
         if not self._server.alive and not self.done.done():
             self.node.get_logger().error("the OPC UA server has ended")
             self.done.set_result(EXIT_FAILURE)
+
+    def _obey(self, request: Request) -> None:
+        if isinstance(request.asked, Order):
+            # The answer comes when the feedforward has given it.
+            self._sequence.order(
+                request.asked, bool(request.argument), lambda refusal: self._answers.append((request, refusal))
+            )
+        else:
+            self._answers.append((request, self._sequence.command(request.asked, request.argument)))
 
     def _tell(self) -> None:
         told = f"{self._sequence.state.name.lower()}: {self._sequence.message}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -12,10 +13,47 @@ from straightcomp_ros.contract import SAFETY_STATE, TRIP
 from straightcomp_ros.nodes.clock import now_ns
 from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.safety.faults import FAULTS
-from straightcomp_ros.safety.machine import Condition, SafetyMachine
+from straightcomp_ros.safety.machine import Condition, Latched, SafetyMachine
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Who comes later gets the last message too."""
+_CONDITION = "condition"
+
+
+class SafetyState(NamedTuple):
+    """What a message on `safety_state` says.
+
+    Attributes:
+        condition: of the driver's safety state machine.
+        fault: its name and reason; empty without one.
+    """
+
+    condition: Condition = Condition.OFF
+    fault: str = ""
+
+    @classmethod
+    def of(cls, message: DiagnosticStatus) -> SafetyState:
+        """Read a message. One that says no condition counts as a fault."""
+        said = next((value.value for value in message.values if value.key == _CONDITION), "")
+        condition = {known.value: known for known in Condition}.get(said, Condition.FAULT)
+        return cls(condition, f"{message.name}: {message.message}" if message.name else "")
+
+    @property
+    def amplifier_on(self) -> bool:
+        """Whether the amplifier is on."""
+        return self.condition is Condition.ON
+
+
+def safety_status(condition: Condition, fault: Latched | None, hardware_id: str) -> DiagnosticStatus:
+    """The message on `safety_state`."""
+    values = {_CONDITION: condition.value, "time_ns": str(fault.time_ns if fault else now_ns())}
+    return DiagnosticStatus(
+        level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
+        name=fault.name if fault else "",
+        message=fault.reason if fault else f"amplifier {condition.value}",
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
 
 
 class SafetyPanel:
@@ -51,16 +89,7 @@ class SafetyPanel:
         if now == self._reported:
             return
         self._reported = now
-        values = {"condition": condition.value, "time_ns": str(fault.time_ns if fault else now_ns())}
-        self._publisher.publish(
-            DiagnosticStatus(
-                level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
-                name=fault.name if fault else "",
-                message=fault.reason if fault else f"amplifier {condition.value}",
-                hardware_id=self._node.get_fully_qualified_name(),
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
-            )
-        )
+        self._publisher.publish(safety_status(condition, fault, self._node.get_fully_qualified_name()))
         if fault:
             self._node.get_logger().error(f"fault, amplifier off: {self._safety.reason}")
 

@@ -37,7 +37,7 @@ class SteadyCell(CellNode):
         while True:
             now = time.monotonic()
             print(f"progress {min((now - begin) / duration, 1.0):.3f}", flush=True)
-            if not self._amplifier_on and now - tried > _AGAIN_S:
+            if not self._safety.amplifier_on and now - tried > _AGAIN_S:
                 tried = now
                 yield from self._reset_fault()
                 yield from self._switch(True)

@@ -12,11 +12,12 @@ from asyncua import Server, ua
 from asyncua.common.node import Node
 
 from straightcomp_ros.opcua import CELL, NAMESPACE
+from straightcomp_ros.opcua.orders import Order
 from straightcomp_ros.opcua.packml import Command, name
 from straightcomp_ros.opcua.snapshot import ALARMS, Snapshot
 
-Commander = Callable[[Command, int], Awaitable[str]]
-"""Takes a command and the number of strokes; gives why it is refused, or an empty text."""
+Commander = Callable[[Command | Order, int], Awaitable[str]]
+"""Takes what is asked, and the argument, 0 without one; gives why it is refused, or an empty text."""
 # UNECE Recommendation 20, as OPC UA numbers it: three characters, base 256.
 _UNITS = {"m": "MTR", "m/s": "MTS", "m/s²": "MSK", "A": "AMP", "s": "SEC"}
 
@@ -41,6 +42,7 @@ _STATUS: Mapping[str, Value] = {
     ),
     "StrokesAsked": Value(ua.VariantType.UInt32, "Strokes forward and back of the last Start", lambda s: s.strokes),
     "StrokesDone": Value(ua.VariantType.UInt32, "Of these", lambda s: s.strokes_done),
+    "Centred": Value(ua.VariantType.Boolean, "Reference in the middle of the travel, by Center", lambda s: s.centred),
     "AmplifierOn": Value(ua.VariantType.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
 }
 _LIVE: Mapping[str, Value] = {
@@ -64,7 +66,7 @@ LIMITS: Mapping[str, tuple[str, str]] = {
     "Acceleration": ("m/s²", "Acceleration and deceleration of a stroke"),
 }
 """By name: unit and meaning."""
-_COMMANDS: Mapping[Command, str] = {
+_METHODS: Mapping[Command | Order, str] = {
     Command.RESET: "Bring all nodes up; to Idle",
     Command.START: "Amplifier on, so many strokes; 0: compensate until Complete, others move the stage",
     Command.STOP: "End at the end of the present movement, amplifier off; to Stopped",
@@ -73,7 +75,14 @@ _COMMANDS: Mapping[Command, str] = {
     Command.ABORT: "Amplifier off at once; to Aborted",
     Command.CLEAR: "Reset faults; to Stopped",
     Command.COMPLETE: "End at the end of the present movement, amplifier off; to Complete",
+    Order.RELOAD_MAP: "Read the map's file again; the reference goes over to it without a bump",
+    Order.CENTER: "Reference to the middle of the travel, or back to the map, without a bump; Reset takes it back too",
 }
+_ARGUMENTS: Mapping[Command | Order, tuple[str, ua.VariantType, str]] = {
+    Command.START: ("Strokes", ua.VariantType.UInt32, "Forward and back; 0: until Complete"),
+    Order.CENTER: ("Middle", ua.VariantType.Boolean, "false: back to the map"),
+}
+"""Of the methods that take one: name, type and meaning."""
 
 
 class AddressSpace:
@@ -127,7 +136,7 @@ class AddressSpace:
             },
         )
         commands = await self._folder(cell, "Commands")
-        for kind, text in _COMMANDS.items():
+        for kind, text in _METHODS.items():
             await self._add_method(commands, kind, text, command)
         self._events = await self._server.get_event_generator(ua.ObjectIds.SystemEventType, cell)
 
@@ -181,12 +190,12 @@ class AddressSpace:
                 )
             self._values.append((node, value))
 
-    async def _add_method(self, folder: Node, kind: Command, text: str, command: Commander) -> None:
+    async def _add_method(self, folder: Node, kind: Command | Order, text: str, command: Commander) -> None:
         async def called(_: ua.NodeId, *given: ua.Variant) -> ua.StatusCode | list[ua.Variant]:
             inputs = [variant.Value for variant in given]
             if len(inputs) != len(arguments):
                 return ua.StatusCode(ua.StatusCodes.BadArgumentsMissing)
-            if any(variant.VariantType is not ua.VariantType.UInt32 for variant in given):
+            if [variant.VariantType for variant in given] != types:
                 return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
             try:
                 refused = await command(kind, *(inputs or [0]))
@@ -194,13 +203,14 @@ class AddressSpace:
                 return ua.StatusCode(ua.StatusCodes.BadTimeout)
             return ua.StatusCode(ua.StatusCodes.BadInvalidState) if refused else []
 
-        arguments = []
-        if kind is Command.START:
-            strokes = ua.Argument()
-            strokes.Name, strokes.DataType = "Strokes", ua.NodeId(ua.ObjectIds.UInt32)
-            strokes.ValueRank, strokes.Description = -1, ua.LocalizedText("Forward and back; 0: until Complete")
-            arguments.append(strokes)
-        title = name(kind)
+        arguments, types = [], []
+        if kind in _ARGUMENTS:
+            argument = ua.Argument()
+            argument.Name, data_type, meaning = _ARGUMENTS[kind]
+            argument.DataType, argument.ValueRank = ua.NodeId(data_type.value), -1
+            argument.Description = ua.LocalizedText(meaning)
+            arguments, types = [argument], [data_type]
+        title = kind.value if isinstance(kind, Order) else name(kind)
         method = await folder.add_method(self._id(f"Commands.{title}"), self._named(title), called, arguments, [])
         await method.write_attribute(ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(text))))
 

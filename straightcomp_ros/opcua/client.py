@@ -12,6 +12,7 @@ from asyncua.common.node import Node
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from straightcomp_ros.opcua import CELL, NAMESPACE
+from straightcomp_ros.opcua.orders import Order
 from straightcomp_ros.opcua.packml import Command, State, name
 
 _LOOK_EVERY_S = 0.1
@@ -43,12 +44,15 @@ class CellClient:
 
     async def command(self, command: Command, strokes: int | None = None) -> None:
         """Give a command; raises CycleFailed where it is refused."""
-        arguments = [] if strokes is None else [ua.Variant(strokes, ua.VariantType.UInt32)]
-        try:
-            await self._node("Commands").call_method(self._node(f"Commands.{name(command)}").nodeid, *arguments)
-        except ua.UaStatusCodeError as error:
-            await asyncio.sleep(2 * _LOOK_EVERY_S)
-            raise CycleFailed(f"{name(command)} refused: {error} {await self.read('Status.Message')}") from error
+        await self._call(name(command), *([] if strokes is None else [ua.Variant(strokes, ua.VariantType.UInt32)]))
+
+    async def reload_map(self) -> None:
+        """Have the map's file read again; raises CycleFailed where that is refused."""
+        await self._call(Order.RELOAD_MAP.value)
+
+    async def center(self, middle: bool) -> None:
+        """Reference to the middle of the travel, or back to the map; raises CycleFailed where that is refused."""
+        await self._call(Order.CENTER.value, ua.Variant(middle, ua.VariantType.Boolean))
 
     async def until(self, wanted: State, on_the_way: set[State], progress: Callable[[float], None]) -> None:
         """Wait for a state; raises CycleFailed where the machine leaves the way."""
@@ -58,6 +62,13 @@ class CellClient:
             asked, done = await self.read("Status.StrokesAsked"), await self.read("Status.StrokesDone")
             progress(done / asked if asked and state is not State.RESETTING else 0.0)
             await asyncio.sleep(_LOOK_EVERY_S)
+
+    async def _call(self, method: str, *arguments: ua.Variant) -> None:
+        try:
+            await self._node("Commands").call_method(self._node(f"Commands.{method}").nodeid, *arguments)
+        except ua.UaStatusCodeError as error:
+            await asyncio.sleep(2 * _LOOK_EVERY_S)
+            raise CycleFailed(f"{method} refused: {error} {await self.read('Status.Message')}") from error
 
     def _node(self, path: str) -> Node:
         return self._client.get_node(ua.NodeId(f"{CELL}.{path}", self._index))

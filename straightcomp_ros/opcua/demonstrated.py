@@ -40,7 +40,7 @@ def driven_by_opcua(
         password = secrets.token_urlsafe(16)
         add_user(users, _USER, password, OPERATOR)
         motion = {name: value for name, value in values["cell"].items() if name.startswith("motion.")}
-        gateway = {**values.get("opcua", {}), **motion, "opcua.users": str(users), "opcua.port": _free_port()}
+        gateway = {**values.get("opcua", {}), **motion, "opcua.users": str(users), "opcua.port": free_port()}
         command = [*executable_command("opcua_node"), "--ros-args", "--params-file", str(parameter_file)]
         url = OpcuaParameters(port=gateway["opcua.port"]).endpoint
         client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
@@ -52,7 +52,8 @@ def driven_by_opcua(
             del os.environ[_PASSWORD]
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A TCP port of this machine that nobody listens on now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

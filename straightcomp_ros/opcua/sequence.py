@@ -10,6 +10,7 @@ from typing import Protocol
 from straightcomp_ros.model.stage import MotionParameters, Waypoint
 from straightcomp_ros.monitoring.observation import Observation
 from straightcomp_ros.opcua.motion import movement
+from straightcomp_ros.opcua.orders import Order, order_refusal
 from straightcomp_ros.opcua.packml import ACCEPTED, DONE, FAILED, Command, State, name, refusal
 
 _ASK_AGAIN_S = 0.5
@@ -21,8 +22,9 @@ _REPORTED_WITHIN_S = 1.5
 """A fault that is there, or one that is gone, shows in the diagnostics by then."""
 _ARRIVE_WITHIN_S = 5.0
 _ARRIVED_M = 10e-6
-_WENT_OFF = "the amplifier went off"
 MOST_STROKES = 1_000_000
+Answer = Callable[[str], None]
+"""Takes why something was refused, or an empty text."""
 
 
 class Machine(Protocol):
@@ -45,6 +47,12 @@ class Machine(Protocol):
     def move(self, waypoints: Sequence[Waypoint]) -> None:
         """Move the stage, starting when this arrives."""
 
+    def reload_map(self, then: Answer) -> None:
+        """Read the map's file again."""
+
+    def center(self, middle: bool, then: Answer) -> None:
+        """Take the reference to the middle of the travel, or back to the map."""
+
 
 class CellSequence:
     """State machine of the cell.
@@ -60,6 +68,7 @@ class CellSequence:
         message: why the state is what it is, or why the last command was refused.
         strokes: that the last Start asked for, each forward and back; 0 compensates until Complete or Stop.
         strokes_done: of these.
+        centred: the reference is in the middle of the travel, or has been asked to go there.
     """
 
     def __init__(
@@ -73,6 +82,7 @@ class CellSequence:
         self.state = State.STOPPED
         self.message = ""
         self.strokes = self.strokes_done = 0
+        self.centred = False
         self._now = self._since = self._unready = clock()
         self._asked = -math.inf
         self._movement = 0
@@ -109,6 +119,9 @@ class CellSequence:
         reason = refusal(command, self.state)
         if not reason and command is Command.START and not 0 <= strokes <= MOST_STROKES:
             reason = f"strokes {strokes} is out of range; allowed: 0 to {MOST_STROKES}"
+        to_be_run = {Command.START: strokes, Command.UNHOLD: self.strokes}.get(command, 0)
+        if not reason and self.centred and to_be_run:
+            reason = f"{name(command)} is not accepted while the reference is in the middle; call Center(false) before"
         if reason:
             self.message = reason
             return reason
@@ -116,6 +129,37 @@ class CellSequence:
             self.strokes, self.strokes_done, self._movement = strokes, 0, 0
         self._enter(ACCEPTED[command][self.state], f"command {name(command)}")
         return ""
+
+    def order(self, order: Order, middle: bool, then: Answer) -> None:
+        """Ask for another reference.
+
+        Args:
+            order: what is asked.
+            middle: for Center: to the middle of the travel; false: back to the map.
+            then: gets why it is refused, or an empty text, now or when the node has answered.
+        """
+        reason = order_refusal(order, self.state)
+        if not reason and order is Order.CENTER and middle and self.state is State.EXECUTE and self.strokes:
+            reason = "Center(true) is not accepted while strokes are run; accepted after Hold, or with 0 strokes"
+        if reason:
+            self.message = reason
+            then(reason)
+            return
+        state, before = self.state, self.centred
+
+        def answered(refusal: str) -> None:
+            if order is Order.CENTER:
+                self.centred = before if refusal else middle
+            if self.state is state:
+                self.message = refusal or f"command {order.value}"
+            then(refusal)
+
+        if order is Order.RELOAD_MAP:
+            self._machine.reload_map(answered)
+        else:
+            # No stroke is to begin before the answer.
+            self.centred = before or middle
+            self._machine.center(middle, answered)
 
     def tick(self, seen: Observation) -> None:
         """Go on, with the graph as it is ``seen`` now."""
@@ -125,9 +169,6 @@ class CellSequence:
             trouble = self._trouble(seen)
             if trouble:
                 self._enter(State.ABORTING, trouble)
-        if self.state is State.ABORTED and self.message == _WENT_OFF and seen.fault:
-            # The reason comes with the driver's next diagnostics.
-            self.message = f"{_WENT_OFF}: {seen.fault}"
         work = self._works.get(self.state)
         if work is not None and work(seen):
             self._enter(DONE[self.state], self.message)
@@ -153,7 +194,7 @@ class CellSequence:
         if not seen.fresh:
             return "no samples come in"
         on = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
-        return _WENT_OFF if self.state in on and not seen.amplifier_on else ""
+        return "the amplifier went off" if self.state in on and not seen.amplifier_on else ""
 
     def _due(self) -> bool:
         """Whether to ask (again) now."""
@@ -171,7 +212,13 @@ class CellSequence:
             if seen.missing and self._due():
                 self._machine.activate()
             return self._fail(f"not ready: {seen.obstacle}") if self._overdue(self._start_timeout) else False
+        if self._due():
+            # Wherever it was left, by whomever. Refused while it is on its way: then again.
+            self._machine.center(False, self._back_on_the_map)
         return self._now - self._unready >= _SETTLE_S
+
+    def _back_on_the_map(self, refusal: str) -> None:
+        self.centred = self.centred and bool(refusal)
 
     def _starting(self, seen: Observation) -> bool:
         if seen.amplifier_on:

@@ -19,6 +19,7 @@ from straightcomp_ros.opcua import APPLICATION
 from straightcomp_ros.opcua.address_space import AddressSpace
 from straightcomp_ros.opcua.certificates import own_certificate, trusted_certificates
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
+from straightcomp_ros.opcua.orders import Order
 from straightcomp_ros.opcua.packml import Command
 from straightcomp_ros.opcua.parameters import OpcuaParameters
 from straightcomp_ros.opcua.snapshot import Snapshot
@@ -26,6 +27,7 @@ from straightcomp_ros.opcua.users import Users
 
 _PERIOD_S = 0.1
 _ANSWER_WITHIN_S = 2.0
+_MAP_READ_WITHIN_S = 10.0
 _START_WITHIN_S = 60.0
 _MOST_WAITING = 16
 _ACTIVATE_WITHIN_S = 10.0
@@ -42,10 +44,10 @@ _TALKATIVE = ("asyncua.server.uaprocessor", "asyncua.server.binary_server_asynci
 
 @dataclass
 class Request:
-    """A command of a client; ``answer`` takes why it is refused, or an empty text."""
+    """What a client asks for; ``answer`` takes why it is refused, or an empty text."""
 
-    command: Command
-    strokes: int
+    asked: Command | Order
+    argument: int
     answer: Future[str] = field(default_factory=Future)
 
 
@@ -87,12 +89,18 @@ class GatewayServer:
         self._snapshot = snapshot
 
     def requests(self) -> Iterator[Request]:
-        """Commands that have come since the last call; each is to be answered."""
+        """What has been asked for since the last call; each is to be answered.
+
+        Who has gone, or was told that it took too long, is left out: nothing is done that nobody waits for any more.
+        """
         while True:
             try:
-                yield self._requests.get_nowait()
+                request = self._requests.get_nowait()
             except queue.Empty:
                 return
+            # From here on nobody can cancel it: an answer that nobody takes does no harm.
+            if request.answer.set_running_or_notify_cancel():
+                yield request
 
     def close(self) -> None:
         """Disconnect all clients and stop."""
@@ -149,14 +157,15 @@ class GatewayServer:
             server.set_identity_tokens([ua.AnonymousIdentityToken, ua.UserNameIdentityToken])
         return server
 
-    async def _command(self, command: Command, strokes: int) -> str:
-        request = Request(command, strokes)
+    async def _command(self, asked: Command | Order, argument: int) -> str:
+        request = Request(asked, argument)
+        within = _MAP_READ_WITHIN_S if asked is Order.RELOAD_MAP else _ANSWER_WITHIN_S
         try:
             self._requests.put_nowait(request)
         except queue.Full:
             return "too many commands at once"
         try:
-            refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), _ANSWER_WITHIN_S)
+            refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), within)
         except asyncio.TimeoutError as error:
             raise TimeoutError from error
         await self._space.write(self._snapshot)

@@ -24,7 +24,7 @@ class Snapshot:
     """State of the machine, what is seen of it, and the alarms.
 
     Attributes:
-        state, message, strokes, strokes_done: of the cell's sequence.
+        state, message, strokes, strokes_done, centred: of the cell's sequence.
         seen: the graph.
         alarms: by name, for those that are active, the text.
         limits: by name, in SI units; NaN where not known yet.
@@ -34,6 +34,7 @@ class Snapshot:
     message: str = ""
     strokes: int = 0
     strokes_done: int = 0
+    centred: bool = False
     seen: Observation = field(default_factory=Observation)
     alarms: Mapping[str, str] = field(default_factory=dict)
     limits: Mapping[str, float] = field(default_factory=dict)

@@ -6,11 +6,14 @@ import time
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, TRIP
 from straightcomp_ros.nodes.streams import publisher, subscribe
+
+_APPLIED, _ENABLED = (DRIVER_STATE.layout.columns.index(name) for name in ("applied_current", "enabled"))
 
 
 class Peer:
@@ -23,6 +26,7 @@ class Peer:
         self.states: list[list[float]] = []
         self.current: float | None = 0.0
         self._command = publisher(self.node, COMMAND)
+        self.trip = self.node.create_publisher(DiagnosticStatus, TRIP, 10)
         subscribe(self.node, ENCODER, self._on_sample)
         subscribe(self.node, DRIVER_STATE, lambda _, numbers: self.states.append(numbers))
 
@@ -111,9 +115,19 @@ def test_commands_that_cease_switch_the_amplifier_off_until_a_reset(peer):
     assert not refusal.success and "no command for" in refusal.message
 
 
-def test_disabling_switches_the_amplifier_off(peer):
+@pytest.mark.parametrize("switch_off", ["disable", "trip"])
+def test_once_the_amplifier_is_off_its_record_says_no_current_whatever_is_commanded(peer, switch_off):
     peer.until(lambda: len(peer.samples) > 20)
+    peer.current = 0.02
     peer.until(lambda: peer.enable().success)
-    peer.until(peer.amplifier_on)
-    assert peer.enable(False).success
+    peer.until(lambda: peer.states and peer.states[-1][_APPLIED] > 0.01)
+    if switch_off == "disable":
+        assert peer.enable(False).success
+    else:
+        peer.trip.publish(DiagnosticStatus(message="somebody is in there"))
     peer.until(lambda: not peer.amplifier_on())
+    peer.states.clear()
+    peer.until(lambda: len(peer.states) > 20)
+    # The first burst may have begun with the amplifier on.
+    assert {state[_APPLIED] for state in peer.states if not state[_ENABLED]} == {0.0}
+    assert not any(state[_ENABLED] for state in peer.states[8:])

@@ -175,3 +175,16 @@ def test_a_logger_that_is_managed_records_while_it_is_active_and_ends_its_bag_wh
     assert not manager.change("logger", "configure")
     assert manager.set("logger", output=str(tmp_path / "other")).successful
     assert manager.change("logger", "configure") and manager.state("logger") == "inactive"
+
+
+def test_a_managed_node_that_fails_at_work_is_unconfigured_and_works_again_when_it_is_configured_anew(
+    graph, manager, tmp_path
+):
+    process = graph.start("logger", {"autostart": False, "output": str(tmp_path / "bag"), "nodes": "logger"})
+    assert manager.change("logger", "configure") and manager.change("logger", "activate")
+    assert manager.set("logger", min_free_bytes=10**18).successful
+    manager.until(lambda: manager.state("logger") == "unconfigured")
+    assert (tmp_path / "bag" / "metadata.yaml").exists() and process.poll() is None
+    assert manager.set("logger", min_free_bytes=0, output=str(tmp_path / "other")).successful
+    assert manager.change("logger", "configure") and manager.change("logger", "activate")
+    assert manager.state("logger") == "active"

@@ -2,8 +2,13 @@
 
 import importlib.util
 import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
+from waiting import wait_for_line
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.configuration import OpcuaNodeParameters, node_parameters
@@ -12,6 +17,11 @@ from straightcomp_ros.nodes.runner import EXIT_CONFIGURATION
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
 
+from straightcomp_ros.opcua.demonstrated import free_port
+from straightcomp_ros.opcua.parameters import OpcuaParameters
+from straightcomp_ros.opcua.users import OPERATOR, add_user
+
+REPOSITORY = Path(__file__).resolve().parents[2]
 SLOW = {
     # Few samples and long timeouts: a machine that is busy with other things stalls.
     "driver.simulated.rate": 200,
@@ -37,6 +47,30 @@ def test_the_demonstration_runs_its_strokes_through_opc_ua_alone(tmp_path, capfd
     states = ["resetting", "idle", "starting", "execute", "complete"]
     places = [told.index(f" {state}: ") for state in states]
     assert places == sorted(places)
+
+
+def test_a_client_has_the_map_read_again_and_the_platform_centred_where_the_state_allows(graph, tmp_path):
+    survey = tmp_path / "survey.csv"
+    shutil.copy(REPOSITORY / "config" / "survey_synthetic.csv", survey)
+    users, port = tmp_path / "users", free_port()
+    add_user(users, "ann", "correct horse", OPERATOR)
+    nodes = ("driver", "feedforward", "controller")
+    for node in nodes:
+        own = {name.removeprefix(f"{node}."): value for name, value in SLOW.items() if name.startswith(f"{node}.")}
+        graph.start(node, own | ({"map.file": str(survey)} if node == "feedforward" else {}))
+    graph.start("opcua", {"opcua.port": port, "opcua.users": str(users), "nodes": " ".join(nodes)})
+    wait_for_line(graph, "opcua", "OPC UA at")
+    probe = [sys.executable, str(REPOSITORY / "test" / "opcua" / "probes.py"), "orders"]
+    url = OpcuaParameters(port=port).endpoint
+    done = subprocess.run([*probe, url, str(survey)], capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    results = json.loads(done.stdout.splitlines()[-1])
+    assert "ReloadMap is not accepted in state Stopped" in results["reload while stopped"]
+    assert (results["reload"], results["center"], results["back"]) == ("done", "done", "done")
+    assert (results["centred"], results["centred then"]) == (True, False)
+    assert "call Center(false) before" in results["start in the middle"]
+    assert all(words in results["reload of a spoilt file"] for words in ("BadInvalidState", "survey.csv"))
+    assert results["state"] == "Idle"
 
 
 @pytest.mark.parametrize("words", [["--opcua", "--lockstep"], ["--strokes", "0"], ["--opcua", "--strokes", "0"]])

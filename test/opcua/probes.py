@@ -14,6 +14,9 @@ from pathlib import Path
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
+from straightcomp_ros.opcua.client import CycleFailed, connected
+from straightcomp_ros.opcua.packml import Command, State
+
 CELL = "StraightnessCell"
 OPERATOR = ("ann", "correct horse")
 
@@ -88,6 +91,11 @@ async def rights(url):
             "reset": await outcome(commands.call_method(path("Commands.Reset"))),
             "start": await outcome(start),
             "start without strokes": await outcome(commands.call_method(path("Commands.Start"))),
+            "reload map": await outcome(commands.call_method(path("Commands.ReloadMap"))),
+            "center": await outcome(commands.call_method(path("Commands.Center"), True)),
+            "center by a number": await outcome(
+                commands.call_method(path("Commands.Center"), ua.Variant(1, ua.VariantType.UInt32))
+            ),
             "add": await outcome(made.nodes.objects.add_object(2, "Intruder")),
             "delete": await outcome(made.delete_nodes([state])),
         }
@@ -134,6 +142,50 @@ async def around(url):
     return results
 
 
+async def leave(url, count):
+    """Give commands and be gone before the answers."""
+    for _ in range(int(count)):
+        made = await connect(url, OPERATOR)
+        call = asyncio.ensure_future(made.get_node(path("Commands")).call_method(path("Commands.Reset")))
+        await asyncio.sleep(0.3)
+        made.disconnect_socket()
+        await outcome(asyncio.wait_for(call, 5))
+    return {}
+
+
+async def orders(url, map_file):
+    """Asks for the map and the middle, in states that accept it and in some that do not; the map's file is spoilt."""
+    made, cell = await connected(url, *OPERATOR)
+    results = {}
+
+    async def tried(name, make):
+        # A change of reference that is under way refuses the next one for half a second.
+        for _ in range(50):
+            try:
+                await make()
+                results[name] = "done"
+            except CycleFailed as refused:
+                results[name] = str(refused)
+            if "before this one" not in results[name]:
+                return
+            await asyncio.sleep(0.2)
+
+    await tried("reload while stopped", cell.reload_map)
+    await cell.command(Command.RESET)
+    await cell.until(State.IDLE, {State.RESETTING}, lambda done: None)
+    await tried("reload", cell.reload_map)
+    await tried("center", lambda: cell.center(True))
+    results["centred"] = await cell.read("Status.Centred")
+    await tried("start in the middle", lambda: cell.command(Command.START, 1))
+    await tried("back", lambda: cell.center(False))
+    results["centred then"] = await cell.read("Status.Centred")
+    Path(map_file).write_text("no map")
+    await tried("reload of a spoilt file", cell.reload_map)
+    results["state"] = await cell.read("Status.StateName")
+    await made.disconnect()
+    return results
+
+
 async def flood(url, count):
     """More connections than there are places, garbage, and reads as fast as they go, until this is killed."""
     made = []
@@ -153,6 +205,37 @@ async def flood(url, count):
             await outcome(one.uaclient.read_attributes(nodes, ua.AttributeIds.BrowseName))
 
     await asyncio.wait_for(asyncio.gather(*map(read, made)), 60)
+
+
+async def storm(url, count):
+    """Clients that ask as fast as they can and drop the connection after ten answers, and one that guesses passwords.
+
+    Prints the number of answers five times a second, until this is killed.
+    """
+    answered, nodes = 0, [ua.NodeId(i) for i in range(2000, 2300)]
+
+    async def ask():
+        nonlocal answered
+        while True:
+            try:
+                made = await connect(url)
+                for _ in range(10):
+                    await made.uaclient.read_attributes(nodes, ua.AttributeIds.BrowseName)
+                    answered += 1
+                made.disconnect_socket()
+            except (ua.UaError, OSError, asyncio.TimeoutError):
+                await asyncio.sleep(0.1)
+
+    async def guess():
+        while True:
+            await outcome(connect(url, ("ann", "wrong horse")))
+
+    async def tell():
+        while True:
+            await asyncio.sleep(0.2)
+            print(answered, flush=True)
+
+    await asyncio.gather(*(ask() for _ in range(int(count))), guess(), tell())
 
 
 async def watch(url, seconds):

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from asyncua.crypto.cert_gen import setup_self_signed_certificate  # noqa: E402
 from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: E402
 
 from straightcomp_ros.monitoring.observation import Observation  # noqa: E402
+from straightcomp_ros.opcua.orders import Order  # noqa: E402
 from straightcomp_ros.opcua.packml import Command  # noqa: E402
 from straightcomp_ros.opcua.parameters import OpcuaParameters  # noqa: E402
 from straightcomp_ros.opcua.server import GatewayServer  # noqa: E402
@@ -54,6 +56,7 @@ class Served:
         self.server = GatewayServer(parameters, ["driver"])
         self.server.show(WELL)
         self.commands = []
+        self.slowness = 0.0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._answer)
         self._thread.start()
@@ -61,7 +64,8 @@ class Served:
     def _answer(self):
         while not self._stopping.wait(0.01):
             for request in self.server.requests():
-                self.commands.append((request.command, request.strokes))
+                self.commands.append((request.asked, request.argument))
+                time.sleep(self.slowness)
                 request.answer.set_result("")
 
     def close(self):
@@ -88,15 +92,17 @@ def plain(folder):
 
 def test_only_known_operators_command_and_nobody_writes(plain):
     rights = probed("rights", plain.url)
-    refused = dict.fromkeys(("reset", "start", "start without strokes"), "BadUserAccessDenied")
+    methods = ("reset", "start", "start without strokes", "reload map", "center", "center by a number")
+    refused = dict.fromkeys(methods, "BadUserAccessDenied")
     for user in ("operator", "viewer", "anonymous"):
         assert rights[user]["read"] == "done"
         assert {rights[user][what] for what in ("write", "add", "delete")} == {"BadUserAccessDenied"}
     for user in ("viewer", "anonymous"):
         assert refused.items() <= rights[user].items()
-    assert (rights["operator"]["reset"], rights["operator"]["start"]) == ("done", "done")
+    assert {rights["operator"][what] for what in ("reset", "start", "reload map", "center")} == {"done"}
     assert rights["operator"]["start without strokes"] == "BadArgumentsMissing"
-    assert plain.commands == [(Command.RESET, 0), (Command.START, 3)]
+    assert rights["operator"]["center by a number"] == "BadInvalidArgument"
+    assert plain.commands == [(Command.RESET, 0), (Command.START, 3), (Order.RELOAD_MAP, 0), (Order.CENTER, True)]
 
 
 def test_wrong_credentials_are_refused(plain):
@@ -114,6 +120,19 @@ def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
     assert results.pop("victim goes on") == "done"
     assert all(outcome != "done" for outcome in results.values()), results
     assert len(results) == 3 and not plain.commands
+
+
+def test_a_client_that_is_gone_before_its_answer_harms_nobody_who_answers(plain):
+    plain.commands.clear()
+    plain.slowness = 1.0
+    try:
+        probed("leave", plain.url, 3)
+    finally:
+        plain.slowness = 0.0
+    # An answer that could not be taken would have ended the thread that gives them.
+    assert plain.commands and set(plain.commands) == {(Command.RESET, 0)}
+    plain.commands.clear()
+    assert probed("rights", plain.url)["operator"]["reset"] == "done"
 
 
 def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.model.stage import MotionParameters
 from straightcomp_ros.monitoring.observation import Observation
+from straightcomp_ros.opcua.orders import ORDERED_IN, Order
 from straightcomp_ros.opcua.packml import ACCEPTED, DONE, FAILED, Command, State
 from straightcomp_ros.opcua.sequence import CellSequence
 
@@ -24,6 +25,7 @@ class Bench:
         self.now, self.refusal = 100.0, ""
         self.obeys, self.active = True, False
         self.moves, self.told = [], []
+        self.answers, self.centred = [], True
         self.seen = Observation(nodes={"driver": "inactive"}, fresh=True, x=0.0, stamp_ns=1)
         self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now)
 
@@ -48,6 +50,24 @@ class Bench:
     def move(self, waypoints):
         assert waypoints[0].position == self.seen.x
         self.moves.append((self.now + waypoints[-1].time_ns * 1e-9, waypoints[-1].position))
+
+    def reload_map(self, then):
+        self.answers.append(then)
+
+    def center(self, middle, then):
+        if self.sequence.state is State.RESETTING:
+            self.centred = middle
+            then("")
+        else:
+            self.answers.append(then)
+
+    def ordered(self, order, middle=False, refusal=""):
+        """Whether an order was accepted here, and then by the node unless that gives a ``refusal``."""
+        got = []
+        self.sequence.order(order, middle, got.append)
+        if not got:
+            self.answers.pop()(refusal)
+        return got == [""]
 
     def tick(self):
         self.now += TICK_S
@@ -174,6 +194,61 @@ def test_faults_of_a_graph_that_others_run_change_nothing_while_stopped():
     for _ in range(20):
         bench.tick()
     assert bench.sequence.state is State.STOPPED and not bench.told
+
+
+def test_orders_are_accepted_where_the_nodes_work_and_nothing_else_is_under_way():
+    for order in Order:
+        for state in State:
+            bench = Bench()
+            bench.sequence.state = state
+            assert bench.ordered(order, middle=True) is (state in ORDERED_IN[order])
+            assert bench.sequence.state is state
+            if state not in ORDERED_IN[order]:
+                assert "accepted in: Idle, Execute, Held, Complete" in bench.sequence.message
+
+
+def test_what_a_node_refuses_is_said_and_changes_nothing():
+    bench = Bench()
+    bench.sequence.state = State.IDLE
+    assert not bench.ordered(Order.CENTER, middle=True, refusal="not finished")
+    assert bench.sequence.message == "not finished" and not bench.sequence.centred
+    assert not bench.ordered(Order.RELOAD_MAP, refusal="no such file")
+    assert bench.sequence.message == "no such file"
+
+
+def test_with_the_reference_in_the_middle_no_stroke_begins_until_it_is_back():
+    bench = Bench()
+    bench.started(2)
+    assert not bench.ordered(Order.CENTER, middle=True)
+    assert "while strokes are run" in bench.sequence.message
+    bench.sequence.command(Command.HOLD)
+    bench.until(State.HELD)
+    assert bench.ordered(Order.CENTER, middle=True) and bench.sequence.centred
+    assert "Center(false)" in bench.sequence.command(Command.UNHOLD) and bench.sequence.state is State.HELD
+    assert bench.ordered(Order.CENTER, middle=False) and not bench.sequence.command(Command.UNHOLD)
+    bench.until(State.COMPLETE)
+    assert bench.ordered(Order.CENTER, middle=True)
+    assert not bench.sequence.command(Command.RESET)
+    bench.until(State.IDLE)
+    assert not bench.sequence.centred and not bench.centred
+
+
+def test_no_stroke_begins_before_the_answer_to_center():
+    bench = Bench()
+    assert not bench.sequence.command(Command.RESET)
+    bench.until(State.IDLE)
+    bench.sequence.order(Order.CENTER, True, lambda refusal: None)
+    assert bench.sequence.command(Command.START, 1) and not bench.sequence.command(Command.START, 0)
+
+
+def test_an_answer_that_comes_late_does_not_hide_why_the_machine_aborted():
+    bench = Bench()
+    bench.started(0)
+    bench.sequence.order(Order.RELOAD_MAP, False, lambda refusal: None)
+    bench.seen = replace(bench.seen, faults={"driver": "coil burnt"})
+    bench.until(State.ABORTED)
+    bench.answers.pop()("")
+    assert "coil burnt" in bench.sequence.message
 
 
 @pytest.mark.parametrize("strokes", [-1, 10**7])

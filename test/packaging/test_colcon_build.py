@@ -71,7 +71,7 @@ def test_colcon_recognises_an_ament_python_package(workspace: Path) -> None:
     assert colcon(workspace, "list").split() == ["straightcomp_ros", "src/straightcomp_ros", "(ros.ament_python)"]
 
 
-@pytest.mark.parametrize("name", [*(f"{node}_node" for node in NODES), "straightcomp"])
+@pytest.mark.parametrize("name", [*(f"{node}_node" for node in (*NODES, "player", "opcua")), "straightcomp"])
 def test_every_executable_is_where_ros2_run_looks(prefix: Path, name: str) -> None:
     assert os.access(executable(prefix, name), os.X_OK)
 
@@ -94,6 +94,29 @@ def test_the_sourced_workspace_shadows_the_checkout_and_finds_its_own_files(
     ).stdout.split()
     assert Path(module).is_relative_to(prefix)
     assert Path(manifest) == prefix / "share" / "straightcomp_ros" / "package.xml"
+
+
+def test_every_installed_launch_file_describes_its_launch(
+    prefix: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    # PyPI has no `launch`: with a stand-in for it, what the files share is found in the sourced workspace, or not.
+    program = """
+import runpy, sys
+from unittest.mock import MagicMock
+for name in ("", ".actions", ".event_handlers", ".events", ".launch_description_sources", ".substitutions"):
+    sys.modules[f"launch{name}"] = MagicMock()
+for name in ("", ".actions", ".parameter_descriptions", ".substitutions"):
+    sys.modules[f"launch_ros{name}"] = MagicMock()
+for path in sys.argv[1:]:
+    runpy.run_path(path)["generate_launch_description"]()
+print(sys.modules["straightcomp_ros.nodes.launching"].__file__)
+"""
+    files = sorted((prefix / "share" / "straightcomp_ros" / "launch").glob("*.launch.py"))
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, files)], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0 and files, done.stderr
+    assert Path(done.stdout.strip()).is_relative_to(prefix)
 
 
 def test_the_command_line_prints_its_help(prefix: Path, environment: dict[str, str], tmp_path: Path) -> None:

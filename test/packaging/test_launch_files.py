@@ -10,6 +10,7 @@ import re
 import runpy
 import sys
 import types
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ KNOWN = {
     "launch_ros.parameter_descriptions": ("ParameterValue",),
     "launch_ros.substitutions": ("FindPackageShare",),
 }
+STARTING = ("Node", "IncludeLaunchDescription", "OpaqueFunction")
 NODE_KEYWORDS = {"package", "executable", "name", "namespace", "parameters", "output"}
 
 
@@ -53,12 +55,15 @@ class Recorded:
 
 
 @pytest.fixture(autouse=True)
-def launch(monkeypatch: pytest.MonkeyPatch) -> None:
+def launch(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for name, attributes in KNOWN.items():
         module = types.ModuleType(name)
         for attribute in attributes:
             setattr(module, attribute, type(attribute, (Recorded,), {}))
         monkeypatch.setitem(sys.modules, name, module)
+    yield
+    # What the launch files share was imported with the stand-in.
+    sys.modules.pop("straightcomp_ros.nodes.launching", None)
 
 
 def kind(entity: Any) -> str:
@@ -194,11 +199,21 @@ def test_the_whole_launch_ends_when_the_cell_has_ended() -> None:
     assert found.index(handler) < found.index(cell)
 
 
-def test_the_cell_stays_on_this_computer_unless_the_environment_says_otherwise() -> None:
-    [setting] = of_kind("SetEnvironmentVariable", REPOSITORY / "launch" / "cell.launch.py")
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_what_is_launched_stays_on_this_computer_unless_the_environment_says_otherwise(path: Path) -> None:
+    found = entities(path)
+    setting = next(entity for entity in found if kind(entity) == "SetEnvironmentVariable")
+    assert found.index(setting) < min(found.index(entity) for entity in found if kind(entity) in STARTING)
     name, value = setting.args
     assert name == "ROS_AUTOMATIC_DISCOVERY_RANGE"
     assert (kind(value), value.args, value.kwargs) == ("EnvironmentVariable", (name,), {"default_value": "LOCALHOST"})
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_an_argument_that_is_true_or_false_takes_nothing_else(path: Path) -> None:
+    for argument in of_kind("DeclareLaunchArgument", path):
+        either = argument.args[0] in ("record", "use_opcua")
+        assert argument.kwargs["choices"] == (["true", "false"] if either else None), argument.args
 
 
 @pytest.mark.parametrize(

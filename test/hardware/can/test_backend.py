@@ -115,6 +115,7 @@ def test_the_board_switches_on_when_asked_and_off_when_asked(world):
     assert world.board.amplifier is Amplifier.OFF
     world.run(0.05)
     assert world.host.state is State.OFF and world.host.fault == ""
+    assert world.host.applied_current == 0.0
 
 
 def test_samples_lie_on_a_grid_and_carry_what_the_encoders_read(world):

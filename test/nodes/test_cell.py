@@ -1,0 +1,52 @@
+"""The reference client in the running graph: what it does about a fault in mid-cycle."""
+
+import time
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+from waiting import wait_for_line
+
+from straightcomp_ros.contract import TRIP
+
+pytestmark = pytest.mark.keeps_time
+
+
+@pytest.fixture
+def trip():
+    """A function that trips the driver, once it listens."""
+    rclpy.init()
+    node = Node("panel")
+    publisher = node.create_publisher(DiagnosticStatus, TRIP, 10)
+
+    def publish():
+        end = time.monotonic() + 60.0
+        while publisher.get_subscription_count() == 0:
+            assert time.monotonic() < end, "nobody listens"
+            time.sleep(0.05)
+        publisher.publish(DiagnosticStatus(message="somebody is in there"))
+
+    yield publish
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.mark.parametrize(
+    "recoveries, code, words",
+    [(3, 0, "cycle complete: 1 strokes"), (0, 1, "amplifier off in mid-cycle: tripped: somebody is in there")],
+)
+def test_a_fault_in_mid_cycle_is_recovered_from_as_often_as_that_is_allowed(
+    graph, short_cycle, trip, recoveries, code, words
+):
+    short_cycle["controller"]["sample_timeout"] = 30.0
+    for node in ("driver", "feedforward", "controller"):
+        graph.start(node, short_cycle[node])
+    chosen = {"nodes": "driver feedforward controller", "recoveries": recoveries, "home": True, "start_timeout": 60.0}
+    cell = graph.start("cell", {**short_cycle["cell"], **chosen})
+    wait_for_line(graph, "cell", "stage moves")
+    trip()
+    assert cell.wait(timeout=120) == code
+    told = graph.log("cell").read_text()
+    assert words in told
+    assert ("fault 1: tripped: somebody is in there; switching on again" in told) is (recoveries > 0)

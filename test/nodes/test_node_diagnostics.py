@@ -1,0 +1,90 @@
+"""The nodes' diagnostics as an aggregator gets them."""
+
+import platform
+import re
+import time
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+
+from straightcomp_ros.contract import DIAGNOSTICS
+from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.timing.report import LOST, SAMPLES
+
+NODES = ("driver", "feedforward", "controller", "logger")
+COUNT = re.compile(r"\d+")
+UNITS = ("_us", "_hz")
+
+
+class Aggregator:
+    """Keeps all that is published on diagnostics, by the node's name."""
+
+    def __init__(self):
+        self.node = Node("aggregator")
+        self.found: dict[str, list[DiagnosticStatus]] = {}
+        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
+
+    def _on_diagnostics(self, message):
+        assert message.header.stamp.sec > 0
+        for status in message.status:
+            self.found.setdefault(status.name, []).append(status)
+
+    def until(self, condition, seconds=90.0):
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, f"it never came true: {self.found}"
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+
+@pytest.fixture
+def aggregator():
+    rclpy.init()
+    aggregator = Aggregator()
+    yield aggregator
+    aggregator.node.destroy_node()
+    rclpy.shutdown()
+
+
+def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_unit(graph, aggregator, tmp_path):
+    for node in NODES:
+        graph.start(node, {"output": str(tmp_path / "bag")} if node == "logger" else {})
+    aggregator.until(lambda: all(len(aggregator.found.get(node, ())) > 1 for node in NODES))
+    for node in NODES:
+        status = aggregator.found[node][-1]
+        assert status.hardware_id == ("simulated" if node == "driver" else platform.node())
+        assert status.message
+        values = {value.key: value.value for value in status.values}
+        assert {"samples", "rate_hz", "overruns", "lost_samples"} <= values.keys()
+        for name, value in values.items():
+            if re.fullmatch(r"-?[\d.]+(e-?\d+)?|nan|inf", value) and not name.endswith(UNITS):
+                assert COUNT.fullmatch(value), f"{node}: {name} = {value} is no count and names no unit"
+
+
+def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean(aggregator):
+    values = {SAMPLES: 0, LOST: 0}
+    node = Node("reporter")
+    diagnostics = Diagnostics(node, lambda: values, "bench 7")
+
+    def reported(error=""):
+        """Level and words of the next report."""
+        values["error"] = error
+        seen = aggregator.found.setdefault("reporter", [])
+        before = len(seen)
+        values[SAMPLES] += 2000
+        diagnostics._publish()
+        aggregator.until(lambda: len(seen) > before)
+        return seen[-1].level, seen[-1].message
+
+    try:
+        aggregator.until(lambda: aggregator.node.get_publishers_info_by_topic("/diagnostics"))
+        aggregator.until(lambda: node.count_subscribers("/diagnostics") > 0)
+        assert reported() == (DiagnosticStatus.OK, "running")
+        assert reported("coil burnt") == (DiagnosticStatus.ERROR, "coil burnt")
+        assert [reported()[0] for _ in range(5)] == [*[DiagnosticStatus.WARN] * 4, DiagnosticStatus.OK]
+        values[LOST] += 3
+        assert reported() == (DiagnosticStatus.WARN, "3 samples lost in the last second")
+        assert {status.hardware_id for status in aggregator.found["reporter"]} == {"bench 7"}
+    finally:
+        node.destroy_node()

@@ -1,0 +1,123 @@
+"""The control loop while clients flood the gateway and vanish: counted against the bound in docs/opcua.md."""
+
+import importlib.util
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.time import Time
+from waiting import wait_for_line
+
+from straightcomp_ros.contract import DIAGNOSTICS
+from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES
+
+if importlib.util.find_spec("asyncua") is None:
+    pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
+
+from straightcomp_ros.opcua.demonstrated import free_port
+from straightcomp_ros.opcua.parameters import OpcuaParameters
+
+pytestmark = pytest.mark.keeps_time
+REPOSITORY = Path(__file__).resolve().parents[2]
+PROBES = REPOSITORY / "test" / "opcua" / "probes.py"
+FLOOD_S = 3.0
+FLOODS = 3
+FIRST_ANSWER_S = 30.0
+NODES = ("driver", "feedforward", "controller")
+LOOPS = ("driver", "controller")
+COUNTS = (SAMPLES, LOST, OVERRUNS, "commands")
+
+
+class Counters:
+    """The newest counts in the loops' diagnostics."""
+
+    def __init__(self):
+        rclpy.init()
+        self._node = Node("counters")
+        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
+        self._values, self._stamps = {}, {}
+
+    def _on_diagnostics(self, message):
+        for status in message.status:
+            values = {one.key: one.value for one in status.values}
+            self._values[status.name] = {name: int(values.get(name, 0)) for name in COUNTS}
+            self._stamps[status.name] = Time.from_msg(message.header.stamp).nanoseconds
+
+    def now(self, seconds=60.0):
+        """Counts of all loops in reports that were published from now on."""
+        begin_ns, end = time.time_ns(), time.monotonic() + seconds
+        while not all(self._stamps.get(loop, 0) > begin_ns for loop in LOOPS):
+            assert time.monotonic() < end, f"no diagnostics of {LOOPS}; of {sorted(self._stamps)}"
+            rclpy.spin_once(self._node, timeout_sec=0.1)
+        return {loop: dict(self._values[loop]) for loop in LOOPS}
+
+    def grown_within(self, work):
+        """What each loop's counts grew by while ``work()`` was done."""
+        before = self.now()
+        work()
+        after = self.now()
+        return {loop: {name: after[loop][name] - before[loop][name] for name in before[loop]} for loop in LOOPS}
+
+    def close(self):
+        self._node.destroy_node()
+        rclpy.shutdown()
+
+
+@pytest.fixture
+def counters():
+    counters = Counters()
+    yield counters
+    counters.close()
+
+
+def flood(url):
+    """A flood of some seconds whose clients are killed in the end; returns the requests that were answered."""
+    process = subprocess.Popen(
+        # The load on the gateway is tried, not that of the clients, who are elsewhere.
+        ["nice", "-n", "10", sys.executable, str(PROBES), "storm", url, "12"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    answered, end = 0, time.monotonic() + FLOOD_S
+    try:
+        # A machine that is busy with other things leaves the gateway little: then it takes longer.
+        while not answered or time.monotonic() < end:
+            assert time.monotonic() < end + FIRST_ANSWER_S, "the gateway answers nobody"
+            answered = int(process.stdout.readline())
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+    return answered
+
+
+def test_a_flood_of_clients_that_vanish_costs_the_loop_no_sample_and_no_command(graph, short_cycle, counters, capsys):
+    port = free_port()
+    # What the test itself does to the machine is not to end the run.
+    short_cycle["controller"]["sample_timeout"] = 30.0
+    for node in NODES:
+        graph.start(node, short_cycle[node])
+    graph.start("opcua", {**short_cycle["opcua"], "opcua.port": port, "nodes": " ".join(NODES)})
+    wait_for_line(graph, "opcua", "OPC UA at")
+    quiet = counters.grown_within(lambda: time.sleep(FLOODS * FLOOD_S))
+    answers = []
+    url = OpcuaParameters(port=port).endpoint
+    flooded = counters.grown_within(lambda: answers.extend(flood(url) for _ in range(FLOODS)))
+    with capsys.disabled():
+        print(f"\nanswered while flooded: {answers}\nquiet: {quiet}\nflooded: {flooded}")
+    graph.check(["opcua", *NODES])
+    for loop in LOOPS:
+        assert flooded[loop][LOST] == 0
+        assert missed(flooded[loop]) <= 2.0 * missed(quiet[loop]) + 0.1
+    assert flooded["driver"][SAMPLES] - flooded["driver"]["commands"] <= 0.01 * flooded["driver"][SAMPLES]
+
+
+def missed(grown):
+    """Share of the periods that a loop missed."""
+    return grown[OVERRUNS] / grown[SAMPLES]
