@@ -61,7 +61,7 @@ coverage: setup
 	.venv/bin/python -m coverage report --fail-under=85
 
 docs: setup
-	@.venv/bin/python -m mkdocs build --strict --quiet
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
 	echo "site/index.html"
 
 setup: $(INSTALLED)
