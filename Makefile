@@ -61,7 +61,7 @@ quick: setup
 	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)
 
 docs: setup
-	@.venv/bin/python -m mkdocs build --strict --quiet
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
 	echo "site/index.html"
 
 setup: $(INSTALLED)

@@ -29,11 +29,12 @@ from rich.table import Table
 
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.comparison import LawFigures, Values, figures_of, with_values
-from straightcomp_ros.configuration import ControllerNodeParameters, node_parameters, read_parameter_file
+from straightcomp_ros.configuration import ControllerNodeParameters, node_parameters
 from straightcomp_ros.control.design import NominalPlant
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 
 INSTALL = (

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.comparison import LawFigures, Values, figures_of, law_of, with_values
-from straightcomp_ros.configuration import read_parameter_file
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.paper.machine import machine_from
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 
 SGN = "smc, sgn σ"

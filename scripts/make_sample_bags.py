@@ -23,9 +23,9 @@ from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration import read_parameter_file
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STROKE
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.straightness.map import MapParameters, load_map

@@ -1,13 +1,10 @@
-"""The parameters of every node, and the parameter file that sets them. Offline runs read the same file."""
+"""The parameters of every node."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
-
-import yaml
 
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.control.laws import ControlParameters
@@ -17,7 +14,7 @@ from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters
 from straightcomp_ros.opcua.parameters import OpcuaParameters
-from straightcomp_ros.parameters import ParameterError, flatten, from_mapping, group, parameter
+from straightcomp_ros.parameters import ParameterError, from_mapping, group, parameter
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.map import MapParameters
@@ -267,42 +264,6 @@ NODE_PARAMETERS: Mapping[str, type] = {
     "opcua": OpcuaNodeParameters,
 }
 """Parameter set of each node, by the node's name."""
-
-
-def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Values of a ROS 2 parameter file, by node and dotted name; every node of ours is a key.
-
-    Raises:
-        ParameterError: the file is not there or no YAML, or is not laid out as a parameter file.
-    """
-    try:
-        tree = yaml.safe_load(Path(path).read_text())
-    except OSError as error:
-        raise ParameterError(f"parameter file {path}: {error.strerror}") from error
-    except yaml.YAMLError as error:
-        raise ParameterError(f"parameter file {path}: no YAML: {' '.join(str(error).split())}") from error
-    return read_parameter_tree(tree or {}, f"parameter file {path}")
-
-
-def read_parameter_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
-    """Values of a parameter file's content; ``source`` names it in messages.
-
-    A key is a node's name, with or without a namespace before it (``/**/driver``, ``driver``).
-
-    Raises:
-        ParameterError: another layout, or a node that is not ours.
-    """
-    values: dict[str, dict[str, Any]] = {name: {} for name in NODE_PARAMETERS}
-    if not isinstance(tree, Mapping):
-        raise ParameterError(f"{source}: has no 'NODE: ros__parameters:' level")
-    for key, section in tree.items():
-        name = str(key).rsplit("/", 1)[-1]
-        if name not in values:
-            raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(values)}")
-        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
-            raise ParameterError(f"{source}: node '{key}' has no 'ros__parameters:'")
-        values[name].update(flatten(section["ros__parameters"]))
-    return values
 
 
 def node_parameters(name: str, values: Mapping[str, Any]) -> Any:

@@ -135,7 +135,8 @@ def emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[st
     return {
         # As soon as the nodes: a bus that waits for a CPU is none.
         "hub": verb_command(
-            "can", "hub", "--socket", parameters.can.channel, "--fifo", str(parameters.realtime.priority)
+            *("can", "hub", "--socket", parameters.can.channel),
+            *("--priority", str(parameters.realtime.priority), "--json"),
         ),
         "board": verb_command("dsp", "--params-file", str(parameter_file)),
     }

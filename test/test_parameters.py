@@ -3,7 +3,8 @@ from dataclasses import dataclass
 import pytest
 import yaml
 
-from straightcomp_ros.configuration import NODE_PARAMETERS, node_parameters, read_parameter_file
+from straightcomp_ros.configuration import NODE_PARAMETERS, node_parameters
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.parameters import (
     ParameterError,
     declarations,

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.folder import mcap_files
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import recover
@@ -27,9 +28,9 @@ from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.bench.traffic import record_traffic
 from straightcomp_ros.cdr import read_by_names
-from straightcomp_ros.configuration import read_parameter_file
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.launcher import Graph, ros_available
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.replay.audit import audit
 from straightcomp_ros.share import share_path
 from straightcomp_ros.simulation import Simulation
@@ -62,6 +63,8 @@ def run(
         BagError: the bag is refused.
         LaunchError: a node could not be started.
     """
+    if bag is not None:
+        mcap_files(bag)  # refused before anything is recorded
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         if bag is None:

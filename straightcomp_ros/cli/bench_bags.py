@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from straightcomp_ros.cli.evaluate import shown
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, check_range, console, print_json, progress_bar
+from straightcomp_ros.cli.tables import figures_table
 
 SUMMARY = "recording, reading, evaluation, SIGKILL, audit"
+_MOST_KILL_RUNS = 10_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,12 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print."""
-    from rich.table import Table
-
     from straightcomp_ros.bags import BagError
     from straightcomp_ros.bench.bags import flattened, run
     from straightcomp_ros.launcher import LaunchError
 
+    check_range("--kill-runs", options.kill_runs, 0, _MOST_KILL_RUNS)
     try:
         with progress_bar() as bar:
             task = bar.add_task("starting", total=1.0)
@@ -41,10 +41,5 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(figures)
         return 0
-    table = Table(title="Bags", title_justify="left")
-    table.add_column("figure")
-    table.add_column("value", justify="right")
-    for name, value in flattened(figures).items():
-        table.add_row(name, shown(value))
-    console.print(table)
+    console.print(figures_table("Bags", flattened(figures)))
     return 0

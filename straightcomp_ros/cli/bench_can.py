@@ -16,7 +16,7 @@ import numpy as np
 from straightcomp_ros.bench.bus_faults import fault_run
 from straightcomp_ros.bench.codec import codec_costs, per_frame
 from straightcomp_ros.bench.round_trip import RoundTripFailed, measure_round_trip
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, check_range, console, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import can_tables
 from straightcomp_ros.configuration import node_parameters
@@ -44,9 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Measure, print; exit code 1 if a fault was not found or a wrong sample was used."""
     for name, (least, most) in _LIMITS.items():
-        given = getattr(options, name)
-        if not least <= given <= most:
-            raise CommandFailed(f"--{name} {given:g}: allowed: {least:g} to {most:g}", exit_code=2)
+        check_range(f"--{name}", getattr(options, name), least, most)
     values = chosen_parameters(options)
     try:
         figures = _figures(values, options)

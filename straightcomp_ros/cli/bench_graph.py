@@ -21,12 +21,20 @@ from straightcomp_ros.bench.graph import (
     measure,
     view_beside,
 )
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.output import (
+    CommandFailed,
+    check_range,
+    console,
+    notes,
+    output_folder,
+    print_json,
+    progress_bar,
+    require_ros,
+)
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.tables import rounded
+from straightcomp_ros.cli.tables import rounded, titled_table
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.cycle import RECORDED
-from straightcomp_ros.launcher import ros_available
 from straightcomp_ros.parameters import ParameterError
 
 SUMMARY = "rate, lateness, latency, losses, CPU and memory of the running graph"
@@ -45,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a window of so many minutes, to see whether memory grows; the bag takes about 1 MB/s",
     )
     parser.add_argument(
+        "--priority",
         "--fifo",
         type=int,
         default=0,
@@ -61,29 +70,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure, print."""
-    if not ros_available():
-        raise CommandFailed("rclpy is not there; source a ROS 2 Jazzy installation", exit_code=2)
-    seconds = options.seconds if options.soak is None else options.soak * 60.0
-    if not _SHORTEST_S <= seconds <= _LONGEST_S:
-        name, least, most = (
-            ("--seconds", _SHORTEST_S, _LONGEST_S)
-            if options.soak is None
-            else ("--soak", _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
-        )
-        given = options.seconds if options.soak is None else options.soak
-        raise CommandFailed(f"{name} {given:g}: allowed: {least:.3g} to {most:g}", exit_code=2)
+    require_ros()
+    check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
+    seconds = options.seconds
+    if options.soak is not None:
+        check_range("--soak", options.soak, _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
+        seconds = 60.0 * options.soak
     try:
-        values = bench_parameters(chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.fifo)
+        values = bench_parameters(
+            chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.priority
+        )
     except ParameterError as error:
         raise CommandFailed(str(error), exit_code=2) from error
     with ExitStack() as stack:
-        folder = Path(options.output or stack.enter_context(tempfile.TemporaryDirectory(prefix="straightcomp_bench_")))
+        folder = (
+            output_folder("--output", options.output)
+            if options.output
+            else Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="straightcomp_bench_")))
+        )
         measured = _measured(values, folder / "graph", seconds, "graph")
         figures = measured.to_display()
         if options.soak is not None:
             figures["soak"] = {"minutes": options.soak, "growth_mb_per_hour": dict(measured.growth_mb_per_hour)}
         if options.view:
-            beside = view_beside(options.fifo)
+            beside = view_beside(options.priority)
             figures["with_view"] = _measured(values, folder / "view", seconds, "with view", beside=beside).to_display()
         if options.baseline:
             try:
@@ -146,7 +156,7 @@ def ratios(ours: dict[str, Any], baseline: dict[str, Any]) -> dict[str, float]:
 
 
 def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
-    scheduling = f"SCHED_FIFO {options.fifo}" if options.fifo else "normal scheduling"
+    scheduling = f"SCHED_FIFO {options.priority}" if options.priority else "normal scheduling"
     console.print(_table(figures, f"Graph at {options.rate} Hz, {scheduling}, {figures['seconds']:.1f} s; late in µs"))
     _print_whole(figures)
     if "soak" in figures:
@@ -168,10 +178,7 @@ def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
 
 
 def _table(figures: dict[str, Any], title: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("node")
-    for column in ("Hz", "overruns", "late p50", "p99", "p99.9", "max", "CPU", "MB"):
-        table.add_column(column, justify="right")
+    table = titled_table(title, "node", "Hz", "overruns", "late p50", "p99", "p99.9", "max", "CPU", "MB")
     for node in RECORDED:
         values = figures[node]
         late = values["timer_error_us"]

@@ -9,8 +9,9 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.bench.step import law_costs, message_costs, simulation_cost
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, check_range, console, print_json, working
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.tables import titled_table
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
@@ -31,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Time and print."""
-    if not 1 <= options.repeats <= _MOST_REPEATS:
-        raise CommandFailed(f"--repeats {options.repeats}: allowed: 1 to {_MOST_REPEATS}", exit_code=2)
+    check_range("--repeats", options.repeats, 1, _MOST_REPEATS)
     values = chosen_parameters(options)
     controller = node_parameters("controller", values["controller"])
     try:
@@ -57,10 +57,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _table(figures: dict[str, Any]) -> Table:
-    table = Table(title="Cost of one call", title_justify="left")
-    table.add_column("part")
-    for column in ("median [µs]", "min", "max"):
-        table.add_column(column, justify="right")
+    table = titled_table("Cost of one call", "part", "median [µs]", "min", "max")
     rows = {f"law '{name}'": found for name, found in figures["laws"].items()}
     for topic, both in figures["messages"].items():
         rows |= {f"{verb} '{topic}'": found for verb, found in both.items()}

@@ -1,6 +1,6 @@
 """Be a bus between processes of this computer, where the kernel has no CAN: programs that use python-can join it with
 interface straightcomp_hub and the socket as the channel. It can spoil frames on purpose; SIGUSR1 cuts all links once.
-SIGINT or SIGTERM ends it; it then prints its counters as JSON."""
+SIGINT or SIGTERM ends it; it then prints what it has counted."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import argparse
 import signal
 import sys
 
-from straightcomp_ros.cli.output import CommandFailed, print_json
+from straightcomp_ros.cli.output import CommandFailed, check_range, print_json
 from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.hardware.can.faults import KINDS, Faults
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.interface import HardwareError
 
 SUMMARY = "be a bus between processes, with faults if wanted"
-_MOST_FIFO = 98
+_HIGHEST_PRIORITY = 98
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,20 +32,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the faults (default: %(default)s)")
     parser.add_argument(
+        "--priority",
         "--fifo",
         type=int,
         default=0,
         metavar="N",
         help="SCHED_FIFO priority; best that of the nodes (default: normal scheduling)",
     )
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve until a signal."""
     from straightcomp_ros.nodes import realtime
 
-    if not 0 <= options.fifo <= _MOST_FIFO:
-        raise CommandFailed(f"--fifo {options.fifo}: allowed: 0 to {_MOST_FIFO}", exit_code=2)
+    check_range("--priority", options.priority, 0, _HIGHEST_PRIORITY)
     rates = _rates(options.fault)
     try:
         faults = Faults(rates, options.seed) if rates else None
@@ -65,15 +66,20 @@ def run(options: argparse.Namespace) -> int:
             hub.cut()
         return bool(stopping)
 
-    for refusal in realtime.apply(RealtimeParameters(priority=options.fifo)):
+    for refusal in realtime.apply(RealtimeParameters(priority=options.priority)):
         print(f"hub: {refusal}", file=sys.stderr)
-    print("ready", flush=True)
+    if not options.json:
+        print("ready", flush=True)
     try:
         hub.run(stopped)
     finally:
         hub.close()
     counters = {"passed": hub.passed, "dropped": hub.dropped, "cuts": hub.cuts}
-    print_json({**counters, "injected": faults.injected if faults else {}})
+    injected = faults.injected if faults else {}
+    if options.json:
+        print_json({**counters, "injected": injected})
+    else:
+        print(", ".join(f"{name} {count}" for name, count in {**counters, **injected}.items()))
     return 0
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import can
 
-from straightcomp_ros.cli.output import CommandFailed, notes, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, check_range, notes, print_json, working
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
@@ -34,8 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Play to the end."""
-    if not _SLOWEST <= options.speed <= _FASTEST:
-        raise CommandFailed(f"--speed {options.speed:g}: allowed: {_SLOWEST:g} to {_FASTEST:g}", exit_code=2)
+    check_range("--speed", options.speed, _SLOWEST, _FASTEST)
+    if not options.log.is_file():
+        raise CommandFailed(f"log '{options.log}': No such file; name a recorded bus", exit_code=2)
     parameters = node_parameters("driver", chosen_parameters(options)["driver"]).can
     damage = ""
 
@@ -53,7 +54,8 @@ def run(options: argparse.Namespace) -> int:
     except (ParameterError, HardwareError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
     except (can.CanError, OSError) as error:
-        raise CommandFailed(f"CAN {parameters.interface} {parameters.channel}: {error}") from error
+        place = f"CAN {parameters.interface} {parameters.channel}"
+        raise CommandFailed(f"{place}: {error}; straightcomp doctor says what CAN this machine has") from error
     if not sent:
         raise CommandFailed(damage or f"log '{options.log}': has no frame of board {parameters.node}", exit_code=2)
     if damage:

@@ -12,7 +12,15 @@ from datetime import datetime
 from pathlib import Path
 
 from straightcomp_ros.analysis.plot import plot_run
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar, require_ros
+from straightcomp_ros.cli.output import (
+    CommandFailed,
+    console,
+    notes,
+    output_folder,
+    print_json,
+    progress_bar,
+    require_ros,
+)
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import results_table, timing_table
 from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate, on_hub
@@ -61,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         values["controller"]["trigger"] = "sample"
     if options.strokes is not None:
         values["cell"]["strokes"] = options.strokes
-    output = Path(options.output)
+    output = output_folder("--output", options.output)
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
     try:

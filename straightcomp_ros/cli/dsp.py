@@ -9,7 +9,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.cli.output import CommandFailed, check_range
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.hardware.can.link import check_interface
@@ -33,10 +33,7 @@ def run(options: argparse.Namespace) -> int:
     from straightcomp_ros.nodes.dsp_emulator import emulate
 
     parameters = node_parameters("driver", chosen_parameters(options)["driver"])
-    if not abs(options.drift_ppm) <= _MOST_DRIFT_PPM:
-        raise CommandFailed(
-            f"--drift-ppm {options.drift_ppm:g} is not allowed; allowed: ±{_MOST_DRIFT_PPM:g}", exit_code=2
-        )
+    check_range("--drift-ppm", options.drift_ppm, -_MOST_DRIFT_PPM, _MOST_DRIFT_PPM, "ppm")
     try:
         check_interface(parameters.can)
         return emulate(parameters, options.drift_ppm * 1e-6)

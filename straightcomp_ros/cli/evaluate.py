@@ -5,12 +5,12 @@ The bag may be unfinished. With --limits the exit code is 1 when a figure is out
 from __future__ import annotations
 
 import argparse
-import math
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, output_file, print_json, working
+from straightcomp_ros.cli.tables import shown
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.assessment import Assessment
@@ -36,6 +36,7 @@ def run(options: argparse.Namespace) -> int:
     from straightcomp_ros.analysis.limits import LimitsError, judged, read_limits
 
     remap = parsed_remap(options.remap)
+    report = output_file("--report", options.report) if options.report else None
     assessment = assessed(Path(options.bag), remap)
     other = assessed(Path(options.compare), remap) if options.compare else None
     figures = assessment.figures()
@@ -46,8 +47,8 @@ def run(options: argparse.Namespace) -> int:
         except LimitsError as error:
             raise CommandFailed(str(error), exit_code=2) from error
     failed = [str(verdict) for verdict in verdicts if not verdict.passed]
-    if options.report:
-        _write_report(Path(options.report), assessment, other, verdicts)
+    if report is not None:
+        _write_report(report, assessment, other, verdicts)
     if options.json:
         found = assessment.as_json()
         if other is not None:
@@ -125,10 +126,7 @@ def assessed(bag: Path, remap: dict[str, str] | None = None) -> Assessment:
 def _write_report(path: Path, assessment: Assessment, other: Assessment | None, verdicts: list[Verdict]) -> None:
     from straightcomp_ros.analysis.report import report_html
 
-    try:
-        path.write_text(report_html(assessment, other, verdicts), encoding="utf-8")
-    except OSError as error:
-        raise CommandFailed(f"report {path} cannot be written: {error.strerror}") from error
+    path.write_text(report_html(assessment, other, verdicts), encoding="utf-8")
     notes.print(f"report: {path}")
 
 
@@ -162,10 +160,3 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
             stroke.direction, f"{stroke.start:.2f}", *(f"{v:.3f}" if v is not None else "" for v in columns)
         )
     console.print(strokes)
-
-
-def shown(value: Any) -> str:
-    """A figure in a table; empty where there is none."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return ""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -20,7 +20,7 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, console, notes, output_file, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.contract import STROKE
@@ -52,10 +52,11 @@ def run(options: argparse.Namespace) -> int:
     """Estimate and print, or write the map for the excitation."""
     if (options.bag is None) == (options.excitation is None):
         raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
+    if options.excitation is not None:
+        write_survey(output_file("--excitation", options.excitation), excitation_survey(STROKE), _EXCITATION_COMMENTS)
+        return 0
+    output = output_file("--output", options.output) if options.output else None
     try:
-        if options.excitation is not None:
-            write_survey(options.excitation, excitation_survey(STROKE), _EXCITATION_COMMENTS)
-            return 0
         start = node_parameters("driver", chosen_parameters(options)["driver"]).simulated.plant
         known = options.known or ["actuator.turns"]
         with progress_bar() as bar:
@@ -63,12 +64,10 @@ def run(options: argparse.Namespace) -> int:
             estimate = estimate_from_bag(
                 Path(options.bag), start, known, lambda fraction: bar.update(task, completed=fraction)
             )
-        if options.output:
-            Path(options.output).write_text(parameter_file(estimate), encoding="utf-8")
+        if output is not None:
+            output.write_text(parameter_file(estimate), encoding="utf-8")
     except (BagError, IdentificationError) as error:
         raise CommandFailed(str(error)) from error
-    except OSError as error:
-        raise CommandFailed(f"{error.filename} cannot be written: {error.strerror}") from error
     if options.json:
         print_json(_figures(estimate))
     else:

@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 from xml.etree import ElementTree
 
 from straightcomp_ros.cli.output import CommandFailed
@@ -56,20 +57,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except CommandFailed as failure:
-        print(f"straightcomp {options.verb}: {failure}", file=sys.stderr)
-        return failure.exit_code
+        return _ended(options, str(failure), failure.exit_code)
     except KeyboardInterrupt:
-        print(f"straightcomp {options.verb}: interrupted", file=sys.stderr)
-        return 130
+        return _ended(options, "interrupted", 130)
     except BrokenPipeError:
         # The reader of our output has gone (`… | head`): end without a word, also when Python flushes at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _CLOSED_PIPE
+    except OSError as error:
+        # A file or folder that changed while it was worked with, or a full disk: no verb foresees all of these.
+        name = f"{error.filename}: " if error.filename else ""
+        return _ended(options, f"{name}{error.strerror or error}", 1)
+
+
+def _ended(options: argparse.Namespace, sentence: str, exit_code: int) -> int:
+    words = ("straightcomp", options.verb, getattr(options, "tool", None))
+    print(f"{' '.join(filter(None, words))}: {sentence}", file=sys.stderr)
+    return exit_code
 
 
 def make_parser(complete: Sequence[str] = _VERBS) -> argparse.ArgumentParser:
     """The parser of all verbs; those that are not in ``complete`` with their summary only."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="straightcomp",
         description="Straightness compensation of linear-motor stages: simulate, run, record and judge.",
         epilog=_FIRST_STEPS,
@@ -86,6 +95,14 @@ def make_parser(complete: Sequence[str] = _VERBS) -> argparse.ArgumentParser:
         else:
             verbs.add_parser(name, help=_summary(name))
     return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says in one sentence what is wrong with the words that were given; its verbs and tools do likewise."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with exit code 2; the usage is in the help."""
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):

@@ -6,13 +6,12 @@ the way of ISO 230-2, and the map is written with its provenance. `feedforward` 
 from __future__ import annotations
 
 import argparse
-import math
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from straightcomp_ros.cli.evaluate import shown
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+from straightcomp_ros.cli.output import PICTURES, CommandFailed, check_range, console, notes, output_file, print_json
+from straightcomp_ros.cli.tables import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)"
     )
     parser.add_argument("--level", action="store_true", help="take the least squares line out, not only the mean")
-    parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG)")
+    parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -66,10 +65,10 @@ def run(options: argparse.Namespace) -> int:
     from straightcomp_ros.straightness.survey import SurveyError
 
     for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
-        value = getattr(options, name)
-        if not (math.isfinite(value) and low <= value <= high):
-            raise CommandFailed(f"--{name} {value:g}; allowed: {low:g} to {high:g}", exit_code=2)
-    if options.output and Path(options.output).exists() and not options.force:
+        check_range(f"--{name}", getattr(options, name), low, high)
+    output = output_file("--output", options.output) if options.output else None
+    plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
+    if output is not None and output.exists() and not options.force:
         raise CommandFailed(f"map {options.output} is there already; name another file, or give --force")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -80,15 +79,12 @@ def run(options: argparse.Namespace) -> int:
     said = tuple(dict.fromkeys(str(warning.message) for warning in caught if warning.category is UserWarning))
     for text in said:
         notes.print(f"warning: {text}", style="yellow", soft_wrap=True)
-    try:
-        if options.output:
-            built.write(Path(options.output))
-        if options.plot:
-            from straightcomp_ros.analysis.map_plot import plot_map
+    if output is not None:
+        built.write(output)
+    if plot is not None:
+        from straightcomp_ros.analysis.map_plot import plot_map
 
-            plot_map(built, Path(options.plot))
-    except (OSError, ValueError) as error:
-        raise CommandFailed(f"cannot be written: {error}") from error
+        plot_map(built, plot)
     if options.json:
         print_json({**_as_json(built), "output": options.output, "warnings": list(said)})
     else:
@@ -163,14 +159,7 @@ def _as_json(built: BuiltMap) -> dict[str, Any]:
 
 
 def _print(built: BuiltMap, output: str | None) -> None:
-    from rich.table import Table
-
-    table = Table(title=f"Survey {built.survey.source}", title_justify="left")
-    table.add_column("figure", no_wrap=True)
-    table.add_column("value", justify="right")
-    for name, value in built.figures().items():
-        table.add_row(name, shown(value))
-    console.print(table)
+    console.print(figures_table(f"Survey {built.survey.source}", built.figures()))
     for name in built.rejected_runs:
         notes.print(f"run {name} is rejected: it differs from the others")
     for name, x in built.rejected_points[:20]:

@@ -6,9 +6,8 @@ compare its sign with a dial gauge; use --negate if the controller's axis counts
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from straightcomp_ros.cli.output import CommandFailed, console, print_json
+from straightcomp_ros.cli.output import CommandFailed, check_range, console, output_file, print_json
 from straightcomp_ros.cli.table_options import add_table_options, chosen_conventions
 from straightcomp_ros.straightness.map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import SurveyError
@@ -21,7 +20,7 @@ _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM = 0.1, 1000.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", metavar="FILE", help="error table to write")
+    parser.add_argument("--output", "-o", required=True, metavar="FILE", help="error table to write")
     parser.add_argument(
         "--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)"
     )
@@ -35,12 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Export and print how well the table stands for the map."""
     conventions = chosen_conventions(options)
-    if not _SMALLEST_SPACING_MM <= options.spacing <= _LARGEST_SPACING_MM:
-        raise CommandFailed(
-            f"--spacing {options.spacing:g}; allowed: {_SMALLEST_SPACING_MM:g} to {_LARGEST_SPACING_MM:g} mm",
-            exit_code=2,
-        )
-    output = Path(options.file)
+    check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
+    output = output_file("--output", options.output)
     try:
         straightness = load_map(MapParameters(file=options.survey))
         table, error = sampled(straightness, options.spacing * 1e-3)
@@ -48,8 +43,6 @@ def run(options: argparse.Namespace) -> int:
         output.write_text(written, encoding="utf-8")
     except SurveyError as failure:
         raise CommandFailed(str(failure), exit_code=2) from failure
-    except OSError as failure:
-        raise CommandFailed(f"{output}: cannot be written: {failure.strerror}") from failure
     figures = {
         "output": str(output),
         "points": len(table.x),

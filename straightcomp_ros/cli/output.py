@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+
+from straightcomp_ros.plain_json import plain
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -43,6 +47,54 @@ def require_ros() -> None:
         )
 
 
+def check_range(option: str, value: float, least: float, most: float = math.inf, unit: str = "") -> None:
+    """Refuse what an option was given beyond ``least`` and ``most``, NaN too.
+
+    Raises:
+        CommandFailed: so it is; exit code 2.
+    """
+    if not least <= value <= most:
+        allowed = f">= {least:.4g}" if most == math.inf else f"{least:.4g} to {most:.7g}"
+        raise CommandFailed(f"{option} {value:g}; allowed: {allowed}{unit and ' '}{unit}", exit_code=2)
+
+
+PICTURES = (".png", ".svg", ".pdf")
+"""Endings of the files that plots are saved to."""
+
+
+def output_file(option: str, name: str, endings: tuple[str, ...] = ()) -> Path:
+    """The file that an option names; asked before the work is done that the file is for.
+
+    Raises:
+        CommandFailed: it cannot be written, or has another ending than those that are allowed; exit code 2.
+    """
+    path = Path(name)
+    if endings and path.suffix.lower() not in endings:
+        raise CommandFailed(f"{option} {name}; allowed: a file name that ends with {', '.join(endings)}", exit_code=2)
+    if path.is_dir():
+        raise CommandFailed(f"{option} {name}: is a folder; name a file", exit_code=2)
+    if not path.parent.is_dir():
+        raise CommandFailed(f"{option} {name}: there is no folder {path.parent}; make it first", exit_code=2)
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise CommandFailed(f"{option} {name}: cannot be written; check its permissions", exit_code=2)
+    return path
+
+
+def output_folder(option: str, name: str) -> Path:
+    """The folder that an option names, made if it is not there.
+
+    Raises:
+        CommandFailed: it is none, and cannot be made; exit code 2.
+    """
+    path = Path(name)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "is a file" if path.exists() else f"cannot be made: {error.strerror}"
+        raise CommandFailed(f"{option} {name}: {why}; name another folder", exit_code=2) from error
+    return path
+
+
 def progress_bar() -> Progress:
     """A progress bar on standard error, silent when that is no terminal."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -68,12 +120,4 @@ def working(description: str) -> Iterator[None]:
 
 def print_json(values: Mapping[str, Any]) -> None:
     """One JSON object on standard output; what is not finite becomes null, which JSON can say."""
-    print(json.dumps(_plain(values)))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    print(json.dumps(plain(values)))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from typing import Any
 
 import yaml
 
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.configuration import NODE_PARAMETERS, node_parameters, read_parameter_file
+from straightcomp_ros.configuration import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.control.laws import LAWS
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.share import share_path
 
@@ -60,7 +62,10 @@ def parsed_assignment(assignment: str) -> tuple[str, str, Any]:
             f"--set {assignment!r}: allowed: NODE.NAME=VALUE with NODE one of {', '.join(NODE_PARAMETERS)}"
         )
     # YAML 1.1 reads 1e6 as a text; a parameter file has the same trap, but here it can be helped.
+    if "e" in text.lower():
+        with suppress(ValueError):
+            return node, name, float(text)
     try:
-        return node, name, float(text) if "e" in text.lower() else yaml.safe_load(text)
-    except ValueError:
         return node, name, yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ParameterError(f"--set {assignment!r}: {text!r} is no YAML; put a text in quotes") from error

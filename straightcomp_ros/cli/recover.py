@@ -11,6 +11,7 @@ from typing import Any
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.tables import titled_table
 
 SUMMARY = "make a finished bag from a cut-off or damaged one"
 
@@ -55,12 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print(result: Any, lost: int | None) -> None:
-    from rich.table import Table
-
-    table = Table(title=f"Saved to {result.output}", title_justify="left")
-    table.add_column("topic")
-    table.add_column("saved", justify="right")
-    table.add_column("lost", justify="right")
+    table = titled_table(f"Saved to {result.output}", "topic", "saved", "lost")
     for topic in sorted({*result.saved, *(result.lost or {})}):
         table.add_row(topic, str(result.saved[topic]), "?" if result.lost is None else str(result.lost.get(topic, 0)))
     console.print(table)

@@ -11,8 +11,9 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap, shown
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
+from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
+from straightcomp_ros.cli.output import CommandFailed, console, notes, output_folder, print_json, require_ros, working
+from straightcomp_ros.cli.tables import shown
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
@@ -122,11 +123,12 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int
     from straightcomp_ros.replay.graph import replay_through_graph
 
     require_ros()
+    output = output_folder("--output", options.output)
     try:
         with working("playing to the graph"):
-            found = replay_through_graph(bag, Path(options.output), remap)
+            found = replay_through_graph(bag, output, remap)
     except LaunchError as error:
-        raise CommandFailed(f"{error} (logs in {options.output}/logs)") from error
+        raise CommandFailed(f"{error} (logs in {output}/logs)") from error
     if options.json:
         print_json({"bag": str(found.bag), **{key: value for key, value in vars(found).items() if key != "bag"}})
     else:

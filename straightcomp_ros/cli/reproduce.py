@@ -9,12 +9,12 @@ from pathlib import Path
 
 from rich.table import Table
 
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
+from straightcomp_ros.cli.output import CommandFailed, console, notes, output_folder, print_json, progress_bar
 from straightcomp_ros.cli.parameters import DEFAULT_FILE
-from straightcomp_ros.configuration import read_parameter_file
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.machine import machine_from
 from straightcomp_ros.paper.reproduce import Reproduction, reproduce
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.share import share_path
 from straightcomp_ros.straightness.survey import SurveyError
@@ -32,15 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Reproduce with the shipped parameters and print the claims."""
+    output = output_folder("--output", options.output)
     try:
         machine = machine_from(read_parameter_file(share_path(DEFAULT_FILE)))
         with progress_bar() as bar:
             task = bar.add_task("computing the figures", total=1.0)
-            result = reproduce(machine, Path(options.output), lambda fraction: bar.update(task, completed=fraction))
+            result = reproduce(machine, output, lambda fraction: bar.update(task, completed=fraction))
     except (ParameterError, SurveyError, FileNotFoundError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
-    except OSError as error:
-        raise CommandFailed(f"output folder {options.output}: {error.strerror}") from error
     if options.json:
         print_json(
             {
@@ -49,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
             }
         )
     else:
-        _print(result, Path(options.output))
+        _print(result, output)
     return 0
 
 

@@ -8,14 +8,16 @@ is always the same machine, on any number of cores, here or on Dask workers.
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from typing import Any
 
 from rich.table import Table
 
 from straightcomp_ros.analysis.record import MetricsError
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import PICTURES, CommandFailed, console, output_file, print_json, progress_bar
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.tables import titled_table
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.parameters import ParameterError, declarations, from_mapping
 from straightcomp_ros.straightness.survey import SurveyError
@@ -50,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--jobs", type=_count, metavar="N", help="processes on this machine (default: all cores)")
     parser.add_argument("--dask", default="", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
-    parser.add_argument("--plot", metavar="FILE", help="also save the distribution of the error (PNG)")
+    parser.add_argument("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -58,6 +60,10 @@ def run(options: argparse.Namespace) -> int:
     """Sweep and print the figures."""
     values = chosen_parameters(options)
     laws = list(dict.fromkeys(options.laws or LAWS))
+    plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
+    if options.dask and not re.fullmatch(r".*:\d+", options.dask):
+        # Dask itself takes 40 s to be sure.
+        raise CommandFailed(f"--dask {options.dask}; allowed: HOST:PORT or tcp://HOST:PORT", exit_code=2)
     started = time.perf_counter()
     try:
         ranges = from_mapping(UncertaintyParameters, dict(map(_assignment, options.ranges)))
@@ -79,8 +85,8 @@ def run(options: argparse.Namespace) -> int:
             raise CommandFailed(str(error)) from error
     seconds = time.perf_counter() - started
     summaries = summarise(results)
-    if options.plot:
-        plot_sweep(results, summaries, options.plot, f"{options.trials} machines, seed {options.seed}")
+    if plot is not None:
+        plot_sweep(results, summaries, plot, f"{options.trials} machines, seed {options.seed}")
     if options.json:
         print_json(
             {
@@ -98,15 +104,9 @@ def run(options: argparse.Namespace) -> int:
 def _table(
     summaries: list[LawSummary], ranges: UncertaintyParameters, options: argparse.Namespace, seconds: float
 ) -> Table:
-    table = Table(
-        title=f"True compensation error p-p in µm on {options.trials} machines, seed {options.seed}",
-        title_justify="left",
-        caption=f"{_conditions(ranges)}\n{seconds:.0f} s",
-        caption_justify="left",
-    )
-    table.add_column("law")
-    for name in (*PERCENTILES, "failures", "limit cycles"):
-        table.add_column(name, justify="right")
+    title = f"True compensation error p-p in µm on {options.trials} machines, seed {options.seed}"
+    table = titled_table(title, "law", *PERCENTILES, "failures", "limit cycles")
+    table.caption, table.caption_justify = f"{_conditions(ranges)}\n{seconds:.0f} s", "left"
     for summary in summaries:
         table.add_row(
             summary.law,

@@ -12,7 +12,15 @@ from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import (
+    PICTURES,
+    CommandFailed,
+    check_range,
+    console,
+    output_file,
+    print_json,
+    progress_bar,
+)
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.tables import cycles_table, results_table
 from straightcomp_ros.configuration import node_parameters
@@ -36,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--learned", metavar="FILE", help="as --learn; read what was learned from FILE if it exists, and write it there"
     )
     parser.add_argument("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
-    parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG)")
+    parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -45,12 +53,12 @@ def run(options: argparse.Namespace) -> int:
     values = chosen_parameters(options)
     if options.delay is not None:
         values["driver"]["lockstep_delay"] = options.delay
-    if options.strokes < 1:
-        raise CommandFailed(f"--strokes {options.strokes}; allowed: >= 1", exit_code=2)
+    check_range("--strokes", options.strokes, 1)
+    plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
     if options.learn or options.learned:
         values["controller"]["learning.learn"] = True
     if options.learned:
-        values["controller"]["learning.file"] = options.learned
+        values["controller"]["learning.file"] = str(output_file("--learned", options.learned))
     try:
         compiled = options.strokes == 1 and not options.bag and can_run(values)
         if compiled:
@@ -66,11 +74,11 @@ def run(options: argparse.Namespace) -> int:
     except (BagError, MetricsError, OSError, ValueError) as error:
         raise CommandFailed(str(error)) from error
     metrics = cycles[-1]
-    if options.plot:
+    if plot is not None:
         # Only here: matplotlib takes longer to import than the cycle to run.
         from straightcomp_ros.analysis.plot import plot_run
 
-        plot_run(record, straightness, metrics, Path(options.plot), title=f"Simulated stroke, law '{record.law}'")
+        plot_run(record, straightness, metrics, plot, title=f"Simulated stroke, law '{record.law}'")
     shown = [cycle.to_display() for cycle in cycles]
     delay = node_parameters("driver", values["driver"]).lockstep_delay
     figures = {"law": record.law, "delay_samples": delay, **shown[-1]}

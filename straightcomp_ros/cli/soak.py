@@ -16,7 +16,7 @@ from rich.table import Table
 
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.tables import rounded
+from straightcomp_ros.cli.tables import rounded, titled_table
 from straightcomp_ros.launcher import LaunchError
 
 SUMMARY = "run the graph for a long time under random actions and check it after each"
@@ -89,20 +89,15 @@ def _print(figures: dict[str, Any]) -> None:
 
 
 def _actions(figures: dict[str, Any]) -> Table:
-    table = Table(title=f"Soak, seed {figures['seed']}; {figures['seconds']:.0f} s", title_justify="left")
-    table.add_column("action")
-    for column in ("done", "failed"):
-        table.add_column(column, justify="right")
+    table = titled_table(f"Soak, seed {figures['seed']}; {figures['seconds']:.0f} s", "action", "done", "failed")
     for kind, counts in figures["actions"].items():
         table.add_row(kind, str(counts["done"]), str(counts["failed"]))
     return table
 
 
 def _processes(figures: dict[str, Any]) -> Table:
-    table = Table(title="Processes, from their warm-up to their end", title_justify="left")
-    table.add_column("node")
-    for column in ("seen for [s]", "descriptors", "threads", "memory [MB]", "slope [MB/h]"):
-        table.add_column(column, justify="right")
+    columns = ("seen for [s]", "descriptors", "threads", "memory [MB]", "slope [MB/h]")
+    table = titled_table("Processes, from their warm-up to their end", "node", *columns)
     table.add_column("end")
     for life in figures["processes"]:
         table.add_row(

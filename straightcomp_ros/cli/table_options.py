@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.cli.output import CommandFailed, check_range
 from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions
 from straightcomp_ros.straightness.tables.formats import FORMATS
 
@@ -45,9 +45,7 @@ def chosen_conventions(options: argparse.Namespace) -> Conventions:
         CommandFailed: an axis is not allowed; exit code 2.
     """
     for axis in ("stage", "platform"):
-        number = getattr(options, f"{axis}_axis")
-        if number < 1:
-            raise CommandFailed(f"--{axis}-axis {number}; allowed: >= 1", exit_code=2)
+        check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
     if options.stage_axis == options.platform_axis:
         raise CommandFailed(f"--stage-axis and --platform-axis: both {options.stage_axis}; allowed: two", exit_code=2)
     return Conventions(options.unit, options.stage_axis, options.platform_axis, options.error.upper())

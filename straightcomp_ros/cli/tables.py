@@ -26,6 +26,32 @@ _ROWS = (
 )
 
 
+def titled_table(title: str, first: str, *others: str) -> Table:
+    """An empty table: names stand left in its first column, numbers right in the others."""
+    table = Table(title=title, title_justify="left")
+    table.add_column(first)
+    for heading in others:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def figures_table(title: str, figures: Mapping[str, Any]) -> Table:
+    """Figures by name."""
+    table = Table(title=title, title_justify="left")
+    table.add_column("figure", no_wrap=True)
+    table.add_column("value", justify="right")
+    for name, value in figures.items():
+        table.add_row(name, shown(value))
+    return table
+
+
+def shown(value: Any) -> str:
+    """A figure in a table; empty where there is none."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
 def results_table(figures: Mapping[str, Any]) -> Table:
     """A table of those figures that are there; the paper's figure beside the p-p error."""
     law = figures["law"]
@@ -43,10 +69,8 @@ def results_table(figures: Mapping[str, Any]) -> Table:
 
 def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
     """Each node's rate and how late its loop woke up; ``timing`` as in the figures of a demonstration."""
-    table = Table(title="Timing of the nodes, from their diagnostics", title_justify="left")
-    table.add_column("node")
-    for column in ("rate [Hz]", "overruns", "lost", "timer error p50 [µs]", "p99", "max"):
-        table.add_column(column, justify="right")
+    columns = ("rate [Hz]", "overruns", "lost", "timer error p50 [µs]", "p99", "max")
+    table = titled_table("Timing of the nodes, from their diagnostics", "node", *columns)
     for node, values in timing.items():
         late = values["timer_error_us"]
         table.add_row(
@@ -76,9 +100,7 @@ def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
 
 def can_tables(figures: Mapping[str, Any]) -> list[Table]:
     """Costs and times, faults, and the closed loop under faults; ``figures`` as `straightcomp bench can --json`."""
-    costs = Table(title="CAN path", title_justify="left")
-    costs.add_column("part")
-    costs.add_column("µs", justify="right")
+    costs = titled_table("CAN path", "part", "µs")
     for name, cost in figures["codec"].items():
         costs.add_row(f"pack {name}", f"{cost['pack_us']:.2f}")
         costs.add_row(f"unpack {name}", f"{cost['unpack_us']:.2f}")
@@ -86,16 +108,13 @@ def can_tables(figures: Mapping[str, Any]) -> list[Table]:
     costs.add_row("receive a frame from the hub", f"{figures['receive_us']:.1f}")
     for key in ("p50", "p99", "max"):
         costs.add_row(f"round trip {key}", f"{figures['round_trip_us'][key]:.0f}")
-    faults = Table(title=f"Faults, {figures['frames']} frames of each kind on each kind of bus", title_justify="left")
-    faults.add_column("kind")
-    for column in ("injected", "detected"):
-        faults.add_column(column, justify="right")
+    title = f"Faults, {figures['frames']} frames of each kind on each kind of bus"
+    faults = titled_table(title, "kind", "injected", "detected")
     for kind, count in figures["faults"].items():
         faults.add_row(kind, str(count["injected"]), str(count["detected"]))
     faults.add_row("wrong samples used unflagged", "", str(figures["unflagged_wrong"]))
-    loops = Table(title="Closed loop under all faults together", title_justify="left")
-    for column in ("bus", "faults", "latched", "servo on", "on beyond a fault"):
-        loops.add_column(column, justify="left" if column == "bus" else "right")
+    columns = ("faults", "latched", "servo on", "on beyond a fault")
+    loops = titled_table("Closed loop under all faults together", "bus", *columns)
     for bus, loop in figures["closed_loop"].items():
         latched = sum(loop["latched"].values())
         loops.add_row(bus, str(loop["injected"]), str(latched), f"{loop['on']:.0%}", str(loop["unsafe"]))

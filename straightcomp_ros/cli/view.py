@@ -6,14 +6,16 @@ process of its own and only watches. Where the graph's nodes run with real-time 
 from __future__ import annotations
 
 import argparse
+import re
+import sys
 
-from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.cli.output import CommandFailed, check_range, print_json, require_ros
 from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.launcher import ros_available
 from straightcomp_ros.parameters import ParameterError, from_mapping
 
 SUMMARY = "live plots of the running graph in a browser"
 DEFAULT_PORT = 8765
+_NAMESPACE = r"(/?[A-Za-z_]\w*)*/?"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,16 +29,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="SCHED_FIFO priority, that of the graph's nodes (default: 0)",
+        help="SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)",
     )
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
-    if not ros_available():
-        raise CommandFailed("rclpy is not there; source a ROS 2 Jazzy installation", exit_code=2)
-    if not 0 <= options.port <= 65535:
-        raise CommandFailed(f"--port {options.port}: allowed: 0 to 65535", exit_code=2)
+    require_ros()
+    check_range("--port", options.port, 0, 65535)
+    if not re.fullmatch(_NAMESPACE, options.namespace):
+        raise CommandFailed(
+            f"--namespace {options.namespace!r}; allowed: letters, digits and _, e.g. stage_1 or cell/stage_1",
+            exit_code=2,
+        )
     try:
         realtime = from_mapping(RealtimeParameters, {"priority": options.priority})
     except ParameterError as error:
@@ -44,4 +50,12 @@ def run(options: argparse.Namespace) -> int:
     from straightcomp_ros.nodes.view_node import view
 
     arguments = ["--ros-args", "-r", f"__ns:=/{options.namespace.strip('/')}"] if options.namespace else []
-    return view(options.port, lambda url: print(url, flush=True), realtime, arguments)
+
+    def ready(url: str) -> None:
+        if options.json:
+            print_json({"url": url})
+        else:
+            print(url)
+        sys.stdout.flush()
+
+    return view(options.port, ready, realtime, arguments)

@@ -36,7 +36,7 @@ from straightcomp_ros.nodes.safety_panel import SafetyPanel
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.safety.machine import Condition, SafetyMachine
-from straightcomp_ros.safety.watch import CommandWatch, SampleWatch, StageWatch
+from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, SampleWatch, StageWatch
 from straightcomp_ros.straightness.map import load_map
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import AMPLIFIER, LATENCY, LOST, OVERRUNS, SAMPLES, written
@@ -81,12 +81,11 @@ class DriverPart:
         self._latencies = Histogram()
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)
-        self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._watch_switched)
         self._sample_watch = SampleWatch(parameters.watch, period_ns)
+        self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._sample_watch.switched)
         self._stage_watch = StageWatch(parameters.watch)
         self._command_watch = CommandWatch()
-        self._clock_step_ns = round(parameters.watch.clock_step * 1e9)
-        self._clock_offset_ns = 0
+        self._clock_watch = ClockWatch(parameters.watch, now_ns, system_ns)
         self._newest: Sample | None = None
         self._lockstep: Lockstep | None = None
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10)
@@ -108,7 +107,7 @@ class DriverPart:
     def activate(self) -> None:
         """Begin to sample, amplifier off."""
         self._started = False
-        self._clock_offset_ns = self._system_ns() - now_ns()
+        self._clock_watch.restart()
         self._sample_watch.restart()
         if self.loop:
             self._inbox.fetch()
@@ -136,8 +135,9 @@ class DriverPart:
             self._started = True
             self._gives_way = os.sched_getscheduler(0) == os.SCHED_FIFO
         now, system_now = now_ns(), self._system_ns()
-        if not -self._clock_step_ns <= system_now - now - self._clock_offset_ns <= self._clock_step_ns:
-            self._see_clock_step()
+        finding = self._clock_watch.check(now, system_now)
+        if finding is not None:
+            self._trip(*finding)
         if self._newest is None or self._command_stamp_ns != self._newest.stamp_ns:
             self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
@@ -221,30 +221,15 @@ class DriverPart:
         self._safety.trip(name, reason, now_ns())
         self._panel.report()
 
-    def _see_clock_step(self) -> None:
-        # A process that stood still between the two readings has seen no step.
-        before, system_now, after = now_ns(), self._system_ns(), now_ns()
-        offset_ns = system_now - (before + after) // 2
-        step_ns = offset_ns - self._clock_offset_ns
-        if abs(step_ns) > self._clock_step_ns and after - before < self._clock_step_ns // 2:
-            self._clock_offset_ns = offset_ns
-            self._trip("clock_jump", f"the system's clock was stepped by {step_ns * 1e-9:+.3f} s")
-
     def _watch_slowly(self) -> None:
         """What need not be looked at in each cycle."""
-        # A clock that is slewed is followed.
-        offset_ns = self._system_ns() - now_ns()
-        if abs(offset_ns - self._clock_offset_ns) < self._clock_step_ns // 2:
-            self._clock_offset_ns = offset_ns
+        self._clock_watch.follow()
         if self._safety.condition is Condition.ON:
             self._sample_watch.hold()
         if self._newest is not None and self._node.active:
             finding = self._stage_watch.check(self._newest.stamp_ns, self._newest.x)
             if finding is not None:
                 self._trip(*finding)
-
-    def _watch_switched(self) -> None:
-        self._sample_watch.switched()
 
     def _enable_refusal(self) -> str:
         """Why the amplifier may not be switched on now, apart from faults; empty if it may."""

@@ -12,7 +12,7 @@ from straightcomp_ros.paper.claims import Claim, yes
 from straightcomp_ros.paper.drawing import SMALL, label, sheet
 from straightcomp_ros.paper.figure_3 import gain_error_limit
 from straightcomp_ros.paper.machine import Machine
-from straightcomp_ros.paper.release import Response, hold_still, release
+from straightcomp_ros.paper.release import Response, hold_still, largest, release
 
 TITLE = "Fig. 4: release from 0.6 $y_0$"
 RELEASED_AT = 0.6
@@ -50,14 +50,7 @@ def returns(machine: Machine, a: float) -> bool:
 
 def largest_release(machine: Machine, steps: int = 7) -> float:
     """Largest y/y0 from which the platform returns, by bisection from 0.1 to 0.6; to 0.4 % of y0 in 7 steps."""
-    back, lost = 0.1, RELEASED_AT
-    for _ in range(steps):
-        middle = 0.5 * (back + lost)
-        if returns(machine, middle):
-            back = middle
-        else:
-            lost = middle
-    return back
+    return largest(lambda a: returns(machine, a), 0.1, RELEASED_AT, steps)
 
 
 def compute(machine: Machine) -> FarRelease:

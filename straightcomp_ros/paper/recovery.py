@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.plant import PlantState, advance, as_array
 from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.release import largest
 from straightcomp_ros.sweep.kernel import Conditions, run_from
 
 RETURNED = 0.01
@@ -149,14 +150,7 @@ def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.fl
 
 def largest_release(machine: Machine, steps: int = 8) -> float:
     """Largest y in m from which a platform at rest recovers, by bisection between the centre and the stop."""
-    back, lost = 0.0, machine.plant.stop
-    for _ in range(steps):
-        middle = 0.5 * (back + lost)
-        if recovers(machine, middle):
-            back = middle
-        else:
-            lost = middle
-    return back
+    return largest(lambda y: recovers(machine, y), 0.0, machine.plant.stop, steps)
 
 
 def _samples(machine: Machine) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +43,17 @@ class Response:
 def hold_still(machine: Machine, duration: float) -> NDArray[np.float64]:
     """A reference of zero for ``duration`` in s, (n,) in m."""
     return np.zeros(round(duration * machine.rate))
+
+
+def largest(returns: Callable[[float], bool], low: float, high: float, steps: int) -> float:
+    """Largest value between ``low`` and ``high`` that ``returns``, by bisection to 1 / 2^steps of the interval."""
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        if returns(middle):
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) -> Response:

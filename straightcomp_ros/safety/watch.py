@@ -1,9 +1,10 @@
-"""Watches samples and commands for what a working machine cannot do."""
+"""Watches samples, commands and clocks for what a working machine cannot do."""
 
 from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from straightcomp_ros.hardware.interface import Sample
@@ -143,6 +144,45 @@ class StageWatch:
             "x_frozen",
             f"x stays at {x * 1e3:.4f} mm; the stage was to move by {(now - before) * 1e3:+.1f} mm meanwhile",
         )
+
+
+class ClockWatch:
+    """The system's clock beside the monotonic one: a step is a fault, a clock that is slewed is followed.
+
+    Args:
+        parameters: limit.
+        monotonic_ns, system_ns: the clocks.
+    """
+
+    def __init__(
+        self, parameters: WatchParameters, monotonic_ns: Callable[[], int], system_ns: Callable[[], int]
+    ) -> None:
+        self._monotonic_ns, self._system_ns = monotonic_ns, system_ns
+        self._step_ns = round(parameters.clock_step * 1e9)
+        self._offset_ns = 0
+
+    def restart(self) -> None:
+        """Take the clocks as they stand."""
+        self._offset_ns = self._system_ns() - self._monotonic_ns()
+
+    def check(self, monotonic_ns: int, system_ns: int) -> Finding | None:
+        """The same for both clocks, read one right after the other."""
+        if -self._step_ns <= system_ns - monotonic_ns - self._offset_ns <= self._step_ns:
+            return None
+        # A process that stood still between the two readings has seen no step.
+        before, system, after = self._monotonic_ns(), self._system_ns(), self._monotonic_ns()
+        offset_ns = system - (before + after) // 2
+        step_ns = offset_ns - self._offset_ns
+        if abs(step_ns) <= self._step_ns or after - before >= self._step_ns // 2:
+            return None
+        self._offset_ns = offset_ns
+        return "clock_jump", f"the system's clock was stepped by {step_ns * 1e-9:+.3f} s"
+
+    def follow(self) -> None:
+        """Go with a clock that is slewed; to be called now and then."""
+        offset_ns = self._system_ns() - self._monotonic_ns()
+        if abs(offset_ns - self._offset_ns) < self._step_ns // 2:
+            self._offset_ns = offset_ns
 
 
 class CommandWatch:

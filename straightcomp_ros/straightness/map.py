@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -134,12 +135,13 @@ def find_survey(name: str) -> Path:
     path = Path(name)
     if path.is_file():
         return path.resolve()
-    if path.is_absolute():
-        raise SurveyError(f"survey {name}: is no file")
-    try:
-        return share_path(name)
-    except FileNotFoundError as error:
-        raise SurveyError(f"survey {name}: is not in the working directory {Path.cwd()}, and {error}") from error
+    if path.exists():
+        raise SurveyError(f"survey {name}: is no file; name a CSV file")
+    if not path.is_absolute():
+        with suppress(FileNotFoundError):
+            return share_path(name)
+    beside = "" if path.is_absolute() else f" in the working directory {Path.cwd()}, nor among the package's own files"
+    raise SurveyError(f"survey {name}: there is no such file{beside}")
 
 
 def _end_state(spline: CubicSpline, x: float, outward: float, offset: float) -> tuple[float, float, float]:

@@ -7,7 +7,6 @@ requests of JSON: another site's page can send neither the token nor, without as
 from __future__ import annotations
 
 import json
-import math
 import secrets
 import threading
 from collections.abc import Callable, Mapping
@@ -16,6 +15,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any
 
+from straightcomp_ros.plain_json import plain
 from straightcomp_ros.view.series import Board
 
 _NEWS_EVERY_S = 0.1
@@ -149,7 +149,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         seen: dict[str, int] = {}
         while not self.server.stopping.wait(_NEWS_EVERY_S):
-            text = json.dumps(_plain(self.server.board.news(seen)), separators=(",", ":"), allow_nan=False)
+            text = json.dumps(plain(self.server.board.news(seen)), separators=(",", ":"), allow_nan=False)
             self.wfile.write(f"data: {text}\n\n".encode())
 
     def _answer(self, status: HTTPStatus, message: str) -> None:
@@ -172,12 +172,3 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: Any) -> None:
         """Nothing: ten lines a second would be."""
-
-
-def _plain(value: Any) -> Any:
-    """What is not finite becomes null, which JSON can say."""
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

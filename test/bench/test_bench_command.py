@@ -41,11 +41,11 @@ def test_the_cost_of_a_call_is_that_of_all_divided_by_their_number():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["step", "--repeats", "0"], "--repeats 0: allowed: 1 to 10000"),
-        (["graph", "--seconds", "0.1"], "--seconds 0.1: allowed: 2 to 86400"),
-        (["graph", "--soak", "nan"], "--soak nan: allowed: 0.0333 to 1440"),
+        (["step", "--repeats", "0"], "--repeats 0; allowed: 1 to 10000"),
+        (["graph", "--seconds", "0.1"], "--seconds 0.1; allowed: 2 to 86400"),
+        (["graph", "--soak", "nan"], "--soak nan; allowed: 0.03333 to 1440"),
         (["graph", "--rate", "5"], "parameter 'simulated.rate': 5 Hz is too small"),
-        (["graph", "--fifo", "99"], "parameter 'realtime.priority': 99 is too large"),
+        (["graph", "--priority", "99"], "parameter 'realtime.priority': 99 is too large"),
     ],
 )
 def test_a_refused_option_ends_with_code_2_and_what_is_allowed(capsys, arguments, words):

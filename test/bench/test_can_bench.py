@@ -31,9 +31,9 @@ def test_costs_round_trip_and_faults_are_measured_and_each_fault_is_found(capsys
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--frames", "10"], "--frames 10: allowed: 1000 to 1e+07"),
-        (["--seconds", "nan"], "--seconds nan: allowed: 0.5 to 3600"),
-        (["--cuts", "0"], "--cuts 0: allowed: 1 to 1000"),
+        (["--frames", "10"], "--frames 10; allowed: 1000 to 1e+07"),
+        (["--seconds", "nan"], "--seconds nan; allowed: 0.5 to 3600"),
+        (["--cuts", "0"], "--cuts 0; allowed: 1 to 1000"),
         (["--set", "driver.guide.file=nowhere.csv"], "nowhere.csv"),
     ],
 )

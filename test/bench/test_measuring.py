@@ -14,9 +14,10 @@ from straightcomp_ros.bench.graph import bench_parameters
 from straightcomp_ros.bench.processes import Usage, cores, usage
 from straightcomp_ros.bench.recording import read_window
 from straightcomp_ros.bench.window import Window, growth_mb_per_hour
-from straightcomp_ros.configuration import node_parameters, read_parameter_file
+from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
 from straightcomp_ros.model.stage import forward_and_back
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.share import share_path
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.configuration import read_parameter_file
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 from straightcomp_ros.simulation import Simulation
 

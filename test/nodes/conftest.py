@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.configuration import read_parameter_file
 from straightcomp_ros.launcher import Graph, ros_available
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 
 if not ros_available():

@@ -55,6 +55,13 @@ def test_the_same_option_has_the_same_name_everywhere(complete):
     assert len(texts) == 1, texts
 
 
+def test_every_verb_with_a_result_gives_it_as_json(complete):
+    """The others print a script, are a board until they are stopped, or write a file and say nothing else."""
+    families = {"bench", "can", "map", "opcua", ""}
+    without = {path for path, one in parsers(complete) if "--json" not in one._option_string_actions}
+    assert without - families == {"completion", "dsp", "opcua user"}
+
+
 def test_the_version_is_the_manifests(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration import read_parameter_file
 from straightcomp_ros.paper.machine import Machine, machine_from
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.safety.watch import CommandWatch, SampleWatch, StageWatch, WatchParameters
+from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, SampleWatch, StageWatch, WatchParameters
 
 T = 500_000
 COUNT = 1e-7
@@ -114,3 +114,59 @@ def test_a_second_controller_is_found_and_now_and_then_a_repetition_is_none():
         assert commands.again() is None
         for _ in range(5):
             commands.good()
+
+
+class Clocks:
+    """Both clocks at hand; each reading of the monotonic one takes ``reading_ns``."""
+
+    def __init__(self):
+        self.monotonic, self.offset, self.reading_ns = 1_000_000_000, 5_000_000_000_000, 1000
+
+    def monotonic_ns(self):
+        self.monotonic += self.reading_ns
+        return self.monotonic
+
+    def system_ns(self):
+        return self.monotonic + self.offset
+
+    def watch(self):
+        found = ClockWatch(WatchParameters(clock_step=0.05), self.monotonic_ns, self.system_ns)
+        found.restart()
+        return found
+
+    def seen_by(self, found):
+        return found.check(self.monotonic_ns(), self.system_ns())
+
+
+@pytest.mark.parametrize("step_s", [-1.0, -0.06, 0.06, 3600.0])
+def test_a_step_of_the_systems_clock_is_found_once(step_s):
+    clocks = Clocks()
+    found = clocks.watch()
+    assert clocks.seen_by(found) is None
+    clocks.offset += round(step_s * 1e9)
+    name, words = clocks.seen_by(found)
+    assert name == "clock_jump"
+    assert f"{step_s:+.3f} s" in words
+    assert clocks.seen_by(found) is None
+
+
+def test_a_clock_that_is_slewed_is_followed():
+    clocks = Clocks()
+    found = clocks.watch()
+    for _ in range(100):
+        clocks.offset += 10_000_000
+        assert clocks.seen_by(found) is None
+        found.follow()
+
+
+def test_a_process_that_stood_still_between_two_readings_has_seen_no_step():
+    clocks = Clocks()
+    found = clocks.watch()
+    before = clocks.monotonic_ns()
+    clocks.monotonic += 200_000_000
+    assert found.check(before, clocks.system_ns()) is None
+    clocks.offset += 1_000_000_000
+    clocks.reading_ns = 200_000_000
+    assert clocks.seen_by(found) is None
+    clocks.reading_ns = 1000
+    assert clocks.seen_by(found) is not None

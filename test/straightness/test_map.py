@@ -150,7 +150,7 @@ def test_a_relative_name_is_looked_up_in_the_working_directory_first(
 def test_a_survey_that_is_nowhere_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SurveyError, match="working directory"):
         find_survey("config/no_such_survey.csv")
-    with pytest.raises(SurveyError, match="is no file"):
+    with pytest.raises(SurveyError, match="there is no such file"):
         find_survey(str(tmp_path / "none.csv"))
 
 

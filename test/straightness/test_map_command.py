@@ -18,7 +18,7 @@ def test_the_exported_map_comes_back_as_the_same_map(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     table, survey = tmp_path / f"table{FORMATS[name].ending}", tmp_path / "survey.csv"
-    assert main(["map", "export", str(table), "--json"]) == 0
+    assert main(["map", "export", "-o", str(table), "--json"]) == 0
     exported = json.loads(capsys.readouterr().out)
     assert main(["map", "convert", str(table), "-o", str(survey), "--json"]) == 0
     converted = json.loads(capsys.readouterr().out)
@@ -31,7 +31,7 @@ def test_the_exported_map_comes_back_as_the_same_map(
 
 def test_negate_turns_the_sign_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for option in ([], ["--negate"]):
-        assert main(["map", "export", str(tmp_path / f"{len(option)}.comp"), *option]) == 0
+        assert main(["map", "export", "-o", str(tmp_path / f"{len(option)}.comp"), *option]) == 0
     plain, negated = (np.loadtxt(tmp_path / f"{count}.comp") for count in (0, 1))
     np.testing.assert_allclose(plain[:, 1:], -negated[:, 1:])
     np.testing.assert_allclose(plain[:, 1], load_map().evaluate(plain[:, 0] * 1e-3)[0] * 1e3, atol=1e-7)
@@ -40,12 +40,12 @@ def test_negate_turns_the_sign_over(tmp_path: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["export", "table.xyz"], ["table.xyz", ".comp (linuxcnc)"]),
-        (["export", "t.comp", "--spacing", "1"], ["1761 points", "256"]),
-        (["export", "t.comp", "--spacing", "0"], ["--spacing 0", "0.1 to 1000 mm"]),
-        (["export", "t.cal", "--stage-axis", "2"], ["--platform-axis", "two"]),
-        (["export", "t.cal", "--survey", "no.csv"], ["no.csv"]),
-        (["export", "no_folder/t.cal"], ["no_folder/t.cal", "cannot be written"]),
+        (["export", "-o", "table.xyz"], ["table.xyz", ".comp (linuxcnc)"]),
+        (["export", "-o", "t.comp", "--spacing", "1"], ["1761 points", "256"]),
+        (["export", "-o", "t.comp", "--spacing", "0"], ["--spacing 0", "0.1 to 1000 mm"]),
+        (["export", "-o", "t.cal", "--stage-axis", "2"], ["--platform-axis", "two"]),
+        (["export", "-o", "t.cal", "--survey", "no.csv"], ["no.csv"]),
+        (["export", "-o", "no_folder/t.cal"], ["no_folder/t.cal", "no folder no_folder"]),
         (["convert", "no.comp", "-o", "o.csv"], ["no.comp", "cannot be read"]),
     ],
 )
@@ -55,7 +55,7 @@ def test_a_refusal_is_one_sentence(
     monkeypatch.chdir(tmp_path)
     assert main(["map", *arguments]) in (1, 2)
     printed = capsys.readouterr().err
-    assert printed.startswith("straightcomp map: ")
+    assert printed.startswith(f"straightcomp map {arguments[0]}: ")
     assert printed.count("\n") == 1
     for word in words:
         assert word in printed

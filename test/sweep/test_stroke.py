@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from straightcomp_ros.configuration import read_parameter_file
+from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.sweep.stroke import can_run, run_stroke

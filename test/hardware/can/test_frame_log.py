@@ -246,7 +246,7 @@ def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, channel
         ("x", "bus.txt", [], "unknown log format"),
         ("", "bus.log", [], "has no frame of board 1"),
         ("", "bus.blf", [], "bus.blf'"),
-        ("", "bus.log", ["--speed", "0"], "--speed 0: allowed: 0.01 to 100"),
+        ("", "bus.log", ["--speed", "0"], "--speed 0; allowed: 0.01 to 100"),
         ("", "bus.log", ["--set", "driver.can.interface=pigeon"], "'pigeon' is not known"),
     ],
 )

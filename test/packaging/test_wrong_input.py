@@ -1,0 +1,123 @@
+"""What a verb is given by mistake: each is refused in one sentence that names it and says what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+
+BAG = str(Path(__file__).resolve().parents[2] / "bags" / "smc")
+SURVEY = str(Path(__file__).resolve().parents[2] / "bags" / "survey")
+CASES = [
+    ("frobnicate", "'frobnicate'"),
+    ("simulate --law pid", "'pid' (choose from"),
+    ("simulate --delay soon", "--delay: invalid float value: 'soon'"),
+    ("simulate --delay -1", "'lockstep_delay': -1.0 samples is too small; allowed: >= 0"),
+    ("simulate --delay nan", "is not finite"),
+    ("simulate --strokes 0", "--strokes 0; allowed: >= 1"),
+    ("simulate --set driver.simulated.plant.mass=-3", "-3.0 kg is too small; allowed: > 0"),
+    ("simulate --set driver.simulated.plant.mas=3", "did you mean 'simulated.plant.mass'?"),
+    ("simulate --set driver.simulated.plant.mass=[", "'[' is no YAML"),
+    ("simulate --set robot.mass=3", "one of driver, feedforward"),
+    ("simulate --set feedforward.map.file=none.csv", "survey none.csv: there is no such file"),
+    ("simulate --set feedforward.map.file=folder", "survey folder: is no file"),
+    ("simulate --set feedforward.map.file=wrong_unit.csv", "no column for x; found: x_kg"),
+    ("simulate --params-file none.yaml", "none.yaml: cannot be read: No such file"),
+    ("simulate --params-file folder", "folder: cannot be read: Is a directory"),
+    ("simulate --params-file empty.yaml", "'NODE: ros__parameters:'"),
+    ("simulate --params-file noise.mcap", "is not UTF-8"),
+    ("simulate --plot none/run.png", "--plot none/run.png: there is no folder none"),
+    ("simulate --plot folder.png", "--plot folder.png: is a folder"),
+    ("simulate --plot run.docx", "ends with .png, .svg, .pdf"),
+    ("simulate --learned none/table.csv", "--learned none/table.csv: there is no folder none"),
+    ("simulate --bag noise.mcap", "bag noise.mcap cannot be made: File exists"),
+    ("evaluate none", "bag none does not exist"),
+    ("evaluate folder", "bag folder"),
+    ("evaluate empty.mcap", "is empty: the recording was never started"),
+    ("evaluate noise.mcap", "is not an MCAP file"),
+    (f"evaluate {BAG} --report folder", "--report folder: is a folder"),
+    (f"evaluate {BAG} --remap encoder", "allowed: OURS:=THEIRS"),
+    ("recover none", "bag none does not exist"),
+    (f"recover {BAG} -o noise.mcap", "noise.mcap cannot be made: File exists"),
+    ("replay folder", "bag folder"),
+    (f"replay {BAG} --law pid", "'pid' is not known; allowed: one of linear"),
+    ("friction", "either a BAG or --excitation FILE"),
+    (f"friction {BAG} --output folder", "--output folder: is a folder"),
+    ("friction --excitation none/map.csv", "there is no folder none"),
+    ("map", "required: TOOL"),
+    ("map build none", "survey none does not exist"),
+    (f"map build {SURVEY} --step nan", "straightcomp map build: --step nan; allowed: 0.01 to 1000"),
+    (f"map build {SURVEY} --unit parsec", "'parsec' (choose from"),
+    (f"map build {SURVEY} --plot none/map.png", "there is no folder none"),
+    ("map convert folder -o survey.csv", "the ending '' tells no format"),
+    ("map convert noise.mcap --format etalon -o survey.csv", "is not UTF-8"),
+    ("map export -o table.cal --spacing -1", "--spacing -1; allowed: 0.1 to 1000 mm"),
+    ("reproduce -o noise.mcap", "--output noise.mcap: is a file"),
+    ("robustness --trials 0", "allowed: a whole number >= 1"),
+    ("robustness --range mass", "allowed: NAME=VALUE"),
+    ("robustness --range mass=-1", "'mass': -1.0"),
+    ("robustness --plot none/sweep.png", "there is no folder none"),
+    ("bench", "required: BENCH"),
+    ("bench bags --bag none", "bag none does not exist"),
+    ("bench bags --kill-runs -1", "--kill-runs -1; allowed: 0 to 10000"),
+    ("bench step --repeats 0", "straightcomp bench step: --repeats 0; allowed: 1 to 10000"),
+    ("bench can --frames 1", "--frames 1; allowed: 1000 to"),
+    ("can replay none.log", "none.log"),
+    ("can hub --socket bus --fault drop=2", "drop"),
+    ("can hub --socket bus --priority 99", "--priority 99; allowed: 0 to 98"),
+    ("dsp --drift-ppm 1e9", "--drift-ppm 1e+09; allowed: -1000 to 1000 ppm"),
+    ("view --namespace 2nd", "--namespace '2nd'; allowed: letters, digits and _"),
+    ("robustness --trials 1 --law linear --dask nowhere", "--dask nowhere; allowed: HOST:PORT"),
+    ("completion csh", "'csh' (choose from"),
+    ("doctor now", "unrecognized arguments: now"),
+]
+
+
+@pytest.fixture(autouse=True)
+def folder_of_wrong_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("folder", "folder.png"):
+        (tmp_path / name).mkdir()
+    for name in ("empty.mcap", "empty.yaml"):
+        (tmp_path / name).touch()
+    (tmp_path / "noise.mcap").write_bytes(bytes(range(255, 0, -1)) * 10)
+    (tmp_path / "wrong_unit.csv").write_text("x_kg,deviation_um\n0,1\n1,2\n")
+    monkeypatch.chdir(tmp_path)
+
+
+def refusal(words: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """The only line that a refused command prints."""
+    try:
+        code = main(words.split())
+    except SystemExit as ended:  # argparse
+        code = ended.code
+    printed = capsys.readouterr()
+    assert code in (1, 2)
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1, printed.err
+    assert printed.err.startswith("straightcomp")
+    return printed.err
+
+
+@pytest.mark.parametrize(("words", "expected"), CASES, ids=[words.replace(BAG, "BAG") for words, _ in CASES])
+def test_what_is_wrong_is_said_in_one_sentence(words: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert expected in refusal(words, capsys)
+
+
+@pytest.mark.parametrize("words", ["view", "demo", "faults", "soak", "bench graph", f"replay {BAG} --graph"])
+def test_without_rclpy_every_verb_that_needs_it_says_the_same(
+    words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("straightcomp_ros.launcher.ros_available", lambda: False)
+    assert "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install" in refusal(words, capsys)
+
+
+def test_trouble_with_a_file_that_no_verb_foresaw_is_a_sentence_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", "map.csv")
+
+    monkeypatch.setattr("straightcomp_ros.cli.friction.write_survey", full)
+    assert "straightcomp friction: map.csv: No space left on device" in refusal("friction --excitation map.csv", capsys)
