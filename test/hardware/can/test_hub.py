@@ -139,16 +139,16 @@ def test_without_a_hub_the_message_names_the_socket(tmp_path):
 def test_a_link_that_was_cut_is_opened_again_and_goes_on(hub):
     arrived = []
     parameters = CanParameters(interface=INTERFACE, channel=hub.path)
-    link = Link(parameters, [0x181], lambda message, stamp: arrived.append(message.data[0]), time.time_ns)
+    link = Link(parameters, [0x181], lambda frame, stamp: arrived.append(frame.data[0]), time.time_ns)
     assert "not open" in link.problem and not link.send(0x201, b"", fd=False)
     link.start()
     until(lambda: len(hub.hub._nodes) == 1)
     hub.hub.cut()
-    until(lambda: link.openings == 2 and not link.problem)
+    until(lambda: not link.wait(0.0) and link.openings == 2 and not link.problem)
     with hub.bus() as sender:
         until(lambda: len(hub.hub._nodes) == 2)
         sender.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=[7]))
-        until(lambda: arrived == [7])
+        assert link.wait(10.0) == 1 and arrived == [7]
         assert link.send(0x201, b"\1", fd=False)
         assert sender.recv(10).data == b"\1"
     link.close()
@@ -160,7 +160,7 @@ def test_a_link_waits_for_a_hub_that_comes_later(tmp_path):
     link.start()
     until(lambda: "no hub" in link.problem)
     hub = RunningHub(tmp_path / "bus")
-    until(lambda: link.openings == 1)
+    until(lambda: not link.wait(0.0) and link.openings == 1)
     link.close()
     hub.close()
 
