@@ -156,7 +156,7 @@ class DriverPart:
         now, system_now = now_ns(), self._system_ns()
         if not -self._clock_step_ns <= system_now - now - self._clock_offset_ns <= self._clock_step_ns:
             self._see_clock_step()
-        if self._newest is None or self._command_stamp_ns != self._newest.stamp_ns:
+        if self._unanswered:
             self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
         latenesses = [self._hand_out(sample) for sample, _ in samples]
@@ -164,14 +164,20 @@ class DriverPart:
             # Whom the sample has woken on this CPU is not to wait for the records.
             for _ in range(_TURNS_OF_OTHERS):
                 os.sched_yield()
+            # Usually the answer to this sample has come, and a machine on a bus waits for it.
+            self._fetch_commands(now_ns(), self._system_ns())
         self._publish_sample.copy()
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
             self._record(sample, truth, lateness)
-        # Usually the answer to this sample is among them, and the next one need not wait for this.
-        self._fetch_commands(now_ns(), self._system_ns())
+        if self._unanswered:
+            self._fetch_commands(now_ns(), self._system_ns())
         if self._hardware.fault and self._safety.fault is None:
             self._trip(self._hardware.fault_name, self._hardware.fault)
         return len(samples)
+
+    @property
+    def _unanswered(self) -> bool:
+        return self._newest is None or self._command_stamp_ns != self._newest.stamp_ns
 
     def _fetch_commands(self, now: int, system_now: int) -> None:
         for stamp_ns, numbers, received_ns in self._inbox.fetch():
