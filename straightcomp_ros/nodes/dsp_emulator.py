@@ -17,6 +17,9 @@ from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.straightness.map import load_map
 
 _MOST_PRIORITY = 98
+_LEAD_NS = 120_000
+"""What it takes this process to wake up, to simulate and to send, which a board does in no time: it begins so much
+before the sample's own time."""
 
 
 class Emulator:
@@ -35,29 +38,40 @@ class Emulator:
         self._refused = ""
         self.unsent = 0
         """Frames that the bus did not take."""
-        machine = SimulatedHardware(parameters.simulated, load_map(parameters.guide))
-        self.board = Board(
-            machine,
-            Codec(parameters.can.node, parameters.can.fd),
-            parameters.simulated.plant.drive.current_range,
-            self._send,
-            self._now_ns(),
-            tells_truth=parameters.can.simulated_stage,
-        )
-        self.loop = PeriodicLoop(round(machine.period_ns / self._rate), self._cycle)
+        self._parameters = parameters
+        self._machine = SimulatedHardware(parameters.simulated, load_map(parameters.guide))
+        self._board: Board | None = None
+        self.loop = PeriodicLoop(round(self._machine.period_ns / self._rate), self._cycle)
+
+    def _board_ns(self, monotonic_ns: int) -> int:
+        """The board's clock."""
+        return round((monotonic_ns - self._origin_ns) * self._rate)
 
     def _now_ns(self) -> int:
-        """The board's clock."""
-        return round((time.monotonic_ns() - self._origin_ns) * self._rate)
+        return self._board_ns(time.monotonic_ns())
 
-    def _cycle(self, _: int) -> None:
+    def _switched_on(self, wake_ns: int) -> Board:
+        # The board samples when this loop has woken: a sample is then not up to a period old when it is sent.
+        return Board(
+            self._machine,
+            Codec(self._parameters.can.node, self._parameters.can.fd),
+            self._parameters.simulated.plant.drive.current_range,
+            self._send,
+            self._board_ns(wake_ns) + _LEAD_NS,
+            tells_truth=self._parameters.can.simulated_stage,
+        )
+
+    def _cycle(self, wake_ns: int) -> None:
+        if self._board is None:
+            self._board = self._switched_on(wake_ns)
+        board = self._board
         for identifier, payload, sent_ns in self._line.receive():
             # Commands act from when they were on the bus, not from when this process got to them.
             late_ns = max(0, time.time_ns() - sent_ns)
-            self.board.receive(identifier, payload, self._now_ns() - late_ns)
-        self.board.cycle(self._now_ns())
-        if self.board.refused_trajectory != self._refused:
-            self._refused = self.board.refused_trajectory
+            board.receive(identifier, payload, self._now_ns() - late_ns)
+        board.cycle(self._now_ns() + _LEAD_NS)
+        if board.refused_trajectory != self._refused:
+            self._refused = board.refused_trajectory
             print(f"dsp_emulator: {self._refused}", file=sys.stderr, flush=True)
 
     def _send(self, identifier: int, payload: bytes, fd: bool) -> None:
@@ -65,7 +79,7 @@ class Emulator:
 
     def close(self) -> None:
         """Amplifier off, bus closed."""
-        self.board.machine.close()
+        self._machine.close()
         self._line.close()
 
 

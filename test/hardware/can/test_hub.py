@@ -6,10 +6,11 @@ import time
 import can
 import pytest
 
+from straightcomp_ros.hardware.can.board_line import HubLine
 from straightcomp_ros.hardware.can.faults import KINDS, Faults
 from straightcomp_ros.hardware.can.hub import Hub
-from straightcomp_ros.hardware.can.hub_bus import INTERFACE
-from straightcomp_ros.hardware.can.hub_packet import Flag, Frame, priority, to_packet
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
+from straightcomp_ros.hardware.can.hub_packet import FD_FRAME, Flag, Frame, priority, to_packet
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.interface import HardwareError
@@ -196,3 +197,33 @@ def test_faults_are_the_same_for_the_same_seed_and_unknown_ones_are_refused():
         Faults({"gnaw": 0.1})
     with pytest.raises(ValueError, match="rate of 2"):
         Faults({"drop": 2})
+
+
+def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(tmp_path):
+    line = HubLine(str(tmp_path / "bus"))
+    with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as first:
+        assert line.receive() == []
+        with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as second:
+            first.send(can.Message(arbitration_id=0x301, is_extended_id=False, is_fd=True, data=b"\1\2"))
+            first.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+            # The second node comes in, the first is heard: an error frame is nothing for the board.
+            received = line.receive() + line.receive()
+            assert [(identifier, payload) for identifier, payload, _ in received] == [(0x301, b"\1\2")]
+            assert 0 <= time.time_ns() - received[0][2] < 60e9
+            assert second.recv(10).arbitration_id == 0x301
+            assert line.send(0x381, bytes(16), True) and line.send(0x701, b"\5", False)
+            arrived = [[node.recv(10) for _ in range(3 if node is second else 2)] for node in (first, second)]
+    assert [message.arbitration_id for message in arrived[0]] == [0x381, 0x701]
+    assert arrived[0][0].is_fd and not arrived[0][1].is_fd
+    assert [message.arbitration_id for message in arrived[1]] == [0x40, 0x381, 0x701]
+    line.close()
+    assert not (tmp_path / "bus").exists()
+
+
+def test_a_node_may_read_frames_without_python_cans_messages(hub):
+    with hub.bus() as sender, hub.bus() as receiver:
+        until(lambda: len(hub.hub._nodes) == 2)
+        assert receiver.recv_frame(0.0) is None and receiver.recv_frame(0.001) is None
+        sender.send_frame(0x301, FD_FRAME, b"\1\2")
+        frame = receiver.recv_frame(10.0)
+        assert frame[1:] == (0x301, FD_FRAME, b"\1\2") and frame_of(message_of(frame))[1:] == frame[1:]
