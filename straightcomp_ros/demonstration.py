@@ -128,15 +128,8 @@ def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
 
 
 def emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
-    """Commands of the programs that stand for the bus and the board where the driver's bus is a hub, by name."""
+    """Commands of the programs that stand for the board and its bus where that is a hub, by name."""
     parameters = node_parameters("driver", driver)
     if parameters.hardware != "can" or parameters.can.interface != INTERFACE:
         return {}
-    return {
-        # As soon as the nodes: a bus that waits for a CPU is none.
-        "hub": verb_command(
-            *("can", "hub", "--socket", parameters.can.channel),
-            *("--priority", str(parameters.realtime.priority), "--json"),
-        ),
-        "board": verb_command("dsp", "--params-file", str(parameter_file)),
-    }
+    return {"board": verb_command("dsp", "--hub", "--params-file", str(parameter_file))}

@@ -108,12 +108,11 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         guide=guide,
         law=str(parameters.get("controller", {}).get("control.law", "unknown")),
     )
-    period_ns = float(np.median(np.diff(encoder)))
     driver = streams[DRIVER_STATE.topic].columns if DRIVER_STATE.topic in streams else {}
     latency, lateness = (driver.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
     return BagEvaluation(
         record=record,
-        expected_samples=round((encoder[-1] - encoder[0]) / period_ns) + 1,
+        expected_samples=_taken(encoder),
         received_samples=len(encoder),
         lost_references=_missing(encoder, reference),
         lost_commands=_missing(encoder, command),
@@ -128,6 +127,13 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
 def _unique(stream: StreamColumns) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Stamps in order, without repetitions (lockstep repeats a sample that got no answer), and their rows."""
     return np.unique(stream.stamp, return_index=True)
+
+
+def _taken(stamps: NDArray[np.int64]) -> int:
+    """Samples from the first of these to the last. They are counted from one to the next: the stamps of a board with a
+    quartz of its own lie on no grid for a whole run."""
+    steps = np.diff(stamps)
+    return 1 + int(np.maximum(1, np.round(steps / np.median(steps))).sum())
 
 
 def _missing(samples: NDArray[np.int64], answers: NDArray[np.int64]) -> int:

@@ -6,6 +6,7 @@ import json
 import signal
 import statistics
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,16 +20,18 @@ from numpy.typing import NDArray
 from straightcomp_ros.bench.processes import cores, usage
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.cycle import as_parameter_file
-from straightcomp_ros.demonstration import emulated_machine, on_hub
+from straightcomp_ros.demonstration import on_hub
 from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, Command, Switch
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.hardware.can.hub_packet import Frame
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.launcher import Graph, LaunchError
+from straightcomp_ros.launcher import Graph, LaunchError, verb_command
 
 _BURST, _BURSTS = 100, 20
 _PATIENCE_S = 30.0
+_LOOK_S = 0.1
 
 
 class RoundTripFailed(RuntimeError):
@@ -76,14 +79,18 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
     parameters = node_parameters("driver", driver).can
     file = folder / "parameters.yaml"
     file.write_text(as_parameter_file({"driver": driver}))
-    programs = emulated_machine(driver, file)
+    priority = str(node_parameters("driver", driver).realtime.priority)
+    programs = {
+        "hub": verb_command("can", "hub", "--socket", parameters.channel, "--fifo", priority),
+        "board": verb_command("dsp", "--params-file", str(file)),
+    }
     host = _Host(parameters)
     try:
         with Graph(folder / "logs") as graph:
             hub = graph.start_program("hub", programs["hub"])
             _until(lambda: (folder / "bus").is_socket(), "the hub makes no socket", graph, ["hub"])
             send_us, receive_us = _costs(parameters)
-            host.link.start()
+            host.start()
             graph.start_program("board", programs["board"])
             _until(lambda: bool(host.answers), "no sample came from the board", graph, ["hub", "board"])
             begin = usage({"hub": hub.pid})
@@ -93,13 +100,13 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
             lost = host.receiver.sequence.lost
             for _ in range(cuts):
                 _cut(hub, host, graph)
-            host.link.close()
+            host.close()
             graph.stop(["board", "hub"])
             counters = json.loads(graph.last_words("hub"))
     except (LaunchError, OSError, can.CanError) as error:
         raise RoundTripFailed(str(error)) from error
     finally:
-        host.link.close()
+        host.close()
     if not len(times):
         raise RoundTripFailed("no answer came through the hub")
     return RoundTrip(
@@ -108,7 +115,7 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
 
 
 class _Host:
-    """Answers each sample with "off" in the thread that received it."""
+    """Answers each sample with "off" in a thread of its own, as the driver's loop does."""
 
     def __init__(self, parameters: CanParameters) -> None:
         self.receiver = Receiver(parameters)
@@ -118,14 +125,32 @@ class _Host:
         self.sent_s: dict[int, float] = {}
         """When the board sent a sample, by the echo in the answer."""
         self._echoes = 2**32 if parameters.fd else 256
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="host", daemon=True)
 
-    def _receive(self, message: can.Message, arrival_ns: int) -> None:
-        self.receiver.receive(message.arbitration_id, bytes(message.data), arrival_ns)
+    def start(self) -> None:
+        """Open the bus and answer, until :meth:`close`."""
+        self.link.start()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.link.close()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            self.link.wait(_LOOK_S)
+
+    def _receive(self, frame: Frame, arrival_ns: int) -> None:
+        self.receiver.receive(frame.identifier, frame.data, arrival_ns)
         samples = self.receiver.samples
         if samples:
             number, *_ = samples.pop()
             samples.clear()
-            self.sent_s[number % self._echoes] = message.timestamp
+            self.sent_s[number % self._echoes] = frame.stamp_ns * 1e-9
             command = Command(self.answers % ALIVE_MODULUS, Switch.NO, Switch.NO, 0, number)
             self.link.send(self.codec.command_id, self.codec.pack_command(command), fd=self.codec.fd)
             self.answers += 1

@@ -12,7 +12,9 @@ from collections.abc import Sequence
 from straightcomp_ros.cli.output import CommandFailed, check_range
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import check_interface
+from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
@@ -26,6 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drift-ppm", type=float, default=0.0, metavar="PPM", help="error of the board's quartz (default: %(default)s)"
     )
+    parser.add_argument(
+        "--hub", action="store_true", help="be the hub of interface straightcomp_hub too, at the socket can.channel"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -36,8 +41,12 @@ def run(options: argparse.Namespace) -> int:
     check_range("--drift-ppm", options.drift_ppm, -_MOST_DRIFT_PPM, _MOST_DRIFT_PPM, "ppm")
     try:
         check_interface(parameters.can)
-        return emulate(parameters, options.drift_ppm * 1e-6)
-    except (ParameterError, SurveyError) as error:
+        if options.hub and parameters.can.interface != INTERFACE:
+            raise CommandFailed(
+                f"--hub with can.interface '{parameters.can.interface}': allowed: {INTERFACE}", exit_code=2
+            )
+        return emulate(parameters, options.drift_ppm * 1e-6, own_hub=options.hub)
+    except (ParameterError, SurveyError, HardwareError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
 
 

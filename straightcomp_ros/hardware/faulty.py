@@ -76,6 +76,9 @@ class FaultyHardware(Hardware):
         change = KINDS.get(self._kind)
         return [(change(sample, self._first), truth) for sample, truth in samples] if change else samples
 
+    def wait(self, timeout_ns: int) -> None:
+        self._inner.wait(timeout_ns)
+
     def start(self, now_ns: int) -> None:
         self._inner.start(now_ns)
 

@@ -126,8 +126,15 @@ class Hardware(ABC):
 
     @property
     def newest_arrival_ns(self) -> int | None:
-        """When the newest sample came in, if this machine sends samples by itself; a loop may lock to it."""
+        """When the newest sample came in, if this machine sends samples by itself: then :meth:`wait` for them."""
         return None
+
+    def wait(self, timeout_ns: int) -> None:
+        """Take in what the machine has sent; if nothing, wait for it, up to ``timeout_ns``.
+
+        Only for a machine that sends samples by itself; :meth:`read` has only those that were taken in here.
+        """
+        raise NotImplementedError
 
     def counters(self) -> Mapping[str, object]:
         """What this backend counts besides lost samples, for diagnostics."""

@@ -27,10 +27,10 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.nodes.clock import from_monotonic, now_ns
 from straightcomp_ros.nodes.copies import CopiedPublisher
 from straightcomp_ros.nodes.diagnostics import Diagnostics
+from straightcomp_ros.nodes.locked_loop import LockedLoop
 from straightcomp_ros.nodes.lockstep import Lockstep
 from straightcomp_ros.nodes.managed import ManagedNode
-from straightcomp_ros.nodes.periodic import PeriodicLoop
-from straightcomp_ros.nodes.phase_lock import PhaseLock
+from straightcomp_ros.nodes.periodic import Loop, PeriodicLoop
 from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.safety_panel import SafetyPanel
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
@@ -41,8 +41,10 @@ from straightcomp_ros.straightness.map import load_map
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import AMPLIFIER, LATENCY, LOST, OVERRUNS, SAMPLES, written
 
-_SAMPLE_WAIT_NS = 100_000
-"""How long a sample that came by itself is to wait for the loop: the receiving thread needs some of it."""
+_ANSWER_LOOK_NS = 100_000
+"""Time between two looks for a command that was not there at the end of its sample's cycle."""
+_ANSWER_SAMPLES = 4
+"""Commands older than this are not waited for: there is nobody who answers."""
 _SLOW_WATCH_S = 0.05
 _TURNS_OF_OTHERS = 3
 """The middleware's thread that receives the sample, the controller, and our own thread that receives the command."""
@@ -70,7 +72,6 @@ class DriverPart:
         self._command_timeout_ns = round(parameters.machine.command_timeout * 1e9)
         self._hardware = hardware or make_hardware(parameters)
         period_ns = round(1e9 / parameters.machine.rate)
-        self._phase = PhaseLock(period_ns, _SAMPLE_WAIT_NS)
         self._publish_sample = CopiedPublisher(node, ENCODER, copied=not parameters.lockstep)
         self._publish_position = publisher(node, POSITION)
         self._publish_truth = BurstPublisher(node, TRUTH)
@@ -90,7 +91,8 @@ class DriverPart:
         self._lockstep: Lockstep | None = None
         node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10)
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
-        self.loop: PeriodicLoop | None = None
+        self.loop: Loop | None = None
+        self._answer_within_ns = _ANSWER_SAMPLES * period_ns
         self._unspun: Node | None = None
         if parameters.lockstep:
             subscribe(node, COMMAND, self._on_lockstep_command)
@@ -98,7 +100,10 @@ class DriverPart:
         else:
             self._unspun = unspun_node(node)
             self._inbox = Inbox(node, self._unspun, COMMAND)
-            self.loop = PeriodicLoop(period_ns, self._cycle)
+            if self._hardware.newest_arrival_ns is None:
+                self.loop = PeriodicLoop(period_ns, self._cycle)
+            else:
+                self.loop = LockedLoop(period_ns, self._wait, self._follow)
         machine = parameters.hardware
         if machine == "can":
             machine = f"can {parameters.can.interface} {parameters.can.channel} node {parameters.can.node}"
@@ -128,7 +133,20 @@ class DriverPart:
 
         return take_over
 
-    def _cycle(self, wake_ns: int) -> None:
+    def _wait(self, timeout_ns: int) -> None:
+        """Until the machine has sent something; less long while the command for its last sample is under way."""
+        newest_ns = self._newest.stamp_ns if self._newest else 0
+        if 0 < newest_ns - self._command_stamp_ns < self._answer_within_ns:
+            timeout_ns = _ANSWER_LOOK_NS
+        self._hardware.wait(timeout_ns)
+
+    def _follow(self) -> tuple[int, int]:
+        """A cycle whose time the machine's samples give: how many there were, and for how long the newest waited."""
+        begin_ns = now_ns()
+        samples = self._cycle(time.monotonic_ns())
+        return samples, begin_ns - (self._hardware.newest_arrival_ns or begin_ns)
+
+    def _cycle(self, wake_ns: int) -> int:
         if not self._started:
             # The machine samples when this loop is to wake: a sample is then never a period old when fetched.
             self._hardware.start(from_monotonic(wake_ns))
@@ -138,7 +156,7 @@ class DriverPart:
         finding = self._clock_watch.check(now, system_now)
         if finding is not None:
             self._trip(*finding)
-        if self._newest is None or self._command_stamp_ns != self._newest.stamp_ns:
+        if self._unanswered:
             self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
         latenesses = [self._hand_out(sample) for sample, _ in samples]
@@ -146,16 +164,20 @@ class DriverPart:
             # Whom the sample has woken on this CPU is not to wait for the records.
             for _ in range(_TURNS_OF_OTHERS):
                 os.sched_yield()
+            # Usually the answer to this sample has come, and a machine on a bus waits for it.
+            self._fetch_commands(now_ns(), self._system_ns())
         self._publish_sample.copy()
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
             self._record(sample, truth, lateness)
-        # Usually the answer to this sample is among them, and the next one need not wait for this.
-        self._fetch_commands(now_ns(), self._system_ns())
+        if self._unanswered:
+            self._fetch_commands(now_ns(), self._system_ns())
         if self._hardware.fault and self._safety.fault is None:
             self._trip(self._hardware.fault_name, self._hardware.fault)
-        arrival_ns = self._hardware.newest_arrival_ns
-        if samples and arrival_ns is not None and self.loop:
-            self.loop.shift(self._phase.shift_ns(now - arrival_ns))
+        return len(samples)
+
+    @property
+    def _unanswered(self) -> bool:
+        return self._newest is None or self._command_stamp_ns != self._newest.stamp_ns
 
     def _fetch_commands(self, now: int, system_now: int) -> None:
         for stamp_ns, numbers, received_ns in self._inbox.fetch():

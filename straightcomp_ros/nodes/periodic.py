@@ -38,7 +38,7 @@ class PeriodicLoop:
         cycle: the work of one period; gets the monotonic time in ns at which the period was to start.
     """
 
-    def __init__(self, period_ns: int, cycle: Callable[[int], None]) -> None:
+    def __init__(self, period_ns: int, cycle: Callable[[int], object]) -> None:
         self._period_ns = period_ns
         self._cycle = cycle
         self.cycles = 0
@@ -46,11 +46,6 @@ class PeriodicLoop:
         self.overruns = 0
         """Periods that were missed."""
         self._timer_errors = Histogram()
-        self._shift_ns = 0
-
-    def shift(self, shift_ns: int) -> None:
-        """Move all wake-ups from the next one on by ``shift_ns``."""
-        self._shift_ns += shift_ns
 
     def report(self) -> dict[str, object]:
         """Values for the diagnostics: overruns, and how late the wake-ups since the last report were."""
@@ -76,8 +71,7 @@ class PeriodicLoop:
             if wake_ns >= next_idle_ns:
                 idle()
                 next_idle_ns = wake_ns + IDLE_EVERY_NS
-            wake_ns += period_ns + self._shift_ns
-            self._shift_ns = 0
+            wake_ns += period_ns
             behind_ns = monotonic_ns() - wake_ns
             if behind_ns > 0:
                 missed = behind_ns // period_ns

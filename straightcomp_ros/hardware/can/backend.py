@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-import can
-
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     COUNTER_MODULUS,
@@ -17,6 +15,7 @@ from straightcomp_ros.hardware.can.frames import (
     Command,
     Switch,
 )
+from straightcomp_ros.hardware.can.hub_packet import ERROR, REMOTE, Frame
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
@@ -26,6 +25,9 @@ from straightcomp_ros.model.stage import Trajectory
 
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
+
+_TURNS = 3
+"""Times that frames may come without a sample among them until the watch has its turn."""
 
 
 class CanHardware(Hardware):
@@ -64,7 +66,14 @@ class CanHardware(Hardware):
         """Times that the heartbeat ceased while the amplifier was on."""
 
     def start(self, now_ns: int) -> None:
+        # After a pause in which nobody has read, the board may be another one.
+        self._receiver.restart()
         self._link.start()
+
+    def wait(self, timeout_ns: int) -> None:
+        for _ in range(_TURNS):
+            if not self._link.wait(timeout_ns * 1e-9) or self._receiver.samples:
+                break
 
     def read(self, now_ns: int) -> list[tuple[Sample, Truth | None]]:
         self._watch(now_ns)
@@ -178,11 +187,12 @@ class CanHardware(Hardware):
                 counters["can_log"] = link.log.problem
         return counters
 
-    def _receive(self, message: can.Message, arrival_ns: int) -> None:
-        if message.is_error_frame:
-            self._receiver.receive_error_frame(message.arbitration_id, bytes(message.data))
-        elif not message.is_remote_frame and not message.is_extended_id:
-            self._receiver.receive(message.arbitration_id, bytes(message.data), arrival_ns)
+    def _receive(self, frame: Frame, arrival_ns: int) -> None:
+        _, identifier, flags, data = frame
+        if flags & ERROR:
+            self._receiver.receive_error_frame(identifier, data)
+        elif not flags & REMOTE:
+            self._receiver.receive(identifier, data, arrival_ns)
 
     def _upsets(self) -> dict[str, int]:
         """Counts of what must not happen while the amplifier is on, by the words for it."""

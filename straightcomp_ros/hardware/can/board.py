@@ -174,9 +174,10 @@ class Board:
         frame = Encoder(
             self._counter % ALIVE_MODULUS, status, x if valid else 0, y if valid else 0, current, self._counter
         )
+        encoder = codec.pack_encoder(frame)
         if self._tells_truth:
             self._send(codec.ids.truth, truth_payload(self._counter, truth), True)
-        self._send(codec.encoder_id, codec.pack_encoder(frame), codec.fd)
+        self._send(codec.encoder_id, encoder, codec.fd)
         if not codec.fd and self._counter % CURRENT_EVERY == 0:
             self._send(
                 codec.ids.current, codec.pack_current(Current(self._current_alive, current, self._counter)), False

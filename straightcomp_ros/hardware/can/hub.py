@@ -19,6 +19,7 @@ from straightcomp_ros.hardware.interface import HardwareError
 
 _AT_ONCE = 16
 """Frames between two looks for those of others."""
+_LONGEST_WAIT_MS = 100
 _BUFFER = 1 << 20
 
 FaultHook = Callable[[Frame], list[Frame]]
@@ -31,14 +32,19 @@ class Hub:
         path: of the socket, made here and removed by :meth:`close`.
         fault: ``fault(frame)`` gives the frames that arrive in the place of one, or raises
             :class:`~straightcomp_ros.hardware.can.faults.LinkCut`.
+        member: ``member(packet)`` gets the frames for a node that lives in the hub's own process, and sends by
+            :meth:`put`.
 
     Raises:
         HardwareError: the socket cannot be made, or another hub listens on it.
     """
 
-    def __init__(self, path: str | Path, fault: FaultHook | None = None) -> None:
+    def __init__(
+        self, path: str | Path, fault: FaultHook | None = None, member: Callable[[bytes], object] | None = None
+    ) -> None:
         self._path = Path(path)
         self._fault = fault
+        self._member = member
         self.passed = 0
         """Frames that came in."""
         self.dropped = 0
@@ -70,20 +76,28 @@ class Hub:
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Serve until ``stopped()``, which is asked ten times a second at least."""
-        waiting, nodes, listener = self._waiting, self._nodes, self._listener.fileno()
         while not stopped():
-            for descriptor, _ in self._readable.poll(0 if waiting else 100):
-                if descriptor == listener:
-                    self._accept()
-                elif descriptor in nodes and nodes[descriptor] not in waiting:
-                    # Otherwise it has gone while others were served, or its frame has its turn below.
-                    self._fetch(nodes[descriptor])
-            for _ in range(_AT_ONCE):
-                if not waiting:
-                    break
-                sender = next(iter(waiting)) if len(waiting) == 1 else min(waiting, key=lambda n: priority(waiting[n]))
-                self._pass_on(sender, waiting.pop(sender))
-                self._fetch(sender)
+            self.serve(_LONGEST_WAIT_MS)
+
+    def serve(self, timeout_ms: int) -> None:
+        """Pass frames on, some at most; wait for the first up to ``timeout_ms``."""
+        waiting, nodes, listener = self._waiting, self._nodes, self._listener.fileno()
+        for descriptor, _ in self._readable.poll(0 if waiting else timeout_ms):
+            if descriptor == listener:
+                self._accept()
+            elif descriptor in nodes and nodes[descriptor] not in waiting:
+                # Otherwise it has gone while others were served, or its frame has its turn below.
+                self._fetch(nodes[descriptor])
+        for _ in range(_AT_ONCE):
+            if not waiting:
+                break
+            sender = next(iter(waiting)) if len(waiting) == 1 else min(waiting, key=lambda n: priority(waiting[n]))
+            self._pass_on(sender, waiting.pop(sender))
+            self._fetch(sender)
+
+    def put(self, packet: bytes) -> None:
+        """A frame of the ``member``: to all others."""
+        self._pass_on(None, packet)
 
     def cut(self) -> None:
         """Cut the link: every node loses its connection, and may connect again."""
@@ -125,7 +139,7 @@ class Hub:
         elif node.fileno() in self._nodes:
             self._forget(node)
 
-    def _pass_on(self, sender: socket.socket, packet: bytes) -> None:
+    def _pass_on(self, sender: socket.socket | None, packet: bytes) -> None:
         self.passed += 1
         if self._fault is None:
             self._spread(sender, packet)
@@ -138,7 +152,9 @@ class Hub:
         for frame in arriving:
             self._spread(sender, to_packet(frame))
 
-    def _spread(self, sender: socket.socket, packet: bytes) -> None:
+    def _spread(self, sender: socket.socket | None, packet: bytes) -> None:
+        if self._member is not None and sender is not None:
+            self._member(packet)
         for node in self._nodes.values():
             if node is not sender:
                 try:

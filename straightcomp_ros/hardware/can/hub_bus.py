@@ -18,6 +18,16 @@ from straightcomp_ros.hardware.can.hub_packet import LONGEST, Flag, Frame, from_
 
 INTERFACE = "straightcomp_hub"
 _BUFFER = 1 << 20
+_SELECTABLE = 1024
+_BITS = (
+    ("is_extended_id", Flag.EXTENDED),
+    ("is_remote_frame", Flag.REMOTE),
+    ("is_error_frame", Flag.ERROR),
+    ("is_fd", Flag.FD),
+    ("bitrate_switch", Flag.BIT_RATE_SWITCH),
+)
+_KINDS = [{name: bool(flags & bit) for name, bit in _BITS} for flags in range(256)]
+"""What each combination of flags is to python-can; looked up, since each operation on them takes microseconds."""
 
 
 class HubBus(can.BusABC):
@@ -47,25 +57,29 @@ class HubBus(can.BusABC):
         super().__init__(channel=channel, can_filters=can_filters, **options)
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+    def recv_frame(self, timeout: float) -> Frame | None:
+        """The next frame, whatever its identifier, without a message of python-can, which costs as much as all else;
+        None if none has come within ``timeout`` s.
+
+        Raises:
+            can.CanOperationError: the hub is gone.
+        """
+        if timeout and not self._wait(timeout):
+            return None
+        return self._frame()
+
+    def send_frame(self, identifier: int, flags: int, data: bytes) -> None:
+        """Hand a frame to the hub, as :meth:`send` does.
+
+        Raises:
+            can.CanOperationError: the socket's buffer is full, or the hub is gone.
+        """
         try:
-            packet = self._socket.recv(LONGEST)
-        except BlockingIOError:
-            if timeout == 0.0 or not self._readable.poll(None if timeout is None else max(1, round(timeout * 1e3))):
-                return None, False
-            try:
-                packet = self._socket.recv(LONGEST)
-            except BlockingIOError:
-                return None, False
-            except OSError as error:
-                raise can.CanOperationError(f"hub: {error.strerror}") from error
+            self._socket.send(to_packet(Frame(time.time_ns(), identifier, flags, data)))
+        except BlockingIOError as error:
+            raise can.CanOperationError("transmit buffer full") from error
         except OSError as error:
             raise can.CanOperationError(f"hub: {error.strerror}") from error
-        if not packet:
-            raise can.CanOperationError("the hub closed the connection")
-        message = _message(from_packet(packet))
-        # Filters are for identifiers, and an error frame has none: it passes, as with socketcan.
-        return message, message.is_error_frame
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand a frame to the hub; its stamp is the time of this call.
@@ -74,16 +88,41 @@ class HubBus(can.BusABC):
             can.CanOperationError: the socket's buffer is full for ``timeout`` seconds (not waiting, if None), or
                 the hub is gone.
         """
-        packet = to_packet(Frame(time.time_ns(), msg.arbitration_id, _flags(msg), bytes(msg.data)))
         try:
-            self._socket.send(packet)
-        except BlockingIOError as error:
-            if timeout and select.select([], [self._socket], [], timeout)[1]:
-                self.send(msg)
-                return
-            raise can.CanOperationError("transmit buffer full") from error
+            self.send_frame(msg.arbitration_id, _flags(msg), bytes(msg.data))
+        except can.CanOperationError as error:
+            full = isinstance(error.__cause__, BlockingIOError)
+            if not (full and timeout and select.select([], [self._socket], [], timeout)[1]):
+                raise
+            self.send_frame(msg.arbitration_id, _flags(msg), bytes(msg.data))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        frame = self._frame()
+        if frame is None and timeout != 0.0 and self._wait(timeout):
+            frame = self._frame()
+        if frame is None:
+            return None, False
+        message = message_of(frame)
+        # Filters are for identifiers, and an error frame has none: it passes, as with socketcan.
+        return message, message.is_error_frame
+
+    def _frame(self) -> Frame | None:
+        try:
+            packet = self._socket.recv(LONGEST)
+        except BlockingIOError:
+            return None
         except OSError as error:
             raise can.CanOperationError(f"hub: {error.strerror}") from error
+        if not packet:
+            raise can.CanOperationError("the hub closed the connection")
+        return from_packet(packet)
+
+    def _wait(self, timeout: float | None) -> bool:
+        """Whether there is something to read within ``timeout``."""
+        # select() knows times below a millisecond, but no descriptors from 1024 on.
+        if self._socket.fileno() < _SELECTABLE:
+            return bool(select.select([self._socket], [], [], timeout)[0])
+        return bool(self._readable.poll(None if timeout is None else max(1, round(timeout * 1e3))))
 
     def shutdown(self) -> None:
         """Leave the bus."""
@@ -97,6 +136,17 @@ class HubBus(can.BusABC):
         return self._socket.fileno()
 
 
+def frame_of(message: can.Message) -> Frame:
+    """python-can's message as a frame."""
+    return Frame(round(message.timestamp * 1e9), message.arbitration_id, _flags(message), bytes(message.data))
+
+
+def message_of(frame: Frame) -> can.Message:
+    """A frame as python-can's message."""
+    stamp_ns, identifier, flags, data = frame
+    return can.Message(timestamp=stamp_ns * 1e-9, arbitration_id=identifier, data=data, **_KINDS[flags])
+
+
 def _flags(message: can.Message) -> int:
     return (
         message.is_extended_id * Flag.EXTENDED
@@ -104,18 +154,4 @@ def _flags(message: can.Message) -> int:
         | message.is_error_frame * Flag.ERROR
         | message.is_fd * Flag.FD
         | message.bitrate_switch * Flag.BIT_RATE_SWITCH
-    )
-
-
-def _message(frame: Frame) -> can.Message:
-    flags = frame.flags
-    return can.Message(
-        timestamp=frame.stamp_ns * 1e-9,
-        arbitration_id=frame.identifier,
-        is_extended_id=bool(flags & Flag.EXTENDED),
-        is_remote_frame=bool(flags & Flag.REMOTE),
-        is_error_frame=bool(flags & Flag.ERROR),
-        is_fd=bool(flags & Flag.FD),
-        bitrate_switch=bool(flags & Flag.BIT_RATE_SWITCH),
-        data=frame.data,
     )

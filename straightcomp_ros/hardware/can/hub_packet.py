@@ -20,6 +20,14 @@ class Flag(enum.IntFlag):
     BIT_RATE_SWITCH = 16
 
 
+# Plain numbers: an operation on an IntFlag takes some microseconds, and each frame would pay for it.
+ERROR = int(Flag.ERROR)
+EXTENDED = int(Flag.EXTENDED)
+REMOTE = int(Flag.REMOTE)
+FD_FRAME = int(Flag.FD | Flag.BIT_RATE_SWITCH)
+"""What this package sends on CAN FD."""
+
+
 class Frame(NamedTuple):
     """A frame on the bus; ``stamp_ns`` is the system's time at which it was there, ns since the epoch."""
 
@@ -42,7 +50,7 @@ def from_packet(packet: bytes) -> Frame:
 def priority(packet: bytes) -> tuple[int, int, int]:
     """Order in which frames win the bus, the lowest first: as the bits of their identifiers go out."""
     _, identifier, flags = _HEAD.unpack_from(packet)
-    if flags & Flag.EXTENDED:
+    if flags & EXTENDED:
         # The first eleven bits are sent alike; then a standard frame wins.
         return identifier >> 18, 1, identifier & 0x3FFFF
     return identifier, 0, 0

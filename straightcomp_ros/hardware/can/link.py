@@ -1,7 +1,8 @@
-"""A python-can bus that is opened again when it fails, read by a thread of its own.
+"""A python-can bus that is opened again when it fails, read by the thread that acts on what comes.
 
-python-can's Notifier ends with the first error and says nothing of silence; here an error closes the bus, and the
-thread tries again, at first soon, then less often.
+python-can's Notifier ends with the first error and says nothing of silence; here an error closes the bus, and it is
+opened again, at first soon, then less often. Opening may take seconds, and has a thread of its own. Reading has none:
+from one thread to another each frame would pay for a wake-up and for the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -16,14 +17,15 @@ from typing import Any
 import can
 
 from straightcomp_ros.hardware.can.frame_log import FrameLog
+from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
+from straightcomp_ros.hardware.can.hub_packet import ERROR, EXTENDED, FD_FRAME, Frame
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.parameters import ParameterError
 
 _SHORTEST_WAIT_S, _LONGEST_WAIT_S = 0.02, 1.0
-_RECEIVE_TIMEOUT_S = 0.1
 _AT_ONCE = 256
 _PAUSE_S = 0.0005
-_SAME_CLOCK_S = 5.0
+_SAME_CLOCK_NS = 5_000_000_000
 
 
 def check_interface(parameters: CanParameters) -> None:
@@ -52,12 +54,12 @@ def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | No
 
 
 class Link:
-    """Frames in by a callback, frames out by :meth:`send`; neither waits for the other.
+    """Frames in by :meth:`wait`, which calls back, frames out by :meth:`send`; one thread calls both.
 
     Args:
         parameters: which bus.
         identifiers: CAN identifiers to let through.
-        receive: ``receive(message, arrival_ns)``, called in the thread for each frame.
+        receive: ``receive(frame, arrival_ns)``, called for each frame.
         clock: the host's time in ns, as :mod:`straightcomp_ros.hardware.interface` has it.
 
     Raises:
@@ -69,107 +71,143 @@ class Link:
         self,
         parameters: CanParameters,
         identifiers: Sequence[int],
-        receive: Callable[[can.Message, int], None],
+        receive: Callable[[Frame, int], None],
         clock: Callable[[], int],
     ) -> None:
         check_interface(parameters)
         self._parameters = parameters
         self.log = FrameLog(Path(parameters.log).expanduser(), parameters.channel) if parameters.log else None
+        self._identifiers = frozenset(identifiers)
         self._filters = [{"can_id": identifier, "can_mask": 0x7FF, "extended": False} for identifier in identifiers]
         self._receive = receive
         self._clock = clock
         self._bus: can.BusABC | None = None
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="can", daemon=True)
+        self._opener: threading.Thread | None = None
+        self._closing = False
+        self._wait_s = _SHORTEST_WAIT_S
+        self._next_opening_s = 0.0
         self.openings = 0
         """Times that the bus was opened."""
         self.transmit_full = 0
         """Frames that were not sent because the queue was full or the bus closed."""
         self.overloads = 0
         """Times that more frames came at once than were read at once."""
-        self.problem = f"CAN {parameters.interface} {parameters.channel} is not open yet"
+        self._started = False
+        self._name = f"CAN {parameters.interface} {parameters.channel}"
+        self.problem = f"{self._name} is not open yet"
         """Why the bus is closed; empty while it is open."""
 
     def start(self) -> None:
-        """Start the thread, once: it takes this thread's scheduling."""
-        if self._thread.ident is not None:
-            return
-        # Both threads have the same priority: one that held the interpreter and got no CPU would hold up the other, and
-        # the driver's loop.
-        if self.log:
+        """Open the bus; again, where nobody has read for a while: what has come meanwhile is old."""
+        if self.log and not self._started:
             self.log.start()
-        self._thread.start()
+        self._started = True
+        if self._bus is not None:
+            self.problem = f"{self._name} is being opened again"
+            self._drop(self._bus)
+        self._open_soon()
+
+    def wait(self, timeout_s: float) -> int:
+        """Take the frames that have come; without one wait for the first, up to ``timeout_s``. Returns how many."""
+        bus = self._bus
+        if bus is None:
+            self._open_soon()
+            time.sleep(timeout_s)
+            return 0
+        try:
+            return self._read(bus, timeout_s)
+        except Exception as error:
+            # Back ends of python-can raise whatever their drivers do; the driver's loop must not end of any of it.
+            self._lose(bus, error)
+            return 0
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
-        """Hand a frame to the bus, without waiting; False if it was not taken. One thread may call this."""
-        bus = self._bus
-        message = can.Message(
-            arbitration_id=identifier,
-            is_extended_id=False,
-            data=payload,
-            is_fd=fd,
-            bitrate_switch=fd,
-        )
+        """Hand a frame to the bus, without waiting; False if it was not taken."""
+        bus, flags = self._bus, FD_FRAME if fd else 0
         try:
             if bus is not None:
-                bus.send(message, timeout=0)
+                if isinstance(bus, HubBus):
+                    bus.send_frame(identifier, flags, payload)
+                else:
+                    bus.send(message_of(Frame(0, identifier, flags, payload)), timeout=0)
                 if self.log:
-                    message.timestamp, message.is_rx = time.time(), False
+                    message = message_of(Frame(time.time_ns(), identifier, flags, payload))
+                    message.is_rx = False
                     self.log.put(message)
                 return True
         except (can.CanError, OSError, ValueError):
-            # The thread finds out what is wrong, if it is more than a full queue.
+            # Reading finds out what is wrong, if it is more than a full queue.
             pass
         self.transmit_full += 1
         return False
 
     def close(self) -> None:
-        """End the thread and close the bus."""
-        self._closing.set()
-        if self._thread.is_alive():
-            self._thread.join(2.0)
+        """Close the bus."""
+        self._closing = True
+        if self._opener is not None:
+            self._opener.join(2.0)
+        self._drop(self._bus)
         if self.log:
             self.log.close()
 
-    def _run(self) -> None:
-        wait_s = _SHORTEST_WAIT_S
-        while not self._closing.is_set():
-            try:
-                self._bus = opened_bus(self._parameters, self._filters)
-                self.openings += 1
-                self.problem = ""
-                wait_s = _SHORTEST_WAIT_S
-                self._read(self._bus)
-            except Exception as error:
-                # Back ends of python-can raise whatever their drivers do; a thread must not die of any of it.
-                parameters = self._parameters
-                self.problem = f"CAN {parameters.interface} {parameters.channel}: {error}"
-            finally:
-                bus, self._bus = self._bus, None
-                if bus is not None:
-                    with contextlib.suppress(Exception):
-                        bus.shutdown()
-            self._closing.wait(wait_s)
-            wait_s = min(2.0 * wait_s, _LONGEST_WAIT_S)
+    def _open_soon(self) -> None:
+        busy = self._opener is not None and self._opener.is_alive()
+        if self._bus is None and not busy and time.monotonic() >= self._next_opening_s:
+            # It takes this thread's scheduling: one that held the interpreter and got no CPU would hold up the loop.
+            self._opener = threading.Thread(target=self._open, name="can", daemon=True)
+            self._opener.start()
 
-    def _read(self, bus: can.BusABC) -> None:
-        while not self._closing.is_set():
-            message = bus.recv(_RECEIVE_TIMEOUT_S)
-            taken = 0
-            while message is not None:
-                self._receive(message, self._arrival(message))
+    def _open(self) -> None:
+        try:
+            bus = opened_bus(self._parameters, self._filters)
+        except Exception as error:
+            self._lose(None, error)
+            return
+        self.openings += 1
+        self.problem = ""
+        self._wait_s = _SHORTEST_WAIT_S
+        self._bus = bus
+        if self._closing:
+            self._drop(bus)
+
+    def _lose(self, bus: can.BusABC | None, error: Exception) -> None:
+        self.problem = f"{self._name}: {error}"
+        self._drop(bus)
+        self._next_opening_s = time.monotonic() + self._wait_s
+        self._wait_s = min(2.0 * self._wait_s, _LONGEST_WAIT_S)
+
+    def _drop(self, bus: can.BusABC | None) -> None:
+        self._bus = None
+        if bus is not None:
+            with contextlib.suppress(Exception):
+                bus.shutdown()
+
+    def _read(self, bus: can.BusABC, timeout_s: float) -> int:
+        frame = _next_frame(bus, timeout_s)
+        taken = 0
+        while frame is not None:
+            # The hub's interface has not filtered, and an error frame has no identifier.
+            if (frame.identifier in self._identifiers and not frame.flags & EXTENDED) or frame.flags & ERROR:
+                self._receive(frame, self._arrival(frame.stamp_ns))
                 if self.log:
-                    self.log.put(message)
-                taken += 1
-                if taken >= _AT_ONCE:
-                    # A babbling node must not keep the driver's own loop from running.
-                    self.overloads += 1
-                    time.sleep(_PAUSE_S)
-                    break
-                message = bus.recv(0)
+                    self.log.put(message_of(frame))
+            taken += 1
+            if taken >= _AT_ONCE:
+                # A babbling node must not keep the other nodes from running.
+                self.overloads += 1
+                time.sleep(_PAUSE_S)
+                break
+            frame = _next_frame(bus, 0.0)
+        return taken
 
-    def _arrival(self, message: can.Message) -> int:
+    def _arrival(self, stamp_ns: int) -> int:
         """When the frame was on the bus: the adapter's time, if it is the system's, else now."""
-        now_ns = self._clock()
-        late = time.time() - message.timestamp
-        return now_ns - round(late * 1e9) if 0.0 <= late < _SAME_CLOCK_S else now_ns
+        now_ns, late_ns = self._clock(), time.time_ns() - stamp_ns
+        return now_ns - late_ns if 0 <= late_ns < _SAME_CLOCK_NS else now_ns
+
+
+def _next_frame(bus: can.BusABC, timeout_s: float) -> Frame | None:
+    if isinstance(bus, HubBus):
+        return bus.recv_frame(timeout_s)
+    message = bus.recv(timeout_s)
+    return None if message is None else frame_of(message)

@@ -11,15 +11,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import can
-
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.faults import Faults, LinkCut
 from straightcomp_ros.hardware.can.frames import POSITION_COUNT, Amplifier, Codec
-from straightcomp_ros.hardware.can.hub_packet import Flag, Frame
+from straightcomp_ros.hardware.can.hub_packet import ERROR, Flag, Frame
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
@@ -124,7 +122,7 @@ class _Trial:
         self,
         parameters: CanParameters,
         identifiers: Sequence[int],
-        receive: Callable[[can.Message, int], None],
+        receive: Callable[[Frame, int], None],
         clock: Callable[[], int],
     ) -> _Trial:
         self._identifiers, self._receive = identifiers, receive
@@ -133,7 +131,7 @@ class _Trial:
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
         """From the host to the board."""
         for frame in self._arriving(self.to_board, identifier, payload, fd):
-            if not frame.flags & Flag.ERROR:
+            if not frame.flags & ERROR:
                 self._board.receive(frame.identifier, frame.data, self.now)
         return True
 
@@ -142,16 +140,8 @@ class _Trial:
             sent = self._codec.unpack_encoder(payload)
             self._taken.append((sent.x * POSITION_COUNT, sent.y * POSITION_COUNT))
         for frame in self._arriving(self.to_host, identifier, payload, fd):
-            error = bool(frame.flags & Flag.ERROR)
-            if error or frame.identifier in self._identifiers:
-                message = can.Message(
-                    arbitration_id=frame.identifier,
-                    is_extended_id=False,
-                    is_error_frame=error,
-                    is_fd=fd and not error,
-                    data=frame.data,
-                )
-                self._receive(message, self.now + _TRANSIT_NS)
+            if frame.flags & ERROR or frame.identifier in self._identifiers:
+                self._receive(frame, self.now + _TRANSIT_NS)
 
     def _arriving(self, faults: Faults, identifier: int, payload: bytes, fd: bool) -> list[Frame]:
         if self.now < self._dead_until:

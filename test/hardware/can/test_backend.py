@@ -4,7 +4,6 @@ import itertools
 import math
 from types import SimpleNamespace
 
-import can
 import pytest
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
@@ -12,6 +11,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Command, Switch
+from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, Frame
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
@@ -57,8 +57,7 @@ class World:
 
     def _from_board(self, identifier, payload, fd):
         if self.to_host and identifier in self._identifiers:
-            message = can.Message(arbitration_id=identifier, is_extended_id=False, data=payload, is_fd=fd)
-            self._receive(message, self.now + 100_000)
+            self._receive(Frame(self.now, identifier, FD_FRAME if fd else 0, payload), self.now + 100_000)
 
     def run(self, seconds, current=0.0):
         for _ in range(round(seconds * 2000)):
@@ -173,7 +172,7 @@ def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(world):
 def test_bus_off_latches_a_fault_and_error_passive_is_counted(world):
     def report(classes, state):
         data = bytes([0, state, 0, 0, 0, 0, 0, 0])
-        world._receive(can.Message(arbitration_id=classes, is_error_frame=True, data=data), world.now)
+        world._receive(Frame(world.now, classes, ERROR, bytes(data)), world.now)
 
     world.on()
     report(0x04, 0x10)

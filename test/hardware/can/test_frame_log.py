@@ -17,7 +17,7 @@ from straightcomp_ros.hardware.can.frame_log import FrameLog
 from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
 from straightcomp_ros.hardware.can.frames import Codec
 from straightcomp_ros.hardware.can.hub import Hub
-from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
@@ -38,6 +38,22 @@ def until(condition, seconds=30.0):
     while not condition() and time.monotonic() < end:
         time.sleep(0.005)
     assert condition()
+
+
+@contextlib.contextmanager
+def reading(wait, timeout):
+    """The loop of whoever reads a bus, in a thread."""
+    stop = threading.Event()
+
+    def run():
+        while not stop.is_set():
+            wait(timeout)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield
+    stop.set()
+    thread.join()
 
 
 @pytest.fixture
@@ -150,7 +166,7 @@ def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path, channel):
     parameters = CanParameters(interface=INTERFACE, channel=channel, log=str(tmp_path / "logs" / "bus.log"))
     link = Link(parameters, [0x381], lambda *_: None, time.time_ns)
     link.start()
-    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as other:
+    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as other, reading(link.wait, 0.05):
         until(lambda: link.openings == 1)
         assert link.send(0x301, b"\1\2", fd=True)
         assert other.recv(30).arbitration_id == 0x301
@@ -188,7 +204,7 @@ def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, endi
     parameters = CanParameters(fd=fd, sample_memory=SAMPLES, simulated_stage=True)
     driver = CanHardware(parameters, lambda: round(START_S * 1e9), link)
     for message in of_the_board(recorded_frames(file), 1):
-        feeds[0](message, round(message.timestamp * 1e9))
+        feeds[0](frame_of(message), round(message.timestamp * 1e9))
     read = driver.read(round(START_S * 1e9))
     assert [(sample.x, sample.y) for sample, _ in read] == [(f.x * 1e-7, f.y * 1e-7) for f in recorded[BLOCK - 1 :]]
     steps = [b[0].stamp_ns - a[0].stamp_ns for a, b in itertools.pairwise(read)]
@@ -205,7 +221,7 @@ def test_a_log_is_played_to_a_driver_on_a_bus(tmp_path, channel):
     driver = CanHardware(parameters, time.time_ns)
     driver.start(time.time_ns())
     until(lambda: driver.counters()["can_openings"] == 1)
-    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus:
+    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus, reading(driver.wait, 50_000_000):
         assert play(of_the_board(recorded_frames(file), 1), bus, 1.0) == len(recorded_frames_of(file))
         until(lambda: driver.counters()["can_received"] > SAMPLES / 2)
     read = [(sample.x, sample.y) for sample, _ in driver.read(time.time_ns())]

@@ -6,10 +6,11 @@ import time
 import can
 import pytest
 
+from straightcomp_ros.hardware.can.board_line import HubLine
 from straightcomp_ros.hardware.can.faults import KINDS, Faults
 from straightcomp_ros.hardware.can.hub import Hub
-from straightcomp_ros.hardware.can.hub_bus import INTERFACE
-from straightcomp_ros.hardware.can.hub_packet import Flag, Frame, priority, to_packet
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
+from straightcomp_ros.hardware.can.hub_packet import FD_FRAME, Flag, Frame, priority, to_packet
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.interface import HardwareError
@@ -139,16 +140,16 @@ def test_without_a_hub_the_message_names_the_socket(tmp_path):
 def test_a_link_that_was_cut_is_opened_again_and_goes_on(hub):
     arrived = []
     parameters = CanParameters(interface=INTERFACE, channel=hub.path)
-    link = Link(parameters, [0x181], lambda message, stamp: arrived.append(message.data[0]), time.time_ns)
+    link = Link(parameters, [0x181], lambda frame, stamp: arrived.append(frame.data[0]), time.time_ns)
     assert "not open" in link.problem and not link.send(0x201, b"", fd=False)
     link.start()
     until(lambda: len(hub.hub._nodes) == 1)
     hub.hub.cut()
-    until(lambda: link.openings == 2 and not link.problem)
+    until(lambda: not link.wait(0.0) and link.openings == 2 and not link.problem)
     with hub.bus() as sender:
         until(lambda: len(hub.hub._nodes) == 2)
         sender.send(can.Message(arbitration_id=0x181, is_extended_id=False, data=[7]))
-        until(lambda: arrived == [7])
+        assert link.wait(10.0) == 1 and arrived == [7]
         assert link.send(0x201, b"\1", fd=False)
         assert sender.recv(10).data == b"\1"
     link.close()
@@ -160,7 +161,7 @@ def test_a_link_waits_for_a_hub_that_comes_later(tmp_path):
     link.start()
     until(lambda: "no hub" in link.problem)
     hub = RunningHub(tmp_path / "bus")
-    until(lambda: link.openings == 1)
+    until(lambda: not link.wait(0.0) and link.openings == 1)
     link.close()
     hub.close()
 
@@ -196,3 +197,33 @@ def test_faults_are_the_same_for_the_same_seed_and_unknown_ones_are_refused():
         Faults({"gnaw": 0.1})
     with pytest.raises(ValueError, match="rate of 2"):
         Faults({"drop": 2})
+
+
+def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(tmp_path):
+    line = HubLine(str(tmp_path / "bus"))
+    with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as first:
+        assert line.receive() == []
+        with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as second:
+            first.send(can.Message(arbitration_id=0x301, is_extended_id=False, is_fd=True, data=b"\1\2"))
+            first.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+            # The second node comes in, the first is heard: an error frame is nothing for the board.
+            received = line.receive() + line.receive()
+            assert [(identifier, payload) for identifier, payload, _ in received] == [(0x301, b"\1\2")]
+            assert 0 <= time.time_ns() - received[0][2] < 60e9
+            assert second.recv(10).arbitration_id == 0x301
+            assert line.send(0x381, bytes(16), True) and line.send(0x701, b"\5", False)
+            arrived = [[node.recv(10) for _ in range(3 if node is second else 2)] for node in (first, second)]
+    assert [message.arbitration_id for message in arrived[0]] == [0x381, 0x701]
+    assert arrived[0][0].is_fd and not arrived[0][1].is_fd
+    assert [message.arbitration_id for message in arrived[1]] == [0x40, 0x381, 0x701]
+    line.close()
+    assert not (tmp_path / "bus").exists()
+
+
+def test_a_node_may_read_frames_without_python_cans_messages(hub):
+    with hub.bus() as sender, hub.bus() as receiver:
+        until(lambda: len(hub.hub._nodes) == 2)
+        assert receiver.recv_frame(0.0) is None and receiver.recv_frame(0.001) is None
+        sender.send_frame(0x301, FD_FRAME, b"\1\2")
+        frame = receiver.recv_frame(10.0)
+        assert frame[1:] == (0x301, FD_FRAME, b"\1\2") and frame_of(message_of(frame))[1:] == frame[1:]

@@ -1,0 +1,131 @@
+"""The emulated board's own connection to its bus: any interface of python-can, or a hub in the board's own process.
+
+Neither waits. A hub of its own saves the wake-up of another process between board and host, and another one back.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from typing import Protocol
+
+import can
+
+from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, Frame, from_packet, to_packet
+from straightcomp_ros.hardware.can.link import opened_bus
+from straightcomp_ros.hardware.can.parameters import CanParameters
+
+_AT_ONCE = 64
+_REOPEN_EVERY_S = 0.1
+
+Received = tuple[int, bytes, int]
+"""A frame: identifier, payload, system's time in ns at which it was on the bus."""
+
+
+class Line(Protocol):
+    """What the board needs of a bus."""
+
+    def send(self, identifier: int, payload: bytes, fd: bool) -> bool:
+        """Send a frame; False if the bus did not take it."""
+
+    def receive(self) -> list[Received]:
+        """Frames since the last call, some at most."""
+
+    def close(self) -> None:
+        """Leave the bus."""
+
+
+class BusLine:
+    """A bus of python-can, which is opened again after a loss.
+
+    Args:
+        parameters: which bus.
+    """
+
+    def __init__(self, parameters: CanParameters) -> None:
+        self._parameters = parameters
+        self._bus: can.BusABC | None = None
+        self._next_open_s = 0.0
+        self._complained = ""
+        self._open()
+
+    def send(self, identifier: int, payload: bytes, fd: bool) -> bool:
+        """Send a frame; False if the bus did not take it."""
+        if self._bus is None:
+            return False
+        message = can.Message(
+            arbitration_id=identifier, is_extended_id=False, data=payload, is_fd=fd, bitrate_switch=fd
+        )
+        try:
+            self._bus.send(message)
+        except (can.CanError, OSError):
+            return False
+        return True
+
+    def receive(self) -> list[Received]:
+        """Frames since the last call, some at most."""
+        if self._bus is None:
+            self._open()
+        frames: list[Received] = []
+        try:
+            while self._bus is not None and len(frames) < _AT_ONCE:
+                message = self._bus.recv(0)
+                if message is None:
+                    break
+                if not message.is_error_frame:
+                    frames.append((message.arbitration_id, bytes(message.data), round(message.timestamp * 1e9)))
+        except (can.CanError, OSError):
+            self.close()
+        return frames
+
+    def close(self) -> None:
+        """Leave the bus."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with contextlib.suppress(can.CanError, OSError):
+                bus.shutdown()
+
+    def _open(self) -> None:
+        if time.monotonic() < self._next_open_s:
+            return
+        self._next_open_s = time.monotonic() + _REOPEN_EVERY_S
+        try:
+            self._bus = opened_bus(self._parameters)
+            self._complained = ""
+        except (can.CanError, OSError) as error:
+            if str(error) != self._complained:
+                self._complained = str(error)
+                print(f"dsp_emulator: {error}", file=sys.stderr, flush=True)
+
+
+class HubLine:
+    """A hub in this process, with the board as its member. It passes frames on whenever the board looks for its own.
+
+    Args:
+        path: of the hub's socket.
+
+    Raises:
+        HardwareError: the socket cannot be made, or another hub listens on it.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._packets: list[bytes] = []
+        self._hub = Hub(path, member=self._packets.append)
+
+    def send(self, identifier: int, payload: bytes, fd: bool) -> bool:
+        """Send a frame; a node that does not read loses it, and no one is told."""
+        self._hub.put(to_packet(Frame(time.time_ns(), identifier, FD_FRAME if fd else 0, payload)))
+        return True
+
+    def receive(self) -> list[Received]:
+        """Frames since the last call, some at most."""
+        self._hub.serve(0)
+        frames = [from_packet(packet) for packet in self._packets]
+        self._packets.clear()
+        return [(frame.identifier, frame.data, frame.stamp_ns) for frame in frames if not frame.flags & ERROR]
+
+    def close(self) -> None:
+        """End the bus."""
+        self._hub.close()
