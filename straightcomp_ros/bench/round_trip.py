@@ -81,7 +81,7 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
     file.write_text(as_parameter_file({"driver": driver}))
     priority = str(node_parameters("driver", driver).realtime.priority)
     programs = {
-        "hub": verb_command("can", "hub", "--socket", parameters.channel, "--fifo", priority),
+        "hub": verb_command("can", "hub", "--socket", parameters.channel, "--priority", priority, "--json"),
         "board": verb_command("dsp", "--params-file", str(file)),
     }
     host = _Host(parameters)

@@ -116,5 +116,5 @@ def test_the_command_refuses_a_wrong_file_and_a_wrong_number_of_strokes(file, ca
 
 
 def test_a_file_that_cannot_be_written_is_said_so(tmp_path, capsys):
-    assert main(["simulate", "--learned", str(tmp_path / "absent" / "learned.csv"), *SHORT]) == 1
+    assert main(["simulate", "--learned", str(tmp_path / "absent" / "learned.csv"), *SHORT]) == 2
     assert "absent" in capsys.readouterr().err

@@ -47,7 +47,7 @@ def test_the_papers_poles_and_limit_are_met(output):
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path, capsys):
     (tmp_path / "taken").write_text("a file")
-    assert main(["reproduce", "-o", str(tmp_path / "taken")]) == 1
+    assert main(["reproduce", "-o", str(tmp_path / "taken")]) == 2
     assert "taken" in capsys.readouterr().err
 
 
