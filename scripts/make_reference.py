@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from straightcomp_ros import contract
+from straightcomp_ros.bursts import BURST_TYPE
 from straightcomp_ros.configuration import NODE_PARAMETERS
 from straightcomp_ros.parameters import declarations
 
@@ -43,9 +44,11 @@ def reference() -> str:
     for stream in contract.STREAMS:
         numbers = ", ".join(f"`{name}`" for name in stream.layout.columns)
         lines.append(f"| `{stream.topic}` | {stream.layout.type_name} | {numbers} | {stream.description} |")
-    for stream in contract.COPIED:
-        text = f"Copy of `{stream.topic}` for who only watches, eight messages at a time."
-        lines.append(f"| `{stream.copy_topic}` | {stream.layout.type_name} | as `{stream.topic}` | {text} |")
+    for stream in contract.STREAMS:
+        text = (
+            f"The messages of `{stream.topic}` in bursts, for who can wait; see `straightcomp_ros/bursts.py`."
+        )
+        lines.append(f"| `{stream.burst_topic}` | {BURST_TYPE} | | {text} |")
     for constant, text in _texts_below_constants(contract).items():
         found = SLOW_TOPIC.fullmatch(text)
         if found:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-_ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian
+ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian
 NANOSECONDS = 1_000_000_000
 _HEADER_STAMP = struct.Struct("<iI")
 
@@ -67,7 +67,7 @@ class Layout:
 
             def pack_one_run(stamp_ns: int, *numbers: float) -> bytes:
                 sec, nanosec = divmod(stamp_ns, NANOSECONDS)
-                return pack(_ENCAPSULATION, sec, nanosec, constant, *numbers)
+                return pack(ENCAPSULATION, sec, nanosec, constant, *numbers)
 
             return pack_one_run
         order, number = [], len(constants)
@@ -78,7 +78,7 @@ class Layout:
 
         def pack_runs(stamp_ns: int, *numbers: float) -> bytes:
             sec, nanosec = divmod(stamp_ns, NANOSECONDS)
-            return pack(_ENCAPSULATION, sec, nanosec, *in_order(constants + numbers))
+            return pack(ENCAPSULATION, sec, nanosec, *in_order(constants + numbers))
 
         return pack_runs
 
@@ -89,7 +89,7 @@ class Layout:
             at_constants.append(place)
             at_numbers.extend(range(place + 1, place + 1 + run))
             place += 1 + run
-        expected, constant_fields = (_ENCAPSULATION, *self.constants), itemgetter(*at_constants)
+        expected, constant_fields = (ENCAPSULATION, *self.constants), itemgetter(*at_constants)
         # Of one item an itemgetter makes no tuple; of a slice it does.
         number_fields = (
             itemgetter(*at_numbers) if at_numbers[1:] else itemgetter(slice(at_numbers[0], at_numbers[0] + 1))
@@ -103,7 +103,7 @@ class Layout:
             if constant_fields(fields) != expected:
                 raise LayoutMismatch(
                     f"{self.type_name}: encapsulation {fields[0].hex()} is not little-endian CDR"
-                    if fields[0] != _ENCAPSULATION
+                    if fields[0] != ENCAPSULATION
                     else f"{self.type_name}: other names or array lengths than {self.columns}"
                 )
             return fields[1] * NANOSECONDS + fields[2], number_fields(fields)
@@ -236,5 +236,5 @@ def joint_trajectory_point(
 
 def header_stamp_ns(data: bytes) -> int:
     """Stamp in ns of any message that starts with a std_msgs/Header, from its serialised bytes (little endian)."""
-    sec, nanosec = _HEADER_STAMP.unpack_from(data, len(_ENCAPSULATION))
+    sec, nanosec = _HEADER_STAMP.unpack_from(data, len(ENCAPSULATION))
     return int(sec * NANOSECONDS + nanosec)

@@ -28,8 +28,8 @@ class Stream:
     description: str
 
     @property
-    def copy_topic(self) -> str:
-        """Topic of the copy of a stream in :data:`COPIED`."""
+    def burst_topic(self) -> str:
+        """Topic on which a stream in :data:`STREAMS` goes out some messages at a time."""
         return f"{self.topic}_bursts"
 
 
@@ -82,10 +82,7 @@ TRUTH = Stream(
 ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)
 """Streams of every graph."""
 STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
-COPIED = (ENCODER, COMMAND)
-"""Streams that one node waits for, and others only watch: those read the same messages, eight at a time, from the copy
-that their publisher keeps on a topic of its own. A reader of the stream itself costs its publisher a wake-up in each
-period."""
+"""Each goes out in bursts too, for who can wait; see :mod:`straightcomp_ros.bursts`."""
 
 DISPLACEMENT = Stream(
     "displacement",

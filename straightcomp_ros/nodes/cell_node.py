@@ -22,7 +22,7 @@ from straightcomp_ros.configuration import CellNodeParameters
 from straightcomp_ros.contract import (
     ALWAYS_PUBLISHED,
     DIAGNOSTICS,
-    DRIVER_STATE,
+    POSITION,
     SAFETY_STATE,
     STAGE_TRAJECTORY,
     UNCONNECTED,
@@ -72,8 +72,7 @@ class CellNode:
         self._reset = node.create_client(Trigger, "driver/reset_fault")
         self._center = node.create_client(SetBool, "feedforward/center")
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        # The driver's record of each sample comes in bursts: it wakes this process an eighth as often as the encoder.
-        subscribe(node, DRIVER_STATE, self._on_driver_state)
+        subscribe(node, POSITION, self._on_position)
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._steps = self._cycle()
@@ -222,7 +221,7 @@ class CellNode:
                 self._enable.call_async(SetBool.Request(data=False))
             self.done.set_result(EXIT_FAILURE)
 
-    def _on_driver_state(self, stamp_ns: int, _: list[float]) -> None:
+    def _on_position(self, stamp_ns: int, _: list[float]) -> None:
         self._first_stamp_ns = self._first_stamp_ns or stamp_ns
         self._stamp_ns = stamp_ns
         self._last_sample = time.monotonic()

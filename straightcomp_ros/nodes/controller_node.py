@@ -18,12 +18,12 @@ from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
-from straightcomp_ros.nodes.copies import CopiedPublisher
+from straightcomp_ros.nodes.copies import BurstPublisher, BurstQueue, CopiedPublisher
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.locked_loop import LockedLoop
 from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.runner import run_managed
-from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, subscribe, unspun_node
+from straightcomp_ros.nodes.streams import Inbox, subscribe, unspun_node
 from straightcomp_ros.nodes.trip import tripper
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
@@ -68,7 +68,8 @@ class ControllerPart:
             subscribe(node, REFERENCE, self._on_reference)
         else:
             self._unspun = unspun_node(node)
-            self._samples, self._references = (Inbox(node, self._unspun, stream) for stream in (ENCODER, REFERENCE))
+            self._samples = Inbox(node, self._unspun, ENCODER)
+            self._references = Inbox(node, self._unspun, REFERENCE, BurstQueue(node, self._unspun, REFERENCE))
             period_ns = round(1e9 / parameters.rate)
             self._spare_ns = _SPARE_REFERENCES * period_ns
             self.loop = LockedLoop(period_ns, self._samples.wait, self._cycle)

@@ -1,86 +1,168 @@
-"""Copies of streams for readers that can wait: the same messages, published in bursts.
+"""Streams in bursts: the same messages, eight in one, for readers that can wait.
 
-To wake a reader that sleeps costs the writer and the reader some 20 µs each, more than all else about a message. The
-controller's samples and the driver's commands must come one by one; whoever only records or looks ahead takes them
-eight at a time from a topic of their own, and leaves the loop alone.
+To publish a message, to wake its reader and to take it costs either side some 20 µs, more than all else about it. The
+controller's samples and the driver's commands must come one by one. Whoever only records, looks on or looks ahead takes
+the bursts, and leaves the loop alone; a stream that nobody acts on is published one by one only where somebody has
+subscribed to it.
 """
 
 from __future__ import annotations
 
+import itertools
+import time
 from collections.abc import Callable
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from std_msgs.msg import UInt8MultiArray
 
-from straightcomp_ros.cdr import header_stamp_ns
+from straightcomp_ros.bursts import pack_burst, unpack_burst
+from straightcomp_ros.cdr import LayoutMismatch, header_stamp_ns
 from straightcomp_ros.contract import Stream
-from straightcomp_ros.nodes.streams import BurstPublisher, Messages, RawQueue, message_type, publisher
+from straightcomp_ros.nodes.streams import (
+    Messages,
+    RawQueue,
+    message_type,
+    raw_publish,
+    stream_publisher,
+    stream_qos,
+)
 
+_BURST = 8
+"""Messages of a burst: 4 ms at 2 kHz."""
+_first_bursts = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
+"""Lengths of the first bursts of a process's streams: those of a node must not all fall into the same cycle."""
+_FLUSH_S = 0.5
+"""For the last samples, when no more come: a burst that nothing fills waits for so long at most."""
 _LOOK_S = 0.2
 _LONGEST_DELAY_NS = 1_000_000_000
 
 
-class CopiedPublisher:
-    """Publishes a stream, and its copy a little later.
+class _Bursts:
+    """What goes out in bursts: serialised messages, and when each was made."""
+
+    def __init__(self, node: Node, stream: Stream) -> None:
+        self._publish = raw_publish(node.create_publisher(UInt8MultiArray, stream.burst_topic, stream_qos()))
+        self._waiting: list[tuple[int, bytes]] = []
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, data: bytes) -> None:
+        self._waiting.append((time.time_ns(), data))
+
+    def flush(self) -> list[tuple[int, bytes]]:
+        """Publish what waits, and return it."""
+        waiting = self._waiting
+        if waiting:
+            self._publish(pack_burst(waiting))
+            self._waiting = []
+        return waiting
+
+
+class BurstPublisher:
+    """A stream that nobody acts on at once: in bursts, and one by one while somebody subscribes to it.
 
     Args:
         node: publishes.
-        stream: one with a copy.
-        copied: false for no copy: where the next message may depend on the answer of somebody who reads copies.
+        stream: what it publishes.
+        flushed: the caller flushes, and nothing goes out between.
+    """
+
+    def __init__(self, node: Node, stream: Stream, flushed: bool = False) -> None:
+        self._pack = stream.layout.pack
+        self._bursts = _Bursts(node, stream)
+        self._publisher = stream_publisher(node, stream)
+        self._publish = raw_publish(self._publisher)
+        self._flushed, self._room = flushed, next(_first_bursts)
+        if not flushed:
+            node.create_timer(_FLUSH_S, self.flush)
+
+    def __call__(self, stamp_ns: int, *numbers: float) -> None:
+        """Publish one message, now or with those that follow it."""
+        self._bursts.add(self._pack(stamp_ns, *numbers))
+        self._room -= 1
+        if self._room <= 0:
+            self._room = _BURST
+            if not self._flushed:
+                self.flush()
+
+    def flush(self) -> None:
+        """Publish what waits."""
+        if self._bursts:
+            messages = self._bursts.flush()
+            if self._publisher.get_subscription_count():
+                for _, data in messages:
+                    self._publish(data)
+
+
+class CopiedPublisher:
+    """A stream that somebody waits for: each message at once, and a little later in a burst.
+
+    Args:
+        node: publishes.
+        stream: what it publishes.
+        copied: false for no bursts: where the next message may depend on the answer of somebody who reads them.
     """
 
     def __init__(self, node: Node, stream: Stream, copied: bool) -> None:
-        self._publish = publisher(node, stream)
-        self._copies = BurstPublisher(node, stream, stream.copy_topic) if copied else None
-        self._uncopied: list[bytes] = []
+        self._pack, self._publish = stream.layout.pack, raw_publish(stream_publisher(node, stream))
+        self._bursts = _Bursts(node, stream) if copied else None
+        self._room = next(_first_bursts)
+        if copied:
+            node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message."""
-        self._uncopied.append(self._publish(stamp_ns, *numbers))
+        data = self._pack(stamp_ns, *numbers)
+        self._publish(data)
+        if self._bursts is not None:
+            self._bursts.add(data)
 
     def copy(self) -> None:
-        """Copy what was published since the last call: when those who wait for it have got it."""
-        if self._copies is not None:
-            for data in self._uncopied:
-                self._copies.add(data)
-        self._uncopied.clear()
+        """Publish the burst if it is full: when those who wait for the messages have got them."""
+        if self._bursts is not None and len(self._bursts) >= self._room:
+            self._room = _BURST
+            self._bursts.flush()
 
     def flush(self) -> None:
-        """Publish what the copy still lacks."""
-        self.copy()
-        if self._copies is not None:
-            self._copies.flush()
+        """Publish what no burst has had yet."""
+        if self._bursts is not None:
+            self._bursts.flush()
 
 
-class CopiedQueue:
-    """Messages of a stream from its copy, or from the stream itself as long as nobody publishes a copy.
+class BurstQueue:
+    """Messages of a stream from its bursts, or from the stream itself as long as nobody publishes any.
 
     Args:
-        node: resolves the names, and looks now and then whether the copy's publisher is still there.
+        node: resolves the names, and looks now and then whether the bursts' publisher is still there.
         unspun: from :func:`straightcomp_ros.nodes.streams.unspun_node`.
-        stream: one with a copy.
+        stream: what to receive.
         qos: of the subscriptions.
     """
 
     def __init__(self, node: Node, unspun: Node, stream: Stream, qos: QoSProfile | None = None) -> None:
-        def queue(topic: str) -> RawQueue:
-            return RawQueue(unspun, message_type(stream.layout.type_name), node.resolve_topic_name(topic), qos)
+        def queue(kind: type, topic: str) -> RawQueue:
+            return RawQueue(unspun, kind, node.resolve_topic_name(topic), qos)
 
-        self._make_direct: Callable[[], RawQueue] = lambda: queue(stream.topic)
-        self._copy = queue(stream.copy_topic)
+        kind = message_type(stream.layout.type_name)
+        self._make_direct: Callable[[], RawQueue] = lambda: queue(kind, stream.topic)
+        self._node, self._stream = node, stream
+        self._bursts = queue(UInt8MultiArray, stream.burst_topic)
         self._direct: RawQueue | None = self._make_direct()
+        self._warned = False
         self._newest_ns: int | None = None
-        """Stamp of the last message that came directly; copies up to it have been had."""
+        """Stamp of the last message that came directly; those of bursts up to it have been had."""
         node.create_timer(_LOOK_S, self._look)
 
     @property
     def connected(self) -> bool:
         """Whether a publisher is there, and the middleware has connected it."""
-        return self._copy.connected or (self._direct is not None and self._direct.connected)
+        return self._bursts.connected or (self._direct is not None and self._direct.connected)
 
     def fetch(self) -> Messages:
         """Messages since the last call, each once."""
-        copies = self._copy.fetch()
+        copies = self._unpacked(self._bursts.fetch())
         messages: Messages = []
         if self._direct is not None:
             messages = self._direct.fetch()
@@ -95,11 +177,27 @@ class CopiedQueue:
                 self._newest_ns = None
         return messages + copies
 
+    def _unpacked(self, bursts: Messages) -> Messages:
+        """The messages, with the time at which each was made as that of its source."""
+        size, messages = self._stream.layout.size, Messages()
+        for burst, info in bursts:
+            received_ns = info["received_timestamp"]
+            try:
+                messages += [
+                    (data, {"received_timestamp": received_ns, "source_timestamp": made_ns})
+                    for made_ns, data in unpack_burst(burst, size)
+                ]
+            except LayoutMismatch as error:
+                if not self._warned:
+                    self._node.get_logger().warning(f"bursts on '{self._stream.burst_topic}' are dropped: {error}")
+                    self._warned = True
+        return messages
+
     @staticmethod
     def _came_directly(stamp_ns: int, newest_ns: int) -> bool:
-        # Copies are late by some milliseconds: one that seems later is of another source, with another clock.
+        # Bursts are late by some milliseconds: one that seems later is of another source, with another clock.
         return 0 <= newest_ns - stamp_ns < _LONGEST_DELAY_NS
 
     def _look(self) -> None:
-        if self._direct is None and not self._copy.connected:
+        if self._direct is None and not self._bursts.connected:
             self._direct = self._make_direct()

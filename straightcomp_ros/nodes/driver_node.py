@@ -25,7 +25,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.nodes.clock import from_monotonic, now_ns
-from straightcomp_ros.nodes.copies import CopiedPublisher
+from straightcomp_ros.nodes.copies import BurstPublisher, CopiedPublisher
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.locked_loop import LockedLoop
 from straightcomp_ros.nodes.lockstep import Lockstep
@@ -34,7 +34,7 @@ from straightcomp_ros.nodes.periodic import Loop, PeriodicLoop
 from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.safety_panel import SafetyPanel
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
-from straightcomp_ros.nodes.streams import BurstPublisher, Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.nodes.streams import Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.safety.machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, SampleWatch, StageWatch
 from straightcomp_ros.straightness.map import load_map

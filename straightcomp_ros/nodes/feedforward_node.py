@@ -13,12 +13,12 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.configuration import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
-from straightcomp_ros.nodes.copies import CopiedQueue
+from straightcomp_ros.nodes.copies import BurstPublisher, BurstQueue
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.runner import run_managed
-from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
+from straightcomp_ros.nodes.streams import Inbox, unspun_node
 from straightcomp_ros.nodes.trip import tripper
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.crossfade import FADE_TIME
@@ -48,14 +48,14 @@ class FeedforwardPart:
         self._map = load_map(parameters.map)
         node.get_logger().info(f"map {parameters.map.file}: {self._map.report}")
         self._feedforward = Feedforward(self._map, parameters.feedforward)
-        self._publish = publisher(node, REFERENCE)
+        self._publish = BurstPublisher(node, REFERENCE, flushed=True)
         self._trip = tripper(node)
         self._samples = 0
         self._x = math.nan
         self._centred = False
         self._gaps = StampGaps()
         self._unspun = unspun_node(node)
-        self._inbox = Inbox(node, self._unspun, ENCODER, CopiedQueue(node, self._unspun, ENCODER))
+        self._inbox = Inbox(node, self._unspun, ENCODER, BurstQueue(node, self._unspun, ENCODER))
         self.loop = PeriodicLoop(round(parameters.interval * 1e9), self._cycle)
         node.create_service(Trigger, "~/reload_map", self._on_reload_map)
         node.create_service(SetBool, "~/center", self._on_center)
@@ -140,6 +140,7 @@ class FeedforwardPart:
             self._gaps.see(stamp_ns)
             self._x = numbers[0]
             self._publish(stamp_ns, *self._feedforward.step(stamp_ns, self._x))
+        self._publish.flush()
 
     def _counters(self) -> dict[str, object]:
         return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}

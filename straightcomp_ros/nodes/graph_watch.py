@@ -22,6 +22,7 @@ from straightcomp_ros.contract import (
 )
 from straightcomp_ros.monitoring.observation import ABSENT, SILENT, Observation
 from straightcomp_ros.monitoring.strokes import StrokeErrors
+from straightcomp_ros.nodes.copies import BurstQueue
 from straightcomp_ros.nodes.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.nodes.streams import Inbox, unspun_node
 from straightcomp_ros.timing.report import LOST, SAMPLES
@@ -45,7 +46,7 @@ class Fetched(NamedTuple):
 
 
 class GraphWatch:
-    """Reads only streams that come in bursts or seldom: their readers cost the writing loops next to nothing.
+    """Reads bursts, and what comes seldom: its reading costs the loops that publish next to nothing.
 
     Args:
         node: watches; must be spun for the diagnostics and the safety state.
@@ -55,8 +56,8 @@ class GraphWatch:
         self._node = node
         unspun = unspun_node(node)
         self._position = Inbox(node, unspun, POSITION)
-        self._controller = Inbox(node, unspun, CONTROLLER_STATE)
-        self._driver = Inbox(node, unspun, DRIVER_STATE)
+        self._controller = Inbox(node, unspun, CONTROLLER_STATE, BurstQueue(node, unspun, CONTROLLER_STATE))
+        self._driver = Inbox(node, unspun, DRIVER_STATE, BurstQueue(node, unspun, DRIVER_STATE))
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._safety = SafetyState()

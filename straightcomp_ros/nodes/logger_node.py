@@ -20,8 +20,8 @@ from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cdr import header_stamp_ns
 from straightcomp_ros.configuration import LoggerNodeParameters
-from straightcomp_ros.contract import COPIED, DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
-from straightcomp_ros.nodes.copies import CopiedQueue
+from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
+from straightcomp_ros.nodes.copies import BurstQueue
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.other_topics import OtherTopics, stored
@@ -56,12 +56,14 @@ class LoggerPart:
         self._recorder = Recorder(_options(parameters), stamped, self._describe)
         for stream in STREAMS:
             qos = stream_qos(parameters.queue_depth)
-            copied = partial(CopiedQueue, node, self._unspun, stream, qos) if stream in COPIED else None
-            self._record(message_type(stream.layout.type_name), stream.topic, qos, copied)
+            bursts = partial(BurstQueue, node, self._unspun, stream, qos)
+            self._record(message_type(stream.layout.type_name), stream.topic, qos, bursts)
         self._record(JointTrajectory, STAGE_TRAJECTORY, QoSProfile(depth=10))
         self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
-        copies = [node.resolve_topic_name(stream.copy_topic) for stream in COPIED]
-        self._others = OtherTopics(node, self._unspun, others, [*self._topics, *copies], self._recorder.announce)
+        bursts_of_ours = [node.resolve_topic_name(stream.burst_topic) for stream in STREAMS]
+        self._others = OtherTopics(
+            node, self._unspun, others, [*self._topics, *bursts_of_ours], self._recorder.announce
+        )
         serve_recorder(node, self._recorder, self._start, self._fetch)
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
@@ -84,7 +86,7 @@ class LoggerPart:
         return self._recorder.other_min_free(parameters.min_free_bytes)
 
     def _record(
-        self, kind: Any, topic: str, qos: QoSProfile, make_queue: Callable[[], CopiedQueue] | None = None
+        self, kind: Any, topic: str, qos: QoSProfile, make_queue: Callable[[], BurstQueue] | None = None
     ) -> None:
         if not self._chosen.fullmatch(topic):
             return

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -17,14 +17,6 @@ from straightcomp_ros.cdr import LayoutMismatch, read_by_names
 from straightcomp_ros.contract import Stream
 
 _MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
-
-
-_BURST = 8
-"""Messages of a burst: 4 ms at 2 kHz, and not so many that publishing them takes a control cycle."""
-_first_bursts = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
-"""Lengths of the first bursts of a process's streams."""
-_FLUSH_S = 0.5
-"""For the last samples, when no more come: a burst that nothing fills waits for so long at most."""
 
 
 def message_type(type_name: str) -> Any:
@@ -39,7 +31,7 @@ def stream_qos(depth: int = 1000) -> QoSProfile:
 
 def publisher(node: Node, stream: Stream) -> Callable[..., bytes]:
     """A function ``publish(stamp_ns, *numbers)`` for one stream; it returns the serialised message."""
-    publish, pack = _raw_publisher(node, stream, stream.topic), stream.layout.pack
+    publish, pack = raw_publish(stream_publisher(node, stream)), stream.layout.pack
 
     def send(stamp_ns: int, *numbers: float) -> bytes:
         data = pack(stamp_ns, *numbers)
@@ -49,50 +41,17 @@ def publisher(node: Node, stream: Stream) -> Callable[..., bytes]:
     return send
 
 
-def _raw_publisher(node: Node, stream: Stream, topic: str) -> Callable[[bytes], None]:
+def stream_publisher(node: Node, stream: Stream) -> Publisher:
+    """rclpy's publisher of a stream."""
+    return node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos())
+
+
+def raw_publish(publisher: Publisher) -> Callable[[bytes], None]:
     """A function that publishes a serialised message."""
-    publisher = node.create_publisher(message_type(stream.layout.type_name), topic, stream_qos())
     # The publisher's own method would lock it against being destroyed by another thread, and ask what it was given:
     # that costs a loop 5 µs a message. None of our nodes destroys one while another thread uses it.
     publish: Callable[[bytes], None] = publisher.handle.publish_raw
     return publish
-
-
-class BurstPublisher:
-    """A stream that nobody acts on, published some samples at a time: each message is as it was, only later.
-
-    In a burst only the first message finds its readers asleep.
-
-    Args:
-        node: publishes.
-        stream: what it publishes.
-        topic: if not the stream's own.
-    """
-
-    def __init__(self, node: Node, stream: Stream, topic: str = "") -> None:
-        self._pack, self._publish = stream.layout.pack, _raw_publisher(node, stream, topic or stream.topic)
-        self._waiting: list[bytes] = []
-        # The bursts of a node's streams must not all fall into the same cycle.
-        self._room = next(_first_bursts)
-        node.create_timer(_FLUSH_S, self.flush)
-
-    def __call__(self, stamp_ns: int, *numbers: float) -> None:
-        """Publish one message, now or with those that follow it."""
-        self.add(self._pack(stamp_ns, *numbers))
-
-    def add(self, data: bytes) -> None:
-        """The same for one that is serialised already."""
-        self._waiting.append(data)
-        self._room -= 1
-        if not self._room:
-            self._room = _BURST
-            self.flush()
-
-    def flush(self) -> None:
-        """Publish what waits."""
-        for data in self._waiting:
-            self._publish(data)
-        self._waiting.clear()
 
 
 def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[float]], None]) -> None:

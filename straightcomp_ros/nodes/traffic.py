@@ -1,4 +1,4 @@
-"""Eight topics at 2 kHz, in bursts as the graph publishes: what `straightcomp bench bags` has the logger record.
+"""Eight topics at 2 kHz, some messages at a time: what `straightcomp bench bags` has the logger record.
 
 python -m straightcomp_ros.nodes.traffic --ros-args -p seconds:=20.0
 """
@@ -20,13 +20,15 @@ from straightcomp_ros.nodes.clock import from_monotonic
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
-from straightcomp_ros.nodes.streams import BurstPublisher
+from straightcomp_ros.nodes.streams import publisher
 from straightcomp_ros.parameters import group, parameter
 
 _PERIOD_NS = 1_000_000_000 // DEFAULT_RATE
+_BURST = 8
+"""Messages of a topic that are published at a time."""
 _SETTLE_NS = 1_000_000_000
 """A reader that is found is connected a moment later, and what is sent last is still under way."""
-_LOOK_EVERY = 100
+_LOOK_EVERY = 12
 """Cycles between two looks for subscribers."""
 _ROWS = 1000
 """Different messages of each topic."""
@@ -54,7 +56,7 @@ class TrafficNode:
         self._streams = [
             (
                 stream,
-                BurstPublisher(node, stream),
+                publisher(node, stream),
                 [[noise.random() for _ in stream.layout.columns] for _ in range(_ROWS)],
             )
             for stream in TRAFFIC
@@ -65,7 +67,7 @@ class TrafficNode:
         self._sent = 0
         self._begin_ns: int | None = None
         self._end_ns = 0
-        self.loop = PeriodicLoop(_PERIOD_NS, self._cycle)
+        self.loop = PeriodicLoop(_BURST * _PERIOD_NS, self._cycle)
 
     def _cycle(self, wake_ns: int) -> None:
         if self._begin_ns is None:
@@ -94,8 +96,6 @@ class TrafficNode:
                 publish(stamp_ns, *rows[self._sent % _ROWS])
             self._sent += 1
         if self._sent == self._count:
-            for _, publish, _ in self._streams:
-                publish.flush()
             self._end_ns = time.monotonic_ns()
             print(ENDED, self._count, (self._end_ns - begin_ns) * 1e-9, flush=True)
 

@@ -10,6 +10,7 @@ from rclpy.task import Future
 
 from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
+from straightcomp_ros.nodes.copies import BurstQueue
 from straightcomp_ros.nodes.graph_services import GraphServices
 from straightcomp_ros.nodes.graph_watch import GraphWatch
 from straightcomp_ros.nodes.runner import run
@@ -42,7 +43,8 @@ class ViewNode:
     def __init__(self, node: Node, port: int, ready: Callable[[str], object], realtime: RealtimeParameters) -> None:
         self.node, self.done, self.realtime, self.loop = node, Future(), realtime, None
         self._watch, self._services = GraphWatch(node), GraphServices(node, _NODES)
-        self._reference = Inbox(node, unspun_node(node), REFERENCE)
+        unspun = unspun_node(node)
+        self._reference = Inbox(node, unspun, REFERENCE, BurstQueue(node, unspun, REFERENCE))
         self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
         self._wanted: list[Callable[[], None]] = []
         self._server = ViewServer(

@@ -1,4 +1,4 @@
-"""Copies of a stream in bursts: each message comes once, whoever publishes."""
+"""Streams in bursts: each message comes once, whoever publishes."""
 
 import time
 
@@ -7,7 +7,7 @@ import rclpy
 from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.nodes.copies import CopiedPublisher, CopiedQueue
+from straightcomp_ros.nodes.copies import BurstQueue, CopiedPublisher
 from straightcomp_ros.nodes.streams import Inbox, unspun_node
 
 PERIOD = 500_000
@@ -20,7 +20,7 @@ class Pair:
         rclpy.init()
         self.reader, self.writer = Node("reader"), Node("writer")
         self.unspun = unspun_node(self.reader)
-        self.queue = CopiedQueue(self.reader, self.unspun, ENCODER)
+        self.queue = BurstQueue(self.reader, self.unspun, ENCODER)
         self.inbox = Inbox(self.reader, self.unspun, ENCODER, self.queue)
         self.stamps, self.sent = [], 0
 
