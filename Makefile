@@ -83,6 +83,9 @@ $(MADE):
 	  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$$@" > /dev/null
 	}
 	candidates=($(or $(PYTHON),$(if $(JAZZY),python3,python3 python3.13 python3.12 python3.11 python3.10)))
+	# Distributions build theirs with profile-guided optimisation: the loop's nodes take 10 % less of a core with it.
+	system=/usr/bin/python3
+	if [ -z "$(PYTHON)" ] && "$$system" -c 'import ensurepip, venv' 2> /dev/null; then candidates=("$$system" "$${candidates[@]}"); fi
 	python=$$(first_fitting "$${candidates[@]}")
 	if [ -z "$$python" ] && [ -z "$(PYTHON)" ]; then
 	  apt python3 python3-venv || true

@@ -45,9 +45,7 @@ def reference() -> str:
         numbers = ", ".join(f"`{name}`" for name in stream.layout.columns)
         lines.append(f"| `{stream.topic}` | {stream.layout.type_name} | {numbers} | {stream.description} |")
     for stream in contract.STREAMS:
-        text = (
-            f"The messages of `{stream.topic}` in bursts, for who can wait; see `straightcomp_ros/bursts.py`."
-        )
+        text = f"The messages of `{stream.topic}` in bursts, for who can wait; see `straightcomp_ros/bursts.py`."
         lines.append(f"| `{stream.burst_topic}` | {BURST_TYPE} | | {text} |")
     for constant, text in _texts_below_constants(contract).items():
         found = SLOW_TOPIC.fullmatch(text)

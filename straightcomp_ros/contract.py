@@ -94,9 +94,9 @@ DISPLACEMENT = Stream(
 POSITION = Stream(
     "position",
     joint_state([STAGE, PLATFORM], position=["x", "y"]),
-    "Every eighth sample of both encoders in m, for those who only look on. Not recorded.",
+    "Every twentieth sample of both encoders in m, for those who only look on. Not recorded.",
 )
-POSITION_EVERY = 8
+POSITION_EVERY = 20
 """Samples to one message of ``position``."""
 
 STAGE_TRAJECTORY = "stage_trajectory"
