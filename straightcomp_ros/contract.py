@@ -97,7 +97,7 @@ POSITION = Stream(
     "Every twentieth sample of both encoders in m, for those who only look on. Not recorded.",
 )
 POSITION_EVERY = 20
-"""Samples to one message of ``position``."""
+"""Samples to one message of ``position``; in lockstep each has its own."""
 
 STAGE_TRAJECTORY = "stage_trajectory"
 """trajectory_msgs/JointTrajectory: motion asked of the stage (joint `stage_x`)."""

@@ -74,6 +74,8 @@ class DriverPart:
         period_ns = round(1e9 / parameters.machine.rate)
         self._publish_sample = CopiedPublisher(node, ENCODER, copied=not parameters.lockstep)
         self._publish_position = publisher(node, POSITION)
+        # In lockstep no sample need follow the one that ends a motion.
+        self._position_every = 1 if parameters.lockstep else POSITION_EVERY
         self._publish_truth = BurstPublisher(node, TRUTH)
         self._publish_state = BurstPublisher(node, DRIVER_STATE)
         self._samples = self._commands = self._stale_commands = 0
@@ -200,7 +202,7 @@ class DriverPart:
 
     def _record(self, sample: Sample, truth: Truth | None, lateness: float) -> None:
         """What is only watched and recorded."""
-        if self._samples % POSITION_EVERY == 0:
+        if self._samples % self._position_every == 0:
             self._publish_position(*sample[:3])
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
