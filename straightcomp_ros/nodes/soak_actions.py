@@ -35,9 +35,8 @@ def amplifier_off_and_on(scene: Scene) -> list[str]:
         if stand.condition == "fault":
             # It was latched before the request came, and nobody caused it.
             scene.may_latch((), failures)
-        else:
-            failures.append(f"the amplifier is '{stand.condition}' after it was switched off")
-        return failures
+            return failures
+        failures.append(f"the amplifier is '{stand.condition}' after it was switched off")
     stand.spin(scene.rng.uniform(0.0, 0.5))
     begin = time.monotonic()
     answer = scene.ask(SetBool, "driver/enable", SetBool.Request(data=True))

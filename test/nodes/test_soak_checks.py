@@ -182,6 +182,19 @@ def test_an_amplifier_that_does_not_go_off_or_not_on_is_a_failure(scene, stand):
     assert len(scene.result.enable_s) == 1
 
 
+@pytest.mark.parametrize(("stall_ms", "failures"), [(0.0, 1), (500.0, 0)])
+@pytest.mark.parametrize("action", [soak_actions.amplifier_off_and_on, soak_actions.down_and_up])
+def test_a_fault_before_the_amplifier_goes_off_is_a_failure_unless_the_machine_stood_still(
+    scene, stand, action, stall_ms, failures, monkeypatch
+):
+    scene._stalls.total_ms = lambda begin, end: stall_ms
+    monkeypatch.setattr(soak_actions, "_change_state", lambda *_: None)
+    stand.answers["driver/enable"] = SimpleNamespace(success=True, message="")
+    latch(stand, "y_out_of_range")
+    assert len(action(scene)) == failures
+    assert scene.result.stalls["y_out_of_range"] == 1 - failures
+
+
 def test_a_controller_that_does_not_miss_the_samples_is_a_failure(scene, stand):
     assert "has not asked" in failures_of(lambda failures: soak_actions._must_trip(scene, failures))[0]
     stand.tripped = Seen("map_missing", NOW)
