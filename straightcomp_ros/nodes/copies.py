@@ -30,6 +30,8 @@ from straightcomp_ros.nodes.streams import (
 
 _BURST = 8
 """Messages of a burst: 4 ms at 2 kHz."""
+_LONGEST = 64
+"""The same after a stall, when many wait: what loopback sockets take in one packet."""
 _first_bursts = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
 """Lengths of the first bursts of a process's streams: those of a node must not all fall into the same cycle."""
 _FLUSH_S = 0.5
@@ -44,19 +46,24 @@ class _Bursts:
     def __init__(self, node: Node, stream: Stream) -> None:
         self._publish = raw_publish(node.create_publisher(UInt8MultiArray, stream.burst_topic, stream_qos()))
         self._waiting: list[tuple[int, bytes]] = []
+        self._room = next(_first_bursts)
 
-    def __len__(self) -> int:
-        return len(self._waiting)
+    @property
+    def full(self) -> bool:
+        """Whether the burst has all its messages."""
+        return self._room <= 0
 
     def add(self, data: bytes) -> None:
         self._waiting.append((time.time_ns(), data))
+        self._room -= 1
 
     def flush(self) -> list[tuple[int, bytes]]:
         """Publish what waits, and return it."""
-        waiting = self._waiting
-        if waiting:
-            self._publish(pack_burst(waiting))
-            self._waiting = []
+        waiting, self._waiting = self._waiting, []
+        if self._room <= 0:
+            self._room = _BURST
+        for first in range(0, len(waiting), _LONGEST):
+            self._publish(pack_burst(waiting[first : first + _LONGEST]))
         return waiting
 
 
@@ -70,30 +77,25 @@ class BurstPublisher:
     """
 
     def __init__(self, node: Node, stream: Stream, flushed: bool = False) -> None:
-        self._pack = stream.layout.pack
+        self._pack, self._flushed = stream.layout.pack, flushed
         self._bursts = _Bursts(node, stream)
         self._publisher = stream_publisher(node, stream)
         self._publish = raw_publish(self._publisher)
-        self._flushed, self._room = flushed, next(_first_bursts)
         if not flushed:
             node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message, now or with those that follow it."""
         self._bursts.add(self._pack(stamp_ns, *numbers))
-        self._room -= 1
-        if self._room <= 0:
-            self._room = _BURST
-            if not self._flushed:
-                self.flush()
+        if self._bursts.full and not self._flushed:
+            self.flush()
 
     def flush(self) -> None:
         """Publish what waits."""
-        if self._bursts:
-            messages = self._bursts.flush()
-            if self._publisher.get_subscription_count():
-                for _, data in messages:
-                    self._publish(data)
+        messages = self._bursts.flush()
+        if messages and self._publisher.get_subscription_count():
+            for _, data in messages:
+                self._publish(data)
 
 
 class CopiedPublisher:
@@ -108,7 +110,6 @@ class CopiedPublisher:
     def __init__(self, node: Node, stream: Stream, copied: bool) -> None:
         self._pack, self._publish = stream.layout.pack, raw_publish(stream_publisher(node, stream))
         self._bursts = _Bursts(node, stream) if copied else None
-        self._room = next(_first_bursts)
         if copied:
             node.create_timer(_FLUSH_S, self.flush)
 
@@ -121,8 +122,7 @@ class CopiedPublisher:
 
     def copy(self) -> None:
         """Publish the burst if it is full: when those who wait for the messages have got them."""
-        if self._bursts is not None and len(self._bursts) >= self._room:
-            self._room = _BURST
+        if self._bursts is not None and self._bursts.full:
             self._bursts.flush()
 
     def flush(self) -> None:

@@ -6,8 +6,8 @@ import pytest
 import rclpy
 from rclpy.node import Node
 
-from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.nodes.copies import BurstQueue, CopiedPublisher
+from straightcomp_ros.contract import ENCODER, TRUTH
+from straightcomp_ros.nodes.copies import BurstPublisher, BurstQueue, CopiedPublisher
 from straightcomp_ros.nodes.streams import Inbox, unspun_node
 
 PERIOD = 500_000
@@ -91,3 +91,55 @@ def test_when_the_copy_s_publisher_goes_the_stream_itself_is_read_again(pair):
     pair.send(another, 100)
     pair.wait(lambda: len(pair.stamps) >= 200)
     assert pair.stamps == [k * PERIOD for k in range(200)]
+
+
+def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to_it(pair):
+    publish, sent = BurstPublisher(pair.writer, TRUTH), 0
+    bursts = BurstQueue(pair.reader, pair.unspun, TRUTH)
+    numbers = [0.0] * len(TRUTH.layout.columns)
+
+    def send(count):
+        nonlocal sent
+        for _ in range(count):
+            publish(sent * PERIOD, *numbers)
+            sent += 1
+        publish.flush()
+
+    received = []
+
+    def look():
+        received.extend(TRUTH.layout.unpack(data)[0] // PERIOD for data, _ in bursts.fetch())
+        return received
+
+    pair.wait(lambda: bursts.connected and pair.writer.count_subscribers(TRUTH.topic) == 1)
+    time.sleep(0.5)
+    send(100)
+    # Having had the first burst the reader leaves the stream itself, and nobody else reads that.
+    pair.wait(lambda: look() == list(range(100)) and pair.writer.count_subscribers(TRUTH.topic) == 0)
+    direct = Inbox(pair.reader, pair.unspun, TRUTH)
+    pair.wait(lambda: pair.writer.count_subscribers(TRUTH.topic) == 1)
+    time.sleep(0.5)
+    send(20)
+    seen = []
+    pair.wait(lambda: seen.extend(stamp // PERIOD for stamp, _, _ in direct.fetch()) or len(seen) == 20)
+    assert seen == list(range(100, 120))
+    pair.wait(lambda: look() == list(range(120)))
+
+
+def test_a_message_of_a_burst_says_when_it_was_made_and_not_when_the_burst_went_out(pair):
+    publish = BurstPublisher(pair.writer, TRUTH, flushed=True)
+    bursts = BurstQueue(pair.reader, pair.unspun, TRUTH)
+    pair.wait(lambda: bursts.connected)
+    time.sleep(0.5)
+    made = []
+    for k in range(3):
+        made.append(time.time_ns())
+        publish(k * PERIOD, *[0.0] * len(TRUTH.layout.columns))
+        time.sleep(0.05)
+    flushed = time.time_ns()
+    publish.flush()
+    messages = []
+    pair.wait(lambda: messages.extend(bursts.fetch()) or len(messages) >= 3)
+    for (_, times), at in zip(messages, made, strict=True):
+        assert at <= times["source_timestamp"] < at + 50_000_000
+        assert times["received_timestamp"] >= flushed
