@@ -76,6 +76,12 @@ class ControlParameters:
             )
 
 
+def prepare_all() -> None:
+    """Make all laws ready to be made without a delay: what is compiled is compiled now, or read."""
+    for name in LAWS:
+        make_law(ControlParameters(law=name), 1.0)
+
+
 def make_law(parameters: ControlParameters, period: float) -> Law:
     """The law that the parameters name, for a sampling period in s."""
     design, observer, nominal = parameters.design, parameters.observer, parameters.nominal
@@ -89,7 +95,7 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
             velocity_bandwidth=parameters.velocity_bandwidth,
             current_limit=parameters.current_limit,
         )
-        return Law(gains, sliding_mode.start, sliding_mode.step)
+        return Law(gains, sliding_mode.start, sliding_mode.step, sliding_mode.run)
 
     def loop(delay: float, bandwidth: float, gain_allowance: float) -> tracking.Loop:
         return tracking.loop(
@@ -110,7 +116,8 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
             super_twisting.gains(twisting.surface, twisting.disturbance_rate, believed),
             super_twisting.start,
             super_twisting.step,
+            super_twisting.run,
         )
     believed = loop(observer.delay, observer.bandwidth, observer.gain_allowance)
     reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, believed)
-    return Law(reaching, smc_observer.start, smc_observer.step)
+    return Law(reaching, smc_observer.start, smc_observer.step, smc_observer.run)

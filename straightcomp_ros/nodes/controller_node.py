@@ -13,7 +13,7 @@ from rclpy.node import Node
 from straightcomp_ros.configuration import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.crossfade import FADE_TIME
-from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.laws import make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
@@ -43,6 +43,8 @@ class ControllerPart:
 
     def __init__(self, node: ManagedNode, parameters: ControllerNodeParameters) -> None:
         self._node, self._parameters = node, parameters
+        # The law may be changed while the loop runs.
+        prepare_all()
         self._learner: BesideTheLoop | None = None
         if parameters.learning.learn and parameters.trigger == "timer":
             self._learner = BesideTheLoop(node)

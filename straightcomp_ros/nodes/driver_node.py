@@ -103,7 +103,7 @@ class DriverPart:
             self._unspun = unspun_node(node)
             self._inbox = Inbox(node, self._unspun, COMMAND)
             if self._hardware.newest_arrival_ns is None:
-                self.loop = PeriodicLoop(period_ns, self._cycle)
+                self.loop = PeriodicLoop(period_ns, self._cycle, punctual=True)
             else:
                 self.loop = LockedLoop(period_ns, self._wait, self._follow)
         machine = parameters.hardware

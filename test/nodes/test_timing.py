@@ -27,6 +27,49 @@ def test_the_loop_never_works_twice_in_a_period_and_counts_what_it_missed():
     assert all(now >= wake for wake, now in wakes)
 
 
+class Clock:
+    """A simulated clock on which to sleep takes longer than asked, by ``late()`` ns, and each look some time."""
+
+    def __init__(self, monkeypatch, late):
+        self.now, self._late = 0, late
+        monkeypatch.setattr(time, "monotonic_ns", self.look)
+        monkeypatch.setattr(time, "sleep", self.sleep)
+
+    def look(self):
+        self.now += 100
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += round(seconds * 1e9) + self._late()
+
+
+def lateness(monkeypatch, late, cycles=4000, **options):
+    """How late in ns each of the later cycles began."""
+    clock, begins = Clock(monkeypatch, late), []
+    loop = PeriodicLoop(PERIOD, lambda wake_ns: begins.append(clock.now - wake_ns), **options)
+    loop.run(lambda: len(begins) >= cycles, idle=lambda: None)
+    assert min(begins) >= 0 and loop.overruns == 0
+    return sorted(begins[cycles // 2 :])
+
+
+def test_a_punctual_loop_begins_when_it_is_due_though_the_machine_wakes_up_late(monkeypatch):
+    source = random.Random(3)
+
+    def late():
+        return source.randrange(30_000, 60_000)
+
+    assert lateness(monkeypatch, late)[0] >= 30_000
+    punctual = lateness(monkeypatch, late, punctual=True)
+    # Half of the wake-ups are early enough, the others as much later as they differ.
+    assert punctual[len(punctual) // 2 - 50] < 1000 and punctual[-1] < 20_000
+
+
+def test_a_punctual_loop_waits_for_no_more_than_an_eighth_of_a_period(monkeypatch):
+    punctual = lateness(monkeypatch, lambda: 200_000, punctual=True)
+    assert punctual[0] >= 200_000 - PERIOD // 8
+    assert lateness(monkeypatch, lambda: 0, punctual=True)[-1] < 1000
+
+
 class Stream:
     """Messages at given times in ns from now, and a loop that waits for them; time is simulated."""
 
