@@ -36,7 +36,7 @@ _first_bursts = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
 """Lengths of the first bursts of a process's streams: those of a node must not all fall into the same cycle."""
 _FLUSH_S = 0.5
 """For the last samples, when no more come: a burst that nothing fills waits for so long at most."""
-_LOOK_S = 0.2
+_LOOK_NS = 200_000_000
 _LONGEST_DELAY_NS = 1_000_000_000
 
 
@@ -135,7 +135,7 @@ class BurstQueue:
     """Messages of a stream from its bursts, or from the stream itself as long as nobody publishes any.
 
     Args:
-        node: resolves the names, and looks now and then whether the bursts' publisher is still there.
+        node: resolves the names.
         unspun: from :func:`straightcomp_ros.nodes.streams.unspun_node`.
         stream: what to receive.
         qos: of the subscriptions.
@@ -153,7 +153,7 @@ class BurstQueue:
         self._warned = False
         self._newest_ns: int | None = None
         """Stamp of the last message that came directly; those of bursts up to it have been had."""
-        node.create_timer(_LOOK_S, self._look)
+        self._looked_ns = 0
 
     @property
     def connected(self) -> bool:
@@ -162,6 +162,8 @@ class BurstQueue:
 
     def fetch(self) -> Messages:
         """Messages since the last call, each once."""
+        if self._direct is None:
+            self._look()
         copies = self._unpacked(self._bursts.fetch())
         messages: Messages = []
         if self._direct is not None:
@@ -199,5 +201,9 @@ class BurstQueue:
         return 0 <= newest_ns - stamp_ns < _LONGEST_DELAY_NS
 
     def _look(self) -> None:
-        if self._direct is None and not self._bursts.connected:
-            self._direct = self._make_direct()
+        """Now and then: is the bursts' publisher still there?"""
+        now_ns = time.monotonic_ns()
+        if now_ns - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = now_ns
+            if not self._bursts.connected:
+                self._direct = self._make_direct()
