@@ -129,12 +129,17 @@ def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to
 def test_a_message_of_a_burst_says_when_it_was_made_and_not_when_the_burst_went_out(pair):
     publish = BurstPublisher(pair.writer, TRUTH, flushed=True)
     bursts = BurstQueue(pair.reader, pair.unspun, TRUTH)
+    numbers = [0.0] * len(TRUTH.layout.columns)
     pair.wait(lambda: bursts.connected)
     time.sleep(0.5)
+    publish(0, *numbers)
+    publish.flush()
+    first = []
+    pair.wait(lambda: first.extend(bursts.fetch()) or (first and not pair.writer.count_subscribers(TRUTH.topic)))
     made = []
-    for k in range(3):
+    for k in range(1, 4):
         made.append(time.time_ns())
-        publish(k * PERIOD, *[0.0] * len(TRUTH.layout.columns))
+        publish(k * PERIOD, *numbers)
         time.sleep(0.05)
     flushed = time.time_ns()
     publish.flush()
