@@ -15,8 +15,6 @@ from straightcomp_ros.timing.report import OVERRUNS, TIMER_ERROR, written
 _PR_SET_TIMERSLACK = 29
 IDLE_EVERY_NS = 6_000_000
 """Time between two turns of the work that can wait: short turns, that a cycle after them is not late."""
-
-
 _EARLIER_NS = 50
 """Step by which the loop follows how late the machine wakes up: 50 µs take half a second."""
 

@@ -29,14 +29,12 @@ def stream_qos(depth: int = 1000) -> QoSProfile:
     return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def publisher(node: Node, stream: Stream) -> Callable[..., bytes]:
-    """A function ``publish(stamp_ns, *numbers)`` for one stream; it returns the serialised message."""
+def publisher(node: Node, stream: Stream) -> Callable[..., None]:
+    """A function ``publish(stamp_ns, *numbers)`` for one stream."""
     publish, pack = raw_publish(stream_publisher(node, stream)), stream.layout.pack
 
-    def send(stamp_ns: int, *numbers: float) -> bytes:
-        data = pack(stamp_ns, *numbers)
-        publish(data)
-        return data
+    def send(stamp_ns: int, *numbers: float) -> None:
+        publish(pack(stamp_ns, *numbers))
 
     return send
 
