@@ -39,10 +39,10 @@ def unpack_burst(burst: bytes, size: int) -> list[tuple[int, bytes]]:
     if len(burst) < _HEAD.size:
         raise LayoutMismatch(f"{BURST_TYPE}: {len(burst)} bytes, {_HEAD.size} expected at least")
     encapsulation, dimensions, offset, length = _HEAD.unpack_from(burst)
+    plain = (encapsulation, dimensions, offset) == (ENCAPSULATION, 0, 0)
     # The middleware may pad a message to a multiple of 4 bytes.
-    if (encapsulation, dimensions, offset) != (ENCAPSULATION, 0, 0) or not length <= len(
-        burst
-    ) - _HEAD.size < length + 4:
+    padding = len(burst) - _HEAD.size - length
+    if not plain or not 0 <= padding < 4:
         raise LayoutMismatch(f"{BURST_TYPE}: not a plain array of bytes")
     if length % step:
         raise LayoutMismatch(f"{BURST_TYPE}: {length} bytes are no multiple of {step}, the size of one message")
