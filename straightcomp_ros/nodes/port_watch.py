@@ -68,43 +68,6 @@ class PortWatch:
                     )
 
 
-class PortWatch:
-    """Watches the ports on which this process reads now, in a thread of its own; use it as a context manager.
-
-    Args:
-        tell: gets one sentence for each port whose reader was woken up.
-
-    Raises:
-        ValueError: not in the main thread, which alone may handle signals.
-    """
-
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell = tell
-        self._ports = [Port(match[1], int(match[2])) for match in map(_PORT.fullmatch, held_by(os.getpid())) if match]
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="port_watch", daemon=True)
-        # Python's handlers interrupt system calls.
-        signal.signal(_SIGNAL, _do_nothing)
-
-    def __enter__(self) -> PortWatch:
-        if self._ports:
-            self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def _watch(self) -> None:
-        while not self._ended.wait(_PERIOD_S):
-            for port in self._ports:
-                if port.is_lost() and port.wake_reader():
-                    self._tell(
-                        f"port {port.number} in shared memory was removed by others (after a killed process?): opening it again"
-                    )
-
-
 class Port:
     """A port that this process reads: the name of its file, and its number."""
 
