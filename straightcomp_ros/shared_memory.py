@@ -82,6 +82,19 @@ def held_by(process_id: int) -> set[str]:
     return {name for name in names if _LOCK.fullmatch(name)}
 
 
+def mapped(folder: Path = _FOLDER) -> set[str]:
+    """Names of the files in ``folder`` that processes have mapped, as far as this user may look at them."""
+    names = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        # Processes end meanwhile, and those of others do not show theirs.
+        with suppress(OSError):
+            for line in maps.read_text().splitlines():
+                path = Path(line.split(maxsplit=5)[-1])
+                if path.parent == folder:
+                    names.add(path.name)
+    return names
+
+
 def _is_free(path: Path) -> bool:
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)

@@ -6,7 +6,8 @@ message some 50 µs more, but whoever is killed or held up, on either side, leav
 In shared memory it does. Fast DDS takes the first place whose ports are free, which is that of the node that was just
 killed, with the same numbers of ports in shared memory. A writer that has not noticed the death yet opens the port of
 that number anew, takes it from the new node thereby, and that for each message (eProsima/Fast-DDS issues 2398 and
-5053): the loop stands still. So each process takes a place where no port lies.
+5053): the loop stands still. So each process takes a place where no port lies, or, after many a killed process, one
+whose port nobody has open any more.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from straightcomp_ros.share import share_path
+from straightcomp_ros.shared_memory import mapped
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 """Where Fast DDS finds its settings; who sets it keeps his own."""
@@ -69,16 +71,22 @@ def _set(variable: str, value: str) -> Iterator[None]:
 
 
 def free_place(shared_memory: Path, domain: int, first: int) -> int:
-    """The first place from ``first`` on, around the circle, that nobody has or had; ``first``'s own if there is none.
+    """The first place from ``first`` on, around the circle, that nobody has or had; else the first that nobody has.
 
     Args:
         shared_memory: folder with Fast DDS's files.
         domain: ROS domain id.
         first: any number; processes that start together should have different ones.
+
+    Returns:
+        The place; ``first``'s own if all are taken.
     """
     base = _PORT_BASE + _PER_DOMAIN * domain + _USER_UNICAST
-    for step in range(_PLACES):
-        place = (first + step) % _PLACES
-        if not any(shared_memory.glob(f"fastrtps_port{base + _PER_PARTICIPANT * place}*")):
+    places = [(first + step) % _PLACES for step in range(_PLACES)]
+    ports = {place: f"fastrtps_port{base + _PER_PARTICIPANT * place}" for place in places}
+    for place in places:
+        if not any(shared_memory.glob(f"{ports[place]}*")):
             return place
-    return first % _PLACES
+    # Looking through the mappings of all processes takes a while.
+    in_use = mapped(shared_memory)
+    return next((place for place in places if ports[place] not in in_use), first % _PLACES)

@@ -1,9 +1,11 @@
 """A process's place among the participants of Fast DDS, and its profile."""
 
+import mmap
 import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from contextlib import ExitStack
 
 from straightcomp_ros.nodes.middleware import PROFILE_VARIABLE, free_place, own_profile
 from straightcomp_ros.share import share_path
@@ -26,9 +28,19 @@ def test_a_place_where_a_port_lies_is_not_taken(tmp_path):
     assert free_place(tmp_path, 0, 32 + 4) == 4, "around the circle"
 
 
-def test_without_a_free_place_the_first_one_is_left_to_fast_dds(tmp_path):
-    for place in range(32):
-        (tmp_path / f"fastrtps_port{7411 + 2 * place}").touch()
+def test_where_ports_lie_everywhere_a_place_is_taken_whose_port_nobody_has_open(tmp_path):
+    ports = [tmp_path / f"fastrtps_port{7411 + 2 * place}" for place in range(32)]
+    for port in ports:
+        port.write_bytes(bytes(4096))
+    with ExitStack() as stack:
+        for port in (*ports[3:], *ports[:1]):
+            with port.open("r+b") as file:
+                stack.enter_context(mmap.mmap(file.fileno(), 0))
+        assert free_place(tmp_path, 0, 35) == 1
+        for port in ports[1:3]:
+            with port.open("r+b") as file:
+                stack.enter_context(mmap.mmap(file.fileno(), 0))
+        assert free_place(tmp_path, 0, 35) == 3, "left to Fast DDS"
     assert free_place(tmp_path, 0, 35) == 3
 
 
