@@ -6,6 +6,7 @@ and the amplifier on. Exit code 0 if every row is green."""
 from __future__ import annotations
 
 import argparse
+import shutil
 import tempfile
 import time
 from pathlib import Path
@@ -43,18 +44,22 @@ def run(options: argparse.Namespace) -> int:
         raise CommandFailed(f"--only {options.only!r}: no fault has this in its name; known: {names}", exit_code=2)
     values = trial_parameters(chosen_parameters(options))
     begin = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder, progress_bar() as bar:
+    folder = Path(options.output or tempfile.mkdtemp(prefix="straightcomp_faults_"))
+    with progress_bar() as bar:
         task = bar.add_task("starting", total=1.0)
         try:
             rows = run_trials(
                 values,
-                Path(options.output or folder),
+                folder,
                 _QUICK if options.quick else _REPEATS,
                 lambda name, done: bar.update(task, description=name, completed=done),
                 chosen,
             )
         except LaunchError as error:
+            # It names the folder's logs, so they stay.
             raise CommandFailed(str(error)) from error
+    if not options.output:
+        shutil.rmtree(folder, ignore_errors=True)
     figures = summary(rows, time.monotonic() - begin)
     if options.json:
         print_json(figures)

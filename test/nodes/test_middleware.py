@@ -100,3 +100,16 @@ print(sorted({each.laddr.ip for each in process.net_connections("udp")}))
     environment = dict(os.environ, ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, timeout=120)
     assert done.stdout.splitlines() == ["[]", "['127.0.0.1']"], done.stderr
+
+
+def seconds(element):
+    """A duration of Fast DDS."""
+    return float(element.findtext(f"{NAMESPACE}sec")) + 1e-9 * float(element.findtext(f"{NAMESPACE}nanosec"))
+
+
+def test_a_killed_process_is_forgotten_after_its_locks_are_given_up_and_before_its_ports_count_as_broken():
+    nodes = ElementTree.parse(share_path("config/fastdds.xml"))
+    lease = seconds(nodes.find(f".//{NAMESPACE}leaseDuration"))
+    assert 2.0 < lease < 1e-3 * float(nodes.findtext(f".//{NAMESPACE}healthy_check_timeout_ms"))
+    others = ElementTree.parse(share_path("config/fastdds_loopback.xml"))
+    assert seconds(others.find(f".//{NAMESPACE}leaseDuration")) == lease
