@@ -42,7 +42,9 @@ class PortWatch:
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
-        self._ports = [Port(match[1], int(match[2])) for match in map(_PORT.fullmatch, held_by(os.getpid())) if match]
+        # Other systems than Linux have no such files.
+        names = held_by(os.getpid()) if _THREADS.is_dir() else set()
+        self._ports = [Port(match[1], int(match[2])) for match in map(_PORT.fullmatch, names) if match]
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="port_watch", daemon=True)
         # Python's handlers interrupt system calls.
