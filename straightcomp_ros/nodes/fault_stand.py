@@ -36,6 +36,8 @@ from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
 _START_S = 90.0
 """A busy machine takes its time to start a node, and the middleware to connect it."""
 _ANSWER_S = 3.0
+_REPLY_S = 1.0
+"""A request to a node that was killed is lost: it goes to whoever is known."""
 _SETTLE_S = 0.1
 _REFUSALS = 2
 _SENDS = 3
@@ -265,7 +267,7 @@ class Stand:
             client = self._clients[service] = self.node.create_client(kind, service)
             self.until(client.service_is_ready, _ANSWER_S)
         future = client.call_async(request)
-        if self.until(future.done, _ANSWER_S):
+        if self.until(future.done, _REPLY_S):
             return future.result()
         client.remove_pending_request(future)
         return None

@@ -17,7 +17,7 @@ from straightcomp_ros.bench.faults import Row
 from straightcomp_ros.cycle import RECORDED
 from straightcomp_ros.nodes.fault_stand import Stand
 from straightcomp_ros.nodes.faulty_driver import CLOCK_STEP, LATE_COMMANDS
-from straightcomp_ros.safety.faults import ALLOWANCE_MS, FAULTS
+from straightcomp_ros.safety.faults import ALLOWANCE_MS, FAULTS, HELD_UP
 
 COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
 """s, in the trials."""
@@ -29,7 +29,7 @@ _AGAIN = 3
 _OTHERS = {"command_timeout": COMMAND_TIMEOUT * 1e3 - 5.0, "sample_timeout": SAMPLE_TIMEOUT * 1e3 - 1000.0}
 """What these trials' parameters add to the faults' own times, which are those of the defaults."""
 _LOCK_MS = 1000.0
-"""Until Fast DDS gives up a lock in shared memory that a killed process took along; its peers wait for it so long."""
+"""Until Fast DDS gives up a lock in shared memory that a dead or stopped process holds: so long its peers wait."""
 
 
 def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -115,21 +115,24 @@ def _driver_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]
     return found
 
 
-def _logger_missed(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """Its heartbeat is missed, and the loop goes on."""
-    found = time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"], _PATIENCE_S) else None
-    _check_going_on(stand, failures)
-    return found
+def _logger_missed(stand: Stand) -> int | None:
+    """Its heartbeat is missed."""
+    return time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"], _PATIENCE_S) else None
 
 
 def _logger_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    found = _logger_missed(stand, trial, failures)
+    """The same, and the loop goes on."""
+    found = _logger_missed(stand)
+    _check_going_on(stand, failures)
     stand.signal("logger", signal.SIGCONT)
     return found
 
 
 def _logger_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    found = _logger_missed(stand, trial, failures)
+    """The same, or the loop was held up by a lock that the dead logger took along: then that is latched."""
+    found = _logger_missed(stand)
+    if stand.fault is None or stand.fault.name not in HELD_UP:
+        _check_going_on(stand, failures)
     failures += stand.restart("logger")
     return found
 
@@ -219,11 +222,11 @@ TRIALS = (
     Trial("late commands", "command_timeout", _injected(LATE_COMMANDS), _latched),
     Trial("two controllers on one topic", "two_controllers", _echoed, _latched_and_silent),
     *(
-        Trial(f"{name} SIGSTOP", "command_timeout", _signalled(name, _STOP), _latched_and_going_on(name))
+        Trial(f"{name} SIGSTOP", "command_timeout", _signalled(name, _STOP), _latched_and_going_on(name), _LOCK_MS)
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGSTOP", "sample_timeout", _signalled("driver", _STOP), _driver_missed_and_going_on),
-    Trial("logger SIGSTOP", "heartbeat_lost", _signalled("logger", _STOP), _logger_missed_and_going_on),
+    Trial("driver SIGSTOP", "sample_timeout", _signalled("driver", _STOP), _driver_missed_and_going_on, _LOCK_MS),
+    Trial("logger SIGSTOP", "heartbeat_lost", _signalled("logger", _STOP), _logger_missed_and_going_on, _LOCK_MS),
     *(
         Trial(f"{name} SIGKILL", "command_timeout", _signalled(name, _KILL), _latched_and_restarted(name), _LOCK_MS)
         for name in ("controller", "feedforward")

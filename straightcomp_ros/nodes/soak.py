@@ -21,7 +21,8 @@ from straightcomp_ros.cycle import RECORDED
 from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.nodes.fault_stand import Stand
 from straightcomp_ros.nodes.soak_actions import ACTIONS
-from straightcomp_ros.nodes.soak_scene import HELD_UP, Scene
+from straightcomp_ros.nodes.soak_scene import Scene
+from straightcomp_ros.safety.faults import HELD_UP
 from straightcomp_ros.shared_memory import find_stale, held_by
 from straightcomp_ros.straightness.map import find_survey
 

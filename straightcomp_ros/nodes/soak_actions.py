@@ -15,7 +15,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.cycle import RECORDED
-from straightcomp_ros.nodes.soak_scene import HELD_UP, Scene
+from straightcomp_ros.nodes.soak_scene import Scene
+from straightcomp_ros.safety.faults import HELD_UP
 
 ENABLE_LIMIT_S = 2.0
 """From asking for the amplifier to 'on', with no fault latched and fresh commands."""

@@ -19,11 +19,9 @@ from straightcomp_ros.contract import DIAGNOSTICS, POSITION
 from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.nodes.fault_stand import ACCELERATION, MOTION, MOTION_STROKES, STROKE_S, Stand
 from straightcomp_ros.nodes.streams import subscribe
+from straightcomp_ros.safety.faults import HELD_UP
 from straightcomp_ros.timing.report import SAMPLES
 
-HELD_UP = ("command_timeout", "sample_timeout", "y_out_of_range", "y_frozen")
-"""What a fault may be called where a node stood still, its peers were held up, or the whole machine stood still:
-without commands the platform goes to its stop, and may be there before the time is out."""
 _STALL_MS, _STALL_S = 80.0, 1.0
 """Stalls of so long in all, in the time before a fault, may have led to it."""
 _REACTION_S = 3.0

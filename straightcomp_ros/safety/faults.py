@@ -108,3 +108,8 @@ def table() -> str:
         cells = (f"`{fault.name}`", fault.detected, fault.by, f"{fault.within_ms:g}", fault.reaction, fault.reset)
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(rows)
+
+
+HELD_UP = ("command_timeout", "sample_timeout", "y_out_of_range", "y_frozen")
+"""What a fault may be called where a node stood still, its peers were held up, or the whole machine stood still:
+without commands the platform goes to its stop, and may be there before the time is out."""

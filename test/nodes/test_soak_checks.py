@@ -12,7 +12,8 @@ from straightcomp_ros.bench.soak import Soak
 from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.nodes import soak_actions, soak_scene
 from straightcomp_ros.nodes.fault_stand import MOTION, Seen
-from straightcomp_ros.nodes.soak_scene import HELD_UP, Scene
+from straightcomp_ros.nodes.soak_scene import Scene
+from straightcomp_ros.safety.faults import HELD_UP
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 
