@@ -85,14 +85,26 @@ def held_by(process_id: int) -> set[str]:
 def mapped(folder: Path = _FOLDER) -> set[str]:
     """Names of the files in ``folder`` that processes have mapped, as far as this user may look at them."""
     names = set()
-    for maps in Path("/proc").glob("[0-9]*/maps"):
+    for process in Path("/proc").glob("[0-9]*"):
         # Processes end meanwhile, and those of others do not show theirs.
         with suppress(OSError):
-            for line in maps.read_text().splitlines():
-                path = Path(line.split(maxsplit=5)[-1])
-                if path.parent == folder:
-                    names.add(path.name)
+            names |= {path.name for _, path in mappings(process) if path.parent == folder}
     return names
+
+
+def mappings(process: Path) -> Iterator[tuple[int, Path]]:
+    """Inode and path of each file that a process has mapped; the path of a removed one ends in `` (deleted)``.
+
+    Args:
+        process: its folder in /proc.
+
+    Raises:
+        OSError: it has ended, or does not show them.
+    """
+    for line in (process / "maps").read_text().splitlines():
+        words = line.split(maxsplit=5)
+        if len(words) == 6:
+            yield int(words[4]), Path(words[5])
 
 
 def _is_free(path: Path) -> bool:

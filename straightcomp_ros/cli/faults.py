@@ -9,6 +9,7 @@ import argparse
 import shutil
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,9 @@ def run(options: argparse.Namespace) -> int:
     values = trial_parameters(chosen_parameters(options))
     begin = time.monotonic()
     folder = Path(options.output or tempfile.mkdtemp(prefix="straightcomp_faults_"))
-    with progress_bar() as bar:
+    with ExitStack() as end, progress_bar() as bar:
+        if not options.output:
+            end.callback(shutil.rmtree, folder, ignore_errors=True)
         task = bar.add_task("starting", total=1.0)
         try:
             rows = run_trials(
@@ -57,9 +60,8 @@ def run(options: argparse.Namespace) -> int:
             )
         except LaunchError as error:
             # It names the folder's logs, so they stay.
+            end.pop_all()
             raise CommandFailed(str(error)) from error
-    if not options.output:
-        shutil.rmtree(folder, ignore_errors=True)
     figures = summary(rows, time.monotonic() - begin)
     if options.json:
         print_json(figures)

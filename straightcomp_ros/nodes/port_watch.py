@@ -18,10 +18,10 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from straightcomp_ros.shared_memory import held_by
+from straightcomp_ros.shared_memory import held_by, mappings
 
-_THREADS = Path("/proc/self/task")
-_MAPS = Path("/proc/self/maps")
+_PROCESS = Path("/proc/self")
+_THREADS = _PROCESS / "task"
 _PORT = re.compile(r"(fastrtps_port(\d+))_el")
 _SIGNAL = signal.SIGURG
 """Ignored where nobody handles it, and used for urgent data on sockets only."""
@@ -103,11 +103,8 @@ class Port:
 
 def _mapped(file: Path) -> int | None:
     """Inode of the newest of a file's mappings in this process, of a removed file too."""
-    inodes = [
-        int(words[4])
-        for words in (line.split(maxsplit=5) for line in _MAPS.read_text().splitlines())
-        if len(words) == 6 and words[5].removesuffix(" (deleted)") == str(file)
-    ]
+    names = (str(file), f"{file} (deleted)")
+    inodes = (inode for inode, path in mappings(_PROCESS) if str(path) in names)
     return max(inodes, default=None)
 
 
