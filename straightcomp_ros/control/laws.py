@@ -16,20 +16,20 @@ LAWS = ("linear", "smc", "super_twisting", "smc_observer")
 class ObserverDesign:
     """Observer and reaching law of 'smc_observer'."""
 
-    bandwidth: float = parameter(440.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
+    bandwidth: float = parameter(545.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
     delay: float = parameter(
-        0.7, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
+        1.0, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
     )
     amplifier_bandwidth: float = parameter(
         500.0, "Bandwidth of the amplifier; 'super_twisting' takes it too", unit="Hz", above=0.0, maximum=1e6
     )
     surface: float = parameter(
-        540.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
+        545.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
     )
     reaching: float = parameter(600.0, "κ: rate at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
     rho: float = parameter(5.0, "Largest reaching acceleration ρ", unit="m/s²", above=0.0, maximum=1e4)
     gain_allowance: float = parameter(
-        2.1,
+        2.3,
         "How many times stronger than nominal a current is taken to accelerate; above 1 it leaves gain margin",
         minimum=0.1,
         maximum=10.0,

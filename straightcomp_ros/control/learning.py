@@ -64,7 +64,7 @@ class LearningParameters:
     )
     forgetting: float = parameter(0.01, "Part of the correction that each pass forgets", minimum=0.0, maximum=0.5)
     cutoff: float = parameter(
-        50.0, "Frequency up to which is learned, below the servo's bandwidth", unit="Hz", above=0.0, maximum=1000.0
+        35.0, "Frequency up to which is learned, below the servo's bandwidth", unit="Hz", above=0.0, maximum=1000.0
     )
     limit: float = parameter(2e-6, "Largest correction of the reference", unit="m", above=0.0, maximum=1e-4)
     spacing: float = parameter(0.25e-3, "Distance of the nodes along x", unit="m", minimum=1e-5, maximum=1e-2)

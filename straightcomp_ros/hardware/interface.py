@@ -69,7 +69,8 @@ class Hardware(ABC):
     def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         """Ask for a control current in A, in effect from ``at_ns`` (now, if that has passed).
 
-        ``sample_ns`` is the stamp of the sample that it answers; the newest, if None. A board may refuse an old answer.
+        ``sample_ns`` is the stamp of the sample that it answers, if given: a board may refuse an old answer, and let
+        one that comes early wait for a fixed time after its sample.
 
         Raises:
             ValueError: not finite. Nothing is sent then.

@@ -1,11 +1,15 @@
 """The simulated machine: plant, encoders, D/A, amplifier and stage behind the hardware interface.
 
 It stands for a board with a sampling clock of its own: samples lie on an exact grid of the sampling
-period, whenever the host comes to fetch them, and a command takes effect when it arrives. How late
-that is, is the loop's own latency; nothing is added to it here. When the next command is late, the board
-keeps the platform where it is, until it comes or ``command_timeout`` ends the waiting: it goes back to the mean of the
-commands before, which holds against the magnets' pull at that place, and adds a stiffness about the last reading, since
-the magnets' own is negative and a command that is merely kept lets the platform go.
+period, whenever the host comes to fetch them, and the command that answers one takes effect at a fixed time after it,
+``actuation_delay``, or when it arrives, if that is later. (Commands that act as they come in make the loop's delay as
+irregular as the host: a law answers one count of the encoder with some 15 mA for one period, and a few commands in a
+thousand that come 0.3 ms later than the others double its error peak to peak.)
+
+When the next command is late, the board keeps the platform where it is, until it comes or ``command_timeout`` ends the
+waiting: it goes back to the mean of the commands before, which holds against the magnets' pull at that place, takes
+back what the last commands gave beyond that mean (each answers an error of its own moment, and is undone by those that
+are to follow), and adds a stiffness about the last reading, since the magnets' own is negative.
 """
 
 from __future__ import annotations
@@ -33,20 +37,31 @@ class Hold(NamedTuple):
     """How the board holds the platform when commands are late.
 
     Attributes:
-        after_ns: age of the newest command from which it does.
+        after_ns: time since a command took effect from which it does.
         weight: share of each command in the mean.
+        kept: share of an impulse that friction leaves after a sample.
+        braking: share of what is left that the board takes back in a sample.
         stiffness: control current per displacement, A/m.
     """
 
     after_ns: int
     weight: float
+    kept: float
+    braking: float
     stiffness: float
 
 
 @compilable
-def holding_current(hold: Hold, mean: float, anchor: float, reading: float) -> float:
-    """Control current in A that the board applies at ``reading`` (m) while it holds the platform at ``anchor`` (m)."""
-    return mean - hold.stiffness * (reading - anchor)
+def impulse_after(hold: Hold, impulse: float, excess: float) -> float:
+    """Impulse on the platform after a sample with the current ``excess`` (A) beyond the mean, in A · samples."""
+    return hold.kept * (impulse + excess)
+
+
+@compilable
+def holding_current(hold: Hold, mean: float, impulse: float, displacement: float) -> float:
+    """Control current in A that the board applies while it holds the platform, which is ``displacement`` (m) away from
+    the place where it is held."""
+    return mean - hold.braking * impulse - hold.stiffness * displacement
 
 
 @dataclass(frozen=True)
@@ -61,15 +76,33 @@ class SimulatedParameters:
         above=0.0,
         maximum=1.0,
     )
+    actuation_delay: float = parameter(
+        1.0,
+        "A command takes effect this long after its sample, or when it comes in, if that is later: the loop's delay is"
+        " then the same from sample to sample, whatever the host's jitter. 0: always when it comes in. In lockstep,"
+        " lockstep_delay alone counts",
+        unit="samples",
+        minimum=0.0,
+        maximum=1.0,
+    )
     hold_after: float = parameter(
-        1.5,
-        "Age of the newest command from which the board holds the platform by itself: with the mean of the last"
-        " commands, and a stiffness about the place where it is then",
+        1.25,
+        "Time since the last command took effect from which the board holds the platform by itself: with the mean of"
+        " the last commands, and a stiffness about the place where it is then",
         unit="samples",
         minimum=1.1,
         maximum=1e6,
     )
     hold_mean: float = parameter(0.015, "Time constant of that mean", unit="s", above=0.0, maximum=10.0)
+    hold_braking: float = parameter(
+        0.5,
+        "Share of the impulse that the last commands gave beyond that mean which the board takes back in each sample",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    hold_memory: float = parameter(
+        0.001, "Time constant with which friction ends such an impulse", unit="s", above=0.0, maximum=1.0
+    )
     hold_stiffness: float = parameter(
         7000.0,
         "That stiffness, as control current per displacement; the magnets' negative stiffness is I0/y0 = 667 A/m",
@@ -83,9 +116,14 @@ class SimulatedParameters:
 
     @property
     def hold(self) -> Hold:
-        """``hold_after``, ``hold_mean`` and ``hold_stiffness`` at this rate."""
-        weight = 1.0 - math.exp(-1.0 / (self.rate * self.hold_mean))
-        return Hold(round(self.hold_after * 1e9 / self.rate), weight, self.hold_stiffness)
+        """The parameters ``hold_…`` at this rate."""
+        return Hold(
+            after_ns=round(self.hold_after * 1e9 / self.rate),
+            weight=1.0 - math.exp(-1.0 / (self.rate * self.hold_mean)),
+            kept=math.exp(-1.0 / (self.rate * self.hold_memory)),
+            braking=self.hold_braking,
+            stiffness=self.hold_stiffness,
+        )
 
 
 class SimulatedHardware(Hardware):
@@ -108,8 +146,9 @@ class SimulatedHardware(Hardware):
         self._reading = parameters.plant.encoder.reading
         self._converted = parameters.plant.drive.converted
         self._commands: deque[tuple[int, float]] = deque()
-        self._command = self._mean_command = 0.0
+        self._command = self._mean_command = self._impulse = 0.0
         self._hold = parameters.hold
+        self._actuation_delay_ns = round(parameters.actuation_delay * self.period_ns)
         self._hold_ns = NEVER
         self._holding = False
         self._y = self._anchor = self._reading(parameters.initial_y)
@@ -143,6 +182,8 @@ class SimulatedHardware(Hardware):
     def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
+        if sample_ns is not None:
+            at_ns = max(at_ns, sample_ns + self._actuation_delay_ns)
         effective = max(at_ns, self._time_ns)
         if self._commands:
             effective = max(effective, self._commands[-1][0])
@@ -201,7 +242,7 @@ class SimulatedHardware(Hardware):
 
     def _currents_off(self) -> None:
         self._commands.clear()
-        self._command = self._mean_command = 0.0
+        self._command = self._mean_command = self._impulse = 0.0
         self._hold_ns = NEVER
         self._holding = False
         self._bias = 0.0
@@ -219,8 +260,10 @@ class SimulatedHardware(Hardware):
                     current = self._command
             elif self._hold_ns <= until_ns:
                 # The last command fought the error of its own moment; held for longer it drives the platform away.
-                at_ns, current = self._hold_ns, self._converted(self._mean_command)
+                at_ns = self._hold_ns
                 self._hold_ns, self._holding, self._anchor = NEVER, True, self._y
+                self._count_impulse()
+                current = self._held(0.0)
             else:
                 break
             # Up to what comes next, if that is before the sample.
@@ -241,6 +284,12 @@ class SimulatedHardware(Hardware):
             advance(self._constants, self._plant_state, self._bias, self._command, until_ns - self._time_ns, 0.0, 0)
             self._time_ns = until_ns
 
+    def _count_impulse(self) -> None:
+        self._impulse = impulse_after(self._hold, self._impulse, self._command - self._mean_command)
+
+    def _held(self, displacement: float) -> float:
+        return self._converted(holding_current(self._hold, self._mean_command, self._impulse, displacement))
+
     def _miss_command(self) -> None:
         if self._state is State.ON:
             age_ms = (self._time_ns - self._last_command_ns) * 1e-6
@@ -255,6 +304,7 @@ class SimulatedHardware(Hardware):
         measured = control if self._state is State.ON else math.nan
         truth = Truth(x, y, velocity, friction, magnetic, self._guide.deviation(x))
         self._y = reading(y)
+        self._count_impulse()
         if self._holding:
-            self._command = self._converted(holding_current(self._hold, self._mean_command, self._anchor, self._y))
+            self._command = self._held(self._y - self._anchor)
         return Sample(self._time_ns, reading(x), self._y, measured), truth

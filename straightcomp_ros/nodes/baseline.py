@@ -133,7 +133,7 @@ class Driver(_Plain):
     def _on_command(self, message: JointState) -> None:
         now = now_ns()
         self._latency = (now - _stamp_ns(message)) * 1e-9
-        self._hardware.write(message.effort[0], now)
+        self._hardware.write(message.effort[0], now, _stamp_ns(message))
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.hardware.simulated import NEVER, Hold, SimulatedParameters, holding_current
+from straightcomp_ros.hardware.simulated import NEVER, Hold, SimulatedParameters, holding_current, impulse_after
 from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.converters import nearest_count, nearest_step
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
@@ -136,7 +136,7 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
         """Samples done. Its length is its point: in one function, so that the order of events can be read."""
         taken = 0
         now = 0
-        command = mean = anchor = 0.0
+        command = mean = anchor = impulse = 0.0
         hold_at = NEVER
         holding = False
         for k in range(stamps.size):
@@ -151,8 +151,10 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
                     holding = False
                     taken += 1
                 elif hold_at <= until:
-                    at, asked = hold_at, nearest_step(current_step, half_codes, mean)
+                    at = hold_at
                     hold_at, holding, anchor = NEVER, True, y[k - 1]
+                    impulse = impulse_after(hold, impulse, command - mean)
+                    asked = nearest_step(current_step, half_codes, holding_current(hold, mean, impulse, 0.0))
                 else:
                     break
                 end = min(until, hold_at)
@@ -168,8 +170,9 @@ def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
                 return k
             true_y[k] = state[0]
             y[k] = nearest_count(resolution, state[0] + noise[k])
+            impulse = impulse_after(hold, impulse, command - mean)
             if holding:
-                command = nearest_step(current_step, half_codes, holding_current(hold, mean, anchor, y[k]))
+                command = nearest_step(current_step, half_codes, holding_current(hold, mean, impulse, y[k] - anchor))
             law_state, answer = step(
                 gains, law_state, y[k], references[k, 0], references[k, 1], references[k, 2], state[3]
             )

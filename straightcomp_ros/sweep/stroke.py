@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.configuration import ControllerNodeParameters, DriverNodeParameters, node_parameters
@@ -41,8 +42,14 @@ def can_run(values: Mapping[str, Mapping[str, Any]]) -> bool:
     )
 
 
-def run_stroke(values: Mapping[str, Mapping[str, Any]]) -> tuple[StrokeRecord, StraightnessMap]:
+def run_stroke(
+    values: Mapping[str, Mapping[str, Any]], delays: NDArray[np.int64] | None = None
+) -> tuple[StrokeRecord, StraightnessMap]:
     """The first cycle under ``values``, for which :func:`can_run` must hold, and the controller's map.
+
+    Args:
+        values: parameters by node and dotted name.
+        delays: of the first commands in ns, in place of ``lockstep_delay``, which the others have.
 
     Raises:
         ParameterError: a parameter is refused.
@@ -59,12 +66,15 @@ def run_stroke(values: Mapping[str, Mapping[str, Any]]) -> tuple[StrokeRecord, S
     true_x = np.array([scenario.trajectory.position(stamp) for stamp in stamps.tolist()])
     x = readings(machine.plant.encoder.resolution, true_x)
     given = references(straightness, scenario.feedforward, stamps, x)
+    given_delays = np.full(stamps.size, round(driver.lockstep_delay * period_ns))
+    if delays is not None:
+        given_delays[: delays.size] = delays[: stamps.size]
     cycle = run_cycle(
         laws_of(scenario)[law],
         machine.plant,
         Conditions(
             stamps=stamps,
-            delays=np.full(stamps.size, round(driver.lockstep_delay * period_ns)),
+            delays=given_delays,
             references=served(given, stamps, scenario.lead_ns),
             noise=np.zeros(stamps.size),
         ),

@@ -56,7 +56,7 @@ def test_a_command_acts_from_its_time_on_and_not_before():
 
 
 def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_before():
-    hardware = machine(command_timeout=1.0, hold_after=2.5, hold_stiffness=0.0)
+    hardware = machine(command_timeout=1.0, hold_after=2.5, hold_stiffness=0.0, hold_braking=0.0)
     hardware.enable()
     applied = []
     for k in range(400):
@@ -72,6 +72,37 @@ def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_
     hardware.write(0.1, START + 403 * PERIOD)
     hardware.read(START + 404 * PERIOD)
     assert hardware.applied_current == pytest.approx(0.1, abs=1e-3)
+
+
+def test_a_command_waits_for_its_fixed_time_after_the_sample_that_it_answers():
+    def applied(actuation_delay, arrival, sample):
+        hardware = machine(command_timeout=1.0, hold_after=10.0, actuation_delay=actuation_delay)
+        hardware.enable()
+        hardware.read(START)
+        hardware.write(0.1, START + arrival, sample)
+        currents = [sample.current for sample, _ in hardware.read(START + 3 * PERIOD)]
+        return currents
+
+    early, prompt = (applied(1.0, arrival, START) for arrival in (PERIOD // 8, PERIOD // 2))
+    assert early == prompt and early[0] == 0.0 < early[1]
+    assert applied(1.0, PERIOD // 8, START) == applied(0.0, PERIOD, START)
+    # Later than that it acts when it comes; without a sample named, always.
+    assert applied(1.0, 3 * PERIOD // 2, START) == applied(0.0, 3 * PERIOD // 2, START)
+    assert applied(1.0, PERIOD // 8, None) == applied(0.0, PERIOD // 8, START) != early
+
+
+def test_while_commands_are_late_the_board_takes_back_what_the_last_one_gave_beyond_the_mean():
+    def moved(hold_braking):
+        hardware = machine(command_timeout=1.0, hold_braking=hold_braking, hold_stiffness=0.0)
+        hardware.enable()
+        for k in range(400):
+            hardware.write(0.08 if k == 399 else 0.0, START + k * PERIOD)
+            hardware.read(START + k * PERIOD)
+        (_, before) = hardware.read(START + 400 * PERIOD)[-1]
+        (_, after) = hardware.read(START + 408 * PERIOD)[-1]
+        return after.y - before.y
+
+    assert 0.0 < moved(hold_braking=0.5) < 0.5 * moved(hold_braking=0.0)
 
 
 def test_a_stall_of_the_host_moves_the_platform_less_when_the_board_holds_the_mean():

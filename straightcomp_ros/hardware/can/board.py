@@ -79,6 +79,7 @@ class Board:
         self._command_alive: int | None = None
         self._strikes = 0
         self._counter = 0
+        self._newest_ns = now_ns
         self._current_alive = 0
         self._next_heartbeat_ns = now_ns
         self._stage = StageInbox(codec.ids)
@@ -161,10 +162,11 @@ class Board:
             # Only an edge from off to on switches on: a host that asks on and on after a fault does not.
             self.machine.enable()
         self._seen_off = self._seen_off and command.enable == Switch.NO
-        self.machine.write(current, at_ns)
+        self.machine.write(current, at_ns, self._newest_ns - age * self.machine.period_ns)
 
     def _send_sample(self, sample: Sample, truth: Truth) -> None:
         codec = self._codec
+        self._newest_ns = sample.stamp_ns
         self._counter = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns) % COUNTER_MODULUS
         x, y = round(sample.x / POSITION_COUNT), round(sample.y / POSITION_COUNT)
         valid = abs(x) <= X_LIMIT and abs(y) <= Y_LIMIT
