@@ -156,6 +156,8 @@ def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
         scene.note(f"FAILED, with nothing done: {failures[0]}")
         result.actions[kind].failed += 1
         result.actions[kind].failures += [f"later, with nothing done: {words}" for words in failures]
+    if scene.stand.condition != "on":
+        # Also after a fault that may be: the next action is not to find it.
         with suppress(LaunchError):
             scene.back_to_work()
 
