@@ -22,7 +22,6 @@ from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.nodes.fault_stand import Stand
 from straightcomp_ros.nodes.soak_actions import ACTIONS
 from straightcomp_ros.nodes.soak_scene import Scene
-from straightcomp_ros.safety.faults import HELD_UP
 from straightcomp_ros.shared_memory import find_stale, held_by
 from straightcomp_ros.straightness.map import find_survey
 
@@ -148,10 +147,9 @@ def _look(scene: Scene, lives: Lives, ours: set[str]) -> None:
 
 
 def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
-    """Between two actions the amplifier stays on; only after the start of a killed node it may trip."""
+    """Between two actions the amplifier stays on; only soon after a kill it may trip."""
     failures: list[str] = []
-    # The first messages to a node that was started again can hold up their sender for longer than the timeouts.
-    scene.may_latch(HELD_UP if kind == "SIGKILL" else (), failures)
+    scene.must_be_on(failures)
     if failures:
         scene.note(f"FAILED, with nothing done: {failures[0]}")
         result.actions[kind].failed += 1

@@ -128,7 +128,7 @@ def kill(scene: Scene) -> list[str]:
         scene.interrupt(_TAKEN_BY_A_KILL_S)
     if name == "driver":
         scene.end_motion()
-    stand.signal(name, signal.SIGKILL)
+    scene.kill(name)
     if name == "logger":
         stand.spin(1.0)
         scene.may_latch(HELD_UP, failures)

@@ -24,6 +24,7 @@ class Stand:
     def __init__(self):
         self.condition, self.fault, self.tripped = "on", None, None
         self.enables = False
+        self.signal = lambda name, number: NOW
         self.node = SimpleNamespace(create_subscription=lambda *_: None)
         self.answers = {}
         self.heartbeats = SimpleNamespace(states=dict.fromkeys(("driver", "controller"), "active"))
@@ -89,6 +90,17 @@ def test_a_fault_of_a_machine_that_stood_still_is_counted_apart_and_another_faul
     latch(stand, "y_out_of_range")
     assert failures_of(scene.must_be_on) == [] and scene.result.stalls == {"y_out_of_range": 1}
     latch(stand, "two_controllers")
+    assert failures_of(scene.must_be_on)
+
+
+def test_a_fault_of_being_held_up_counts_as_a_kills_for_three_seconds_and_not_later(scene, stand):
+    latch(stand, "command_timeout")
+    assert failures_of(scene.must_be_on)
+    scene.kill("logger")
+    for later_s, blamed in ((0.0, []), (2.9, []), (3.1, ["fault 'command_timeout' was latched"])):
+        stand.fault = Seen("command_timeout", NOW + round(later_s * SECOND))
+        assert [words[:35] for words in failures_of(scene.must_be_on)] == blamed
+    latch(stand, "x_jump")
     assert failures_of(scene.must_be_on)
 
 
