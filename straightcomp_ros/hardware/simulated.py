@@ -183,7 +183,9 @@ class SimulatedHardware(Hardware):
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
         if sample_ns is not None:
-            at_ns = max(at_ns, sample_ns + self._actuation_delay_ns)
+            # No sample is newer than the last one, whatever a command says: it would keep all others waiting.
+            newest_ns = self._next_sample_ns - self.period_ns
+            at_ns = max(at_ns, min(sample_ns, newest_ns) + self._actuation_delay_ns)
         effective = max(at_ns, self._time_ns)
         if self._commands:
             effective = max(effective, self._commands[-1][0])

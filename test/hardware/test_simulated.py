@@ -89,6 +89,8 @@ def test_a_command_waits_for_its_fixed_time_after_the_sample_that_it_answers():
     # Later than that it acts when it comes; without a sample named, always.
     assert applied(1.0, 3 * PERIOD // 2, START) == applied(0.0, 3 * PERIOD // 2, START)
     assert applied(1.0, PERIOD // 8, None) == applied(0.0, PERIOD // 8, START) != early
+    # A sample that is yet to come is taken for the newest.
+    assert applied(1.0, PERIOD // 8, START + 10**12) == early
 
 
 def test_while_commands_are_late_the_board_takes_back_what_the_last_one_gave_beyond_the_mean():
