@@ -80,8 +80,7 @@ def test_a_command_waits_for_its_fixed_time_after_the_sample_that_it_answers():
         hardware.enable()
         hardware.read(START)
         hardware.write(0.1, START + arrival, sample)
-        currents = [sample.current for sample, _ in hardware.read(START + 3 * PERIOD)]
-        return currents
+        return [sample.current for sample, _ in hardware.read(START + 3 * PERIOD)]
 
     early, prompt = (applied(1.0, arrival, START) for arrival in (PERIOD // 8, PERIOD // 2))
     assert early == prompt and early[0] == 0.0 < early[1]
