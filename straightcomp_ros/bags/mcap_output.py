@@ -58,7 +58,10 @@ class McapOutput:
         self._chunk_started = 0.0
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
-        self._chunk_indexes: list[ChunkIndex] = []
+        # Packed: as objects they would take 1 KB for each chunk, 20 MB in an hour.
+        self._chunk_indexes = bytearray()
+        self._chunk_count = 0
+        self._time_range: tuple[int, int] | None = None
         self._attachment_indexes: list[AttachmentIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self.message_counts: Counter[int] = Counter()
@@ -123,10 +126,7 @@ class McapOutput:
     @property
     def time_range(self) -> tuple[int, int] | None:
         """First and last log time in the file in ns; None without messages."""
-        if not self._chunk_indexes:
-            return None
-        chunks = self._chunk_indexes
-        return min(chunk.message_start_time for chunk in chunks), max(chunk.message_end_time for chunk in chunks)
+        return self._time_range
 
     def flush(self) -> None:
         """Write the open chunk, so that only power loss, not the end of the process, can still take it."""
@@ -134,10 +134,13 @@ class McapOutput:
             return
         full = self._chunk.full(self._position, self._compression)
         empty, counts = OpenChunk(), self.message_counts + Counter(full.message_counts)
+        index, time_range = _packed(full.index), _widened(self._time_range, full.index)
         end, crc = self._put(full.data)
         # No call from here on: Python serves an interrupt at calls only, so these happen together.
         self._position, self._crc, self._chunk, self.message_counts = end, crc, empty, counts
-        self._chunk_indexes += [full.index]
+        self._time_range = time_range
+        self._chunk_count += 1
+        self._chunk_indexes += index
 
     def discard_open_chunk(self) -> int:
         """Give up the messages that are not in the file (the disk is full); returns how many."""
@@ -157,20 +160,20 @@ class McapOutput:
         self._file.close()
 
     def _summary(self, start: int) -> bytes:
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, [*self._schemas.values()]),
-            (Opcode.CHANNEL, [*self._channels]),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, [*self._chunk_indexes]),
-            (Opcode.ATTACHMENT_INDEX, [*self._attachment_indexes]),
-            (Opcode.METADATA_INDEX, [*self._metadata_indexes]),
+        groups: list[tuple[Opcode, bytes]] = [
+            (Opcode.SCHEMA, _joined(self._schemas.values())),
+            (Opcode.CHANNEL, _joined(self._channels)),
+            (Opcode.STATISTICS, _packed(self._statistics())),
+            (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
+            (Opcode.ATTACHMENT_INDEX, _joined(self._attachment_indexes)),
+            (Opcode.METADATA_INDEX, _joined(self._metadata_indexes)),
         ]
-        packed = [(opcode, b"".join(map(_packed, records))) for opcode, records in groups if records]
+        packed = [(opcode, data) for opcode, data in groups if data]
         offsets, position = [], start
         for opcode, data in packed:
             offsets.append(SummaryOffset(opcode, position, len(data)))
             position += len(data)
-        summary = b"".join([*(data for _, data in packed), *map(_packed, offsets)])
+        summary = b"".join(data for _, data in packed) + _joined(offsets)
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, position), zlib.crc32(summary))
         return summary + _packed(Footer(start, position, crc)) + MAGIC
 
@@ -180,7 +183,7 @@ class McapOutput:
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
             channel_message_counts={channel.id: self.message_counts[channel.id] for channel in self._channels},
-            chunk_count=len(self._chunk_indexes),
+            chunk_count=self._chunk_count,
             message_count=sum(self.message_counts.values()),
             message_end_time=last,
             message_start_time=first,
@@ -205,3 +208,12 @@ def _packed(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _joined(records: Iterable[McapRecord]) -> bytes:
+    return b"".join(map(_packed, records))
+
+
+def _widened(range_ns: tuple[int, int] | None, chunk: ChunkIndex) -> tuple[int, int]:
+    first, last = range_ns or (chunk.message_start_time, chunk.message_end_time)
+    return min(first, chunk.message_start_time), max(last, chunk.message_end_time)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
+import tracemalloc
 import warnings
 
 import pytest
@@ -255,6 +256,27 @@ def test_after_a_flush_the_messages_are_in_the_file(tmp_path):
         streams = read_streams(tmp_path / "bag", LAYOUTS)
     assert {len(stream) for stream in streams.values()} == {3}
     bag.close()
+
+
+def test_a_chunk_that_is_written_stays_in_memory_as_its_index_entry_only(tmp_path):
+    # The logger writes some 25,000 of them in an hour.
+    chunks, entry = 500, 9 + 4 * 8 + 4 + 10 * len(STREAMS) + 8 + 8 + 16
+    with BagWriter(tmp_path / "bag") as bag:
+        add_streams(bag)
+
+        def write(count):
+            for message in messages(count):
+                bag.write(message.topic, message.data, message.log_time, message.publish_time)
+                if message.topic == f"/{STREAMS[-1].topic}":
+                    bag.flush()
+
+        write(10)
+        tracemalloc.start()
+        before, _ = tracemalloc.get_traced_memory()
+        write(chunks)
+        after, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert after - before < 2.0 * chunks * entry
 
 
 def test_closing_twice_is_closing_once(tmp_path):
