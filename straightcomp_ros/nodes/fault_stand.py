@@ -29,6 +29,7 @@ from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.faulty_driver import INJECT, INJECTED, NEW_MACHINE
 from straightcomp_ros.nodes.heartbeats import Heartbeats
 from straightcomp_ros.nodes.middleware import own_profile
+from straightcomp_ros.nodes.nursery import TELL_STACKS
 from straightcomp_ros.nodes.safety_panel import LATCHED
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints, trajectory_from_message
 from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
@@ -248,6 +249,9 @@ class Stand:
                     self.fault = self.tripped = None
                     self.injected_ns = 0
                     return
+        for name in self.heartbeats.silent():
+            if self.exit_code(name) is None:
+                self.signal(name, TELL_STACKS)
         raise LaunchError(
             f"the graph does not come up: nodes {self.heartbeats.states}, amplifier '{self.condition}', "
             f"fault {self.fault} (logs in {self._folder})"

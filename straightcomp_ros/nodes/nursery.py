@@ -4,13 +4,15 @@
 
 A line on standard input is a JSON object, and so is the line that answers it on standard output:
 ``{"start": [module, arguments …], "log": file}`` gives ``{"pid": …}``, ``{"wait": pid}`` gives ``{"code": …}``, null
-while it runs. The end of standard input ends all that was started.
+while it runs. The end of standard input ends all that was started. A node that gets :data:`TELL_STACKS` writes into its
+log where its threads are.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import faulthandler
 import importlib
 import json
 import os
@@ -18,6 +20,9 @@ import signal
 import sys
 from typing import Any
 
+from straightcomp_ros.nodes import forking
+
+TELL_STACKS = signal.SIGUSR1
 _MODULES = ("driver_node", "faulty_driver", "feedforward_node", "controller_node", "logger_node")
 _PR_SET_PDEATHSIG = 1
 
@@ -32,6 +37,7 @@ def _start(words: list[str], log: str) -> int:
     nothing = os.open(os.devnull, os.O_RDONLY)
     for source, target in ((nothing, 0), (output, 1), (output, 2)):
         os.dup2(source, target)
+    faulthandler.register(TELL_STACKS)
     sys.argv = words
     # Through the interpreter's own end: only there does the middleware remove its files from shared memory.
     sys.exit(importlib.import_module(f"straightcomp_ros.nodes.{words[0]}").main())
@@ -44,8 +50,10 @@ def _ended(pid: int) -> int | None:
 
 def main() -> int:
     """Serve until the end of standard input."""
+    forking.without_blas_threads()
     for module in _MODULES:
         importlib.import_module(f"straightcomp_ros.nodes.{module}")
+    forking.tell_tracing()
     print(json.dumps({"ready": True}), flush=True)
     started: list[int] = []
     for line in sys.stdin:
