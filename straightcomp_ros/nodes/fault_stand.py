@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,7 +26,7 @@ from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.faulty_driver import INJECT, INJECTED, NEW_MACHINE
 from straightcomp_ros.nodes.heartbeats import Heartbeats
 from straightcomp_ros.nodes.middleware import own_profile
-from straightcomp_ros.nodes.nursery import TELL_STACKS
+from straightcomp_ros.nodes.nursery_client import Nursery
 from straightcomp_ros.nodes.safety_panel import LATCHED
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints, trajectory_from_message
 from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
@@ -73,15 +70,9 @@ class Stand:
         self._realtime = RealtimeParameters(priority=values["driver"].get("realtime.priority", 0))
         self._file.write_text(as_parameter_file(values))
         os.environ.update(isolated_environment())
-        self._nursery = subprocess.Popen(
-            [sys.executable, "-m", "straightcomp_ros.nodes.nursery"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+        self._nursery = Nursery()
         self.processes: dict[str, int] = {}
         self.started: dict[str, float] = {}
-        self._codes: dict[int, int] = {}
         self.bags = 0
         self.condition, self.fault, self.tripped = "", None, None
         self.injected_ns = 0
@@ -102,7 +93,6 @@ class Stand:
         self._clients: dict[str, Any] = {}
 
     def __enter__(self) -> Stand:
-        self._answer()
         for name in RECORDED:
             self.start(name)
         # Who talks with nodes of real-time priority needs the same one.
@@ -110,13 +100,7 @@ class Stand:
         return self
 
     def __exit__(self, *_: object) -> None:
-        assert self._nursery.stdin is not None
-        self._nursery.stdin.close()
-        try:
-            self._nursery.wait(10.0)
-        except subprocess.TimeoutExpired:
-            self._nursery.kill()
-            self._nursery.wait()
+        self._nursery.close()
         self.node.destroy_node()
         rclpy.try_shutdown()
 
@@ -132,7 +116,7 @@ class Stand:
             words += ["-p", f"output:={self.bag}"]
         self.heartbeats.forget(name)
         self.started[name] = time.monotonic()
-        self.processes[name] = self._ask({"start": words, "log": str(self._folder / f"{name}.log")})["pid"]
+        self.processes[name] = self._nursery.start(words, self._folder / f"{name}.log")
 
     @property
     def bag(self) -> Path:
@@ -147,14 +131,7 @@ class Stand:
 
     def exit_code(self, name: str) -> int | None:
         """How a node has ended, None while it runs."""
-        process = self.processes[name]
-        if process not in self._codes:
-            code = self._ask({"wait": process})["code"]
-            if code is None:
-                return None
-            # The nursery tells it once.
-            self._codes[process] = code
-        return self._codes[process]
+        return self._nursery.exit_code(self.processes[name])
 
     def alive(self, names: tuple[str, ...] = RECORDED) -> bool:
         """Whether the processes of these nodes run."""
@@ -251,7 +228,7 @@ class Stand:
                     return
         for name in self.heartbeats.silent():
             if self.exit_code(name) is None:
-                self.signal(name, TELL_STACKS)
+                self._nursery.tell_stacks(self.processes[name])
         raise LaunchError(
             f"the graph does not come up: nodes {self.heartbeats.states}, amplifier '{self.condition}', "
             f"fault {self.fault} (logs in {self._folder})"
@@ -275,19 +252,6 @@ class Stand:
             return future.result()
         client.remove_pending_request(future)
         return None
-
-    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        assert self._nursery.stdin is not None
-        self._nursery.stdin.write(json.dumps(request) + "\n")
-        self._nursery.stdin.flush()
-        return self._answer()
-
-    def _answer(self) -> dict[str, Any]:
-        assert self._nursery.stdout is not None
-        line = self._nursery.stdout.readline()
-        if not line:
-            raise LaunchError("the nodes' modules cannot be loaded; is the package whole?")
-        return dict(json.loads(line))
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
         values = {value.key: value.value for value in message.values}

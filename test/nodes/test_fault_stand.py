@@ -1,7 +1,7 @@
 """The stand for trials of faults: what it asks of the nodes' heartbeats and of their processes."""
 
-from straightcomp_ros.nodes.fault_stand import Stand
 from straightcomp_ros.nodes.heartbeats import Heartbeats
+from straightcomp_ros.nodes.nursery_client import Nursery
 
 
 class Deaf:
@@ -30,8 +30,7 @@ def test_a_node_started_anew_is_silent_until_its_next_heartbeat():
 
 
 def test_the_exit_code_of_a_node_may_be_asked_for_again():
-    stand = object.__new__(Stand)
-    stand.processes, stand._codes = {"logger": 7}, {}
-    answers = [None, 1]
-    stand._ask = lambda request: {"code": answers.pop(0)}
-    assert [stand.exit_code("logger") for _ in range(3)] == [None, 1, 1]
+    nursery = object.__new__(Nursery)
+    nursery._codes, answers = {}, [None, 1]
+    nursery._ask = lambda request: {"code": answers.pop(0)}
+    assert [nursery.exit_code(7) for _ in range(3)] == [None, 1, 1]
