@@ -25,6 +25,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.nodes.clock import from_monotonic, now_ns
+from straightcomp_ros.nodes.command_intake import CommandIntake
 from straightcomp_ros.nodes.copies import BurstPublisher, CopiedPublisher
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.locked_loop import LockedLoop
@@ -36,10 +37,9 @@ from straightcomp_ros.nodes.safety_panel import SafetyPanel
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.safety.machine import Condition, SafetyMachine
-from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, SampleWatch, StageWatch
+from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
 from straightcomp_ros.straightness.map import load_map
-from straightcomp_ros.timing.histogram import Histogram
-from straightcomp_ros.timing.report import AMPLIFIER, LATENCY, LOST, OVERRUNS, SAMPLES, written
+from straightcomp_ros.timing.report import AMPLIFIER, LOST, OVERRUNS, SAMPLES
 
 _ANSWER_LOOK_NS = 100_000
 """Time between two looks for a command that was not there at the end of its sample's cycle."""
@@ -68,7 +68,6 @@ class DriverPart:
         system_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._node, self._system_ns = node, system_ns
-        self._current_limit = parameters.current_limit
         self._command_timeout_ns = round(parameters.machine.command_timeout * 1e9)
         self._hardware = hardware or make_hardware(parameters)
         period_ns = round(1e9 / parameters.machine.rate)
@@ -78,16 +77,13 @@ class DriverPart:
         self._position_every = 1 if parameters.lockstep else POSITION_EVERY
         self._publish_truth = BurstPublisher(node, TRUTH)
         self._publish_state = BurstPublisher(node, DRIVER_STATE)
-        self._samples = self._commands = self._stale_commands = 0
-        self._command_stamp_ns = 0
-        self._latency = math.nan
-        self._latencies = Histogram()
+        self._samples = 0
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)
+        self._commands = CommandIntake(self._hardware, self._command_timeout_ns, parameters.current_limit, self._trip)
         self._sample_watch = SampleWatch(parameters.watch, period_ns)
         self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._sample_watch.switched)
         self._stage_watch = StageWatch(parameters.watch)
-        self._command_watch = CommandWatch()
         self._clock_watch = ClockWatch(parameters.watch, now_ns, system_ns)
         self._newest: Sample | None = None
         self._lockstep: Lockstep | None = None
@@ -131,14 +127,14 @@ class DriverPart:
         """The limit of the commands may change."""
 
         def take_over() -> None:
-            self._current_limit = parameters.current_limit
+            self._commands.current_limit = parameters.current_limit
 
         return take_over
 
     def _wait(self, timeout_ns: int) -> None:
         """Until the machine has sent something; less long while the command for its last sample is under way."""
         newest_ns = self._newest.stamp_ns if self._newest else 0
-        if 0 < newest_ns - self._command_stamp_ns < self._answer_within_ns:
+        if 0 < newest_ns - self._commands.stamp_ns < self._answer_within_ns:
             timeout_ns = _ANSWER_LOOK_NS
         self._hardware.wait(timeout_ns)
 
@@ -179,7 +175,7 @@ class DriverPart:
 
     @property
     def _unanswered(self) -> bool:
-        return self._newest is None or self._command_stamp_ns != self._newest.stamp_ns
+        return self._newest is None or self._commands.stamp_ns != self._newest.stamp_ns
 
     def _fetch_commands(self, now: int, system_now: int) -> None:
         for stamp_ns, numbers, received_ns in self._inbox.fetch():
@@ -207,39 +203,17 @@ class DriverPart:
         if truth is not None:
             self._publish_truth(sample.stamp_ns, *truth)
         on = 1.0 if self._hardware.state is State.ON else 0.0
-        self._publish_state(sample.stamp_ns, self._latency, lateness, self._hardware.applied_current, on)
-        self._latency = math.nan
+        latency = self._commands.take_latency()
+        self._publish_state(sample.stamp_ns, latency, lateness, self._hardware.applied_current, on)
         self._samples += 1
 
     def _on_lockstep_command(self, stamp_ns: int, numbers: Sequence[float]) -> None:
-        if self._lockstep and self._lockstep.awaits(stamp_ns) and self._check(numbers[0]):
-            self._commands += 1
-            self._latency = self._lockstep.delay_ns * 1e-9
+        if self._lockstep and self._lockstep.awaits(stamp_ns) and self._commands.is_good(numbers[0]):
+            self._commands.count(self._lockstep.delay_ns)
             self._lockstep.answer(numbers[0])
 
     def _accept(self, stamp_ns: int, current: float, arrival_ns: int) -> None:
-        age_ns = arrival_ns - stamp_ns
-        if stamp_ns <= self._command_stamp_ns:
-            self._stale_commands += 1
-            finding = self._command_watch.again()
-            if finding is not None:
-                self._trip(*finding)
-        elif age_ns > self._command_timeout_ns:
-            self._stale_commands += 1
-        elif self._check(current):
-            self._hardware.write(current, arrival_ns, stamp_ns)
-            self._command_stamp_ns = stamp_ns
-            self._latency = age_ns * 1e-9
-            self._latencies.record(age_ns)
-            self._commands += 1
-            self._command_watch.good()
-
-    def _check(self, current: float) -> bool:
-        if -self._current_limit <= current <= self._current_limit:
-            return True
-        name = "command_out_of_range" if math.isfinite(current) else "command_not_finite"
-        self._trip(name, f"command of {current} A is outside ±{self._current_limit:g} A")
-        return False
+        self._commands.accept(stamp_ns, current, arrival_ns)
 
     def _trip(self, name: str, reason: str) -> None:
         self._safety.trip(name, reason, now_ns())
@@ -261,7 +235,7 @@ class DriverPart:
             return "the driver is not active"
         if self._lockstep:
             return ""
-        age_ns = now_ns() - self._command_stamp_ns
+        age_ns = now_ns() - self._commands.stamp_ns
         if age_ns > self._command_timeout_ns:
             return "no fresh command from the controller; is it running, and is its map loaded?"
         return ""
@@ -285,12 +259,10 @@ class DriverPart:
         counters: dict[str, object] = {
             SAMPLES: self._samples,
             LOST: self._hardware.lost_samples,
-            "commands": self._commands,
-            "stale_commands": self._stale_commands,
             "trips": self._safety.trips,
             AMPLIFIER: self._hardware.state.value,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
-            **written(LATENCY, self._latencies.take()),
+            **self._commands.counters(),
             **self._hardware.counters(),
         }
         if self._safety.fault is not None:
