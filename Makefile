@@ -44,7 +44,7 @@ CORE_FILES := straightcomp_ros/cdr.py straightcomp_ros/contract.py straightcomp_
 comma_separated = $(subst $(space),$(comma),$(strip $(1)))
 define TEST_ALL
 .venv/bin/python -m coverage erase
-.venv/bin/python -m pytest --cov --cov-report=
+.venv/bin/python -m pytest --cov --cov-report= --rerun-show-tracebacks
 echo "Branch coverage of the core:"
 .venv/bin/python -m coverage report --fail-under=95 --include='$(call comma_separated,$(CORE:%=straightcomp_ros/%/*) $(CORE_FILES))'
 echo "Branch coverage of all:"

@@ -73,7 +73,7 @@ setup(
             *DOCS,
             "pytest",
             # Live graphs on shared machines: see test/nodes/conftest.py.
-            "pytest-rerunfailures",
+            "pytest-rerunfailures>=16.3",
             "hypothesis",
             "asyncua>=2.1,<2.2",
             "cantools",
