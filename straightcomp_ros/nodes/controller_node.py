@@ -20,7 +20,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
 from straightcomp_ros.nodes.copies import BurstPublisher, BurstQueue, CopiedPublisher
 from straightcomp_ros.nodes.diagnostics import Diagnostics
-from straightcomp_ros.nodes.locked_loop import LockedLoop
+from straightcomp_ros.nodes.locked_loop import LockedLoop, sendings
 from straightcomp_ros.nodes.managed import ManagedNode
 from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.streams import Inbox, subscribe, unspun_node
@@ -74,6 +74,7 @@ class ControllerPart:
             self._references = Inbox(node, self._unspun, REFERENCE, BurstQueue(node, self._unspun, REFERENCE))
             period_ns = round(1e9 / parameters.rate)
             self._spare_ns = _SPARE_REFERENCES * period_ns
+            self._apart_ns = period_ns // 2
             self.loop = LockedLoop(period_ns, self._samples.wait, self._cycle)
             self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
             node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
@@ -133,7 +134,10 @@ class ControllerPart:
         if self._pairing.short(self._spare_ns):
             for stamp_ns, numbers, _ in self._references.fetch():
                 self._pairing.add_reference(stamp_ns, numbers)
-        return len(samples), max(0, fetched_ns - samples[-1][2]) if samples else 0
+        count = len(samples)
+        if count > 1:
+            count = sendings(self._samples.sent_ns, self._apart_ns)
+        return count, max(0, fetched_ns - samples[-1][2]) if samples else 0
 
     def _answer(self) -> None:
         for stamp_ns, sample, reference, age_ns in self._pairing.take():

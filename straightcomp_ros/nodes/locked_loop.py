@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from straightcomp_ros.nodes.periodic import IDLE_EVERY_NS
 from straightcomp_ros.timing.histogram import Histogram
@@ -24,13 +25,14 @@ class LockedLoop:
     Args:
         period_ns: of the messages.
         wait: ``wait(timeout_ns)`` returns when a message is there, or after that time.
-        cycle: the work of one period; returns how many messages it found, and how long ago the newest came, in ns.
+        cycle: the work of one period; returns how many messages it found, those that were sent together as one, and
+            how long ago the newest came, in ns.
     """
 
     def __init__(self, period_ns: int, wait: Callable[[int], None], cycle: Callable[[], tuple[int, int]]) -> None:
         self._period_ns, self._wait, self._cycle = period_ns, wait, cycle
         self.overruns = 0
-        """Messages without a cycle of their own: they were found together with a newer one."""
+        """Messages without a cycle of their own: they were found together with one that was sent later."""
         self.phase_error_ns = 0.0
         """How much later than due the newest message came."""
         self._lateness = Histogram()
@@ -71,3 +73,15 @@ class LockedLoop:
             due_ns, error_ns = arrival_ns, 0  # a new beginning: messages were lost, or their source was started anew
         self.phase_error_ns = float(error_ns)
         return due_ns + round(_GAIN * error_ns)
+
+
+def sendings(sent_ns: Sequence[int], apart_ns: int) -> int:
+    """How many times something was sent: messages less than ``apart_ns`` after the one before were sent together.
+
+    A source that was late itself sends together what it missed; whoever receives it in one cycle was not late.
+
+    Args:
+        sent_ns: of each message, in the order of sending.
+        apart_ns: in ns.
+    """
+    return sum(later - sooner >= apart_ns for sooner, later in pairwise(sent_ns)) + bool(sent_ns)

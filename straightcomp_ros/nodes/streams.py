@@ -93,6 +93,9 @@ class Inbox:
         unspun: from :func:`unspun_node`.
         stream: what to receive.
         queue: where its messages wait, if not in a queue of the stream's own topic.
+
+    Attributes:
+        sent_ns: when each message of the last :meth:`fetch` was sent, ns since the epoch.
     """
 
     def __init__(self, node: Node, unspun: Node, stream: Stream, queue: Fetched | None = None) -> None:
@@ -100,6 +103,7 @@ class Inbox:
         self._queue = queue or RawQueue(
             unspun, message_type(stream.layout.type_name), node.resolve_topic_name(stream.topic)
         )
+        self.sent_ns: list[int] = []
 
     def wait(self, timeout_ns: int) -> None:
         """Return when a message is there, or after ``timeout_ns``; only with a queue of the stream's own."""
@@ -109,10 +113,12 @@ class Inbox:
         """What has come since the last call: (stamp in ns, numbers, time of reception in ns since the epoch)."""
         read = self._read
         messages = []
+        self.sent_ns = sent_ns = []
         for data, info in self._queue.fetch():
             message = read(data)
             if message:
                 messages.append((*message, info["received_timestamp"]))
+                sent_ns.append(info["source_timestamp"])
         return messages
 
 

@@ -4,7 +4,7 @@ import itertools
 import random
 import time
 
-from straightcomp_ros.nodes.locked_loop import LockedLoop
+from straightcomp_ros.nodes.locked_loop import LockedLoop, sendings
 from straightcomp_ros.nodes.periodic import PeriodicLoop
 
 PERIOD = 500_000
@@ -116,6 +116,17 @@ def test_messages_found_together_are_overruns_and_a_new_source_is_locked_to_at_o
     stream.run(200 + len(steady))
     assert stream.loop.overruns == 9 and max(stream.cycles) == 10
     assert abs(stream.loop.phase_error_ns) < 1000
+
+
+def test_messages_that_a_late_source_sent_together_count_as_one():
+    assert sendings([], 10) == 0
+    assert sendings([100], 10) == 1
+    # Three periods apart by the clock of who sent them: the receiver stood still.
+    assert sendings([100, 120, 140], 10) == 3
+    # The source stood still, and sends three at once; the next one is on time again.
+    assert sendings([140, 141, 142, 160], 10) == 2
+    # Its clock was set back.
+    assert sendings([140, 100, 120], 10) == 2
 
 
 def test_without_messages_a_locked_loop_goes_on_with_its_idle_work(monkeypatch):
