@@ -17,6 +17,7 @@ from typing import Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import serialize_message
 from rclpy.service import Service
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -91,6 +92,7 @@ class ManagedNode(LifecycleNode):
         self._active = False
         self._failure: Exception | None = None
         self._own: dict[str, set[Any]] = {}
+        self._beats: dict[str, bytes] = {}
         self.done.add_done_callback(lambda _: self._turn())
         _refuse_wrong_transitions(self)
 
@@ -234,9 +236,11 @@ class ManagedNode(LifecycleNode):
 
     def _beat(self) -> None:
         state = self._state_machine.current_state[1]
-        self._heartbeat.publish(
-            DiagnosticStatus(name=self.get_name(), message=state, hardware_id=self.get_fully_qualified_name())
-        )
+        if state not in self._beats:
+            # Serialised once: with cold caches that takes longer than to send it.
+            beat = DiagnosticStatus(name=self.get_name(), message=state, hardware_id=self.get_fully_qualified_name())
+            self._beats[state] = serialize_message(beat)
+        self._heartbeat.publish(self._beats[state])
 
     def _turn(self) -> None:
         before, self.turn = self.turn, Future()

@@ -73,6 +73,7 @@ def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean(aggrega
         seen = aggregator.found.setdefault("reporter", [])
         before = len(seen)
         values[SAMPLES] += 2000
+        diagnostics._collect()
         diagnostics._publish()
         aggregator.until(lambda: len(seen) > before)
         return seen[-1].level, seen[-1].message
