@@ -62,7 +62,9 @@ class LockedLoop:
                     # At a real-time priority a loop that never waits would keep the middleware's threads from running.
                     os.sched_yield()
                 due_ns = self._follow(now_ns - age_ns, due_ns) + period_ns
-            if now_ns >= next_idle_ns:
+            if now_ns >= next_idle_ns and (
+                not count or due_ns - monotonic_ns() >= period_ns // 2 or now_ns >= next_idle_ns + IDLE_EVERY_NS
+            ):
                 idle()
                 next_idle_ns = now_ns + IDLE_EVERY_NS
 

@@ -14,7 +14,8 @@ from straightcomp_ros.timing.report import OVERRUNS, TIMER_ERROR, written
 
 _PR_SET_TIMERSLACK = 29
 IDLE_EVERY_NS = 6_000_000
-"""Time between two turns of the work that can wait: short turns, that a cycle after them is not late."""
+"""Time between two turns of the work that can wait: short turns, that a cycle after them is not late. A turn that would
+have less than half a period left waits for the next period, but no longer than as much again."""
 _EARLIER_NS = 50
 """Step by which the loop follows how late the machine wakes up: 50 µs take half a second."""
 
@@ -77,7 +78,9 @@ class PeriodicLoop:
             record(monotonic_ns() - wake_ns)
             cycle(wake_ns)
             self.cycles += 1
-            if wake_ns >= next_idle_ns:
+            if wake_ns >= next_idle_ns and (
+                monotonic_ns() - wake_ns <= period_ns // 2 or wake_ns >= next_idle_ns + IDLE_EVERY_NS
+            ):
                 idle()
                 next_idle_ns = wake_ns + IDLE_EVERY_NS
             wake_ns += period_ns
