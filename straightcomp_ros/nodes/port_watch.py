@@ -89,7 +89,7 @@ class Port:
 
     def wake_reader(self) -> bool:
         """Interrupt the wait of the thread that reads the port; returns whether there is one."""
-        threads = [task.name for task in _THREADS.iterdir() if _name_of(task) == f"dds.shm.{self.number}"]
+        threads = [task.name for task in _THREADS.iterdir() if name_of(task) == f"dds.shm.{self.number}"]
         for thread in threads:
             _send(int(thread))
         return bool(threads)
@@ -108,7 +108,12 @@ def _mapped(file: Path) -> int | None:
     return max(inodes, default=None)
 
 
-def _name_of(task: Path) -> str:
+def name_of(task: Path) -> str:
+    """Name of a thread; empty if it has ended.
+
+    Args:
+        task: its folder in /proc.
+    """
     try:
         return (task / "comm").read_text().strip()
     except OSError:

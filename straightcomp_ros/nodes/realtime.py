@@ -10,12 +10,19 @@ import os
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import BinaryIO
 
 from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.nodes.port_watch import name_of
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CPU_LATENCY = "/dev/cpu_dma_latency"
+_ANNOUNCES = "dds.ev."
+"""Begin of the name of Fast DDS's thread that announces the participant, five times a second: a message to each place
+where another may be, half a millisecond in all."""
+
+_TASKS = Path("/proc/self/task")
 
 _held: list[BinaryIO] = []
 """Files whose request lasts as long as they are open."""
@@ -57,17 +64,18 @@ def _set_cpus(realtime: RealtimeParameters) -> None:
     permitted = os.sched_getaffinity(0)
     loop = {max(permitted)}
     # With a single CPU the rest is on it too.
-    named = {"loop": loop, "rest": permitted - loop or loop}
-    cpus = named.get(realtime.cpus) or {int(cpu) for cpu in realtime.cpus.split(",")}
-    for thread in os.listdir("/proc/self/task"):
-        os.sched_setaffinity(int(thread), cpus)
+    rest = permitted - loop or loop
+    cpus = {"loop": loop, "rest": rest}.get(realtime.cpus) or {int(cpu) for cpu in realtime.cpus.split(",")}
+    for task in _TASKS.iterdir():
+        announces = cpus == loop and name_of(task).startswith(_ANNOUNCES)
+        os.sched_setaffinity(int(task.name), rest if announces else cpus)
 
 
 def _set_priority(realtime: RealtimeParameters) -> None:
     # The middleware's threads too, with the main thread's priority; threads that the node itself started have no part
     # in its timing.
     helpers = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
-    for thread in map(int, os.listdir("/proc/self/task")):
+    for thread in (int(task.name) for task in _TASKS.iterdir()):
         if thread not in helpers:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(realtime.priority))
 
