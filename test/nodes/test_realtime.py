@@ -58,7 +58,7 @@ ANNOUNCER = """
 import os, threading, time
 from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.nodes import realtime
-threads = {}
+threads, permitted = {}, os.sched_getaffinity(0)
 def be(name):
     threads[name] = threading.get_native_id()
     with open(f"/proc/self/task/{threads[name]}/comm", "w") as comm:
@@ -72,7 +72,7 @@ named.wait()
 for cpus in ("loop", "rest"):
     assert not realtime.apply(RealtimeParameters(cpus=cpus))
     print(*(os.sched_getaffinity(threads[name]) for name in sorted(threads)), sep=";")
-    os.sched_setaffinity(0, range(os.cpu_count()))
+    os.sched_setaffinity(0, permitted)
 """
 
 
