@@ -13,8 +13,9 @@ from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.timing.level import Levels
 from straightcomp_ros.timing.report import LOST, OVERRUNS, RATE, SAMPLES
 
-_LATER_S = 0.02
-"""A few turns of a loop's idle work."""
+_TICK_S, _TICKS = 0.25, 4
+"""Values are collected at each fourth tick and published at the next. A timer that is stopped and started again instead
+makes the EventsExecutor fire the others late, by its period."""
 
 
 class Diagnostics:
@@ -38,18 +39,22 @@ class Diagnostics:
         self._before = (time.monotonic(), 0)
         self._collected: Mapping[str, object] = {}
         self._stamp = node.get_clock().now()
-        node.create_timer(1.0, self._collect)
-        self._later = node.create_timer(_LATER_S, self._publish)
-        self._later.cancel()
+        self._ticks = 0
+        node.create_timer(_TICK_S, self._tick)
+
+    def _tick(self) -> None:
+        self._ticks += 1
+        if self._ticks % _TICKS == 0:
+            self._collect()
+        elif self._ticks > _TICKS and self._ticks % _TICKS == 1:
+            self._publish()
 
     def _collect(self) -> None:
         values = self._values()
         self._collected = {**values, RATE: self._rate(int(str(values[SAMPLES])))}
         self._stamp = self._node.get_clock().now()
-        self._later.reset()
 
     def _publish(self) -> None:
-        self._later.cancel()
         values = self._collected
         error = str(values.get("error", ""))
         lost, overruns = (int(str(values.get(name, 0))) for name in (LOST, OVERRUNS))
