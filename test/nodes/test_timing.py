@@ -5,7 +5,7 @@ import random
 import time
 
 from straightcomp_ros.nodes.locked_loop import LockedLoop, sendings
-from straightcomp_ros.nodes.periodic import PeriodicLoop
+from straightcomp_ros.nodes.periodic import IDLE_EVERY_NS, PeriodicLoop
 
 PERIOD = 500_000
 
@@ -50,6 +50,23 @@ def lateness(monkeypatch, late, cycles=4000, **options):
     loop.run(lambda: len(begins) >= cycles, idle=lambda: None)
     assert min(begins) >= 0 and loop.overruns == 0
     return sorted(begins[cycles // 2 :])
+
+
+def test_idle_work_waits_where_a_cycle_was_late_but_not_for_ever(monkeypatch):
+    clock, idle, cycles = Clock(monkeypatch, lambda: 0), [], []
+
+    def cycle(wake_ns):
+        # In the second half every cycle takes most of its period.
+        clock.now += 400_000 if len(cycles) % 3 == 0 or len(cycles) > 300 else 100_000
+        cycles.append(wake_ns)
+
+    loop = PeriodicLoop(PERIOD, cycle)
+    loop.run(lambda: len(cycles) >= 600, idle=lambda: idle.append((len(cycles) - 1, clock.now - cycles[-1])))
+    relaxed = [left for number, left in idle if number <= 300]
+    assert len(relaxed) > 20 and max(relaxed) <= PERIOD // 2
+    turns = [number for number, _ in idle if number > 300]
+    assert len(turns) >= 10
+    assert all(later - sooner <= 2 * IDLE_EVERY_NS // PERIOD for sooner, later in itertools.pairwise(turns))
 
 
 def test_a_punctual_loop_begins_when_it_is_due_though_the_machine_wakes_up_late(monkeypatch):
