@@ -20,7 +20,7 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CPU_LATENCY = "/dev/cpu_dma_latency"
 _ANNOUNCES = "dds.ev."
 """Begin of the name of Fast DDS's thread that announces the participant, five times a second: a message to each place
-where another may be, half a millisecond in all."""
+where another may be, up to half a millisecond in all."""
 
 _TASKS = Path("/proc/self/task")
 
