@@ -61,7 +61,8 @@ class McapOutput:
         # Packed: as objects they would take 1 KB for each chunk, 20 MB in an hour.
         self._chunk_indexes = bytearray()
         self._chunk_count = 0
-        self._time_range: tuple[int, int] | None = None
+        self.time_range: tuple[int, int] | None = None
+        """First and last log time in the file in ns; None without messages."""
         self._attachment_indexes: list[AttachmentIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self.message_counts: Counter[int] = Counter()
@@ -123,22 +124,17 @@ class McapOutput:
         """Attachments in the file."""
         return len(self._attachment_indexes)
 
-    @property
-    def time_range(self) -> tuple[int, int] | None:
-        """First and last log time in the file in ns; None without messages."""
-        return self._time_range
-
     def flush(self) -> None:
         """Write the open chunk, so that only power loss, not the end of the process, can still take it."""
         if not self._chunk.has_messages:
             return
         full = self._chunk.full(self._position, self._compression)
         empty, counts = OpenChunk(), self.message_counts + Counter(full.message_counts)
-        index, time_range = _packed(full.index), _widened(self._time_range, full.index)
+        index, time_range = _packed(full.index), _widened(self.time_range, full.index)
         end, crc = self._put(full.data)
         # No call from here on: Python serves an interrupt at calls only, so these happen together.
         self._position, self._crc, self._chunk, self.message_counts = end, crc, empty, counts
-        self._time_range = time_range
+        self.time_range = time_range
         self._chunk_count += 1
         self._chunk_indexes += index
 

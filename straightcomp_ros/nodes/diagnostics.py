@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Mapping
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
@@ -37,8 +38,7 @@ class Diagnostics:
         self._values = values
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._before = (time.monotonic(), 0)
-        self._collected: Mapping[str, object] = {}
-        self._stamp = node.get_clock().now()
+        self._collected: tuple[Time, Mapping[str, object]] | None = None
         self._ticks = 0
         node.create_timer(_TICK_S, self._tick)
 
@@ -46,16 +46,18 @@ class Diagnostics:
         self._ticks += 1
         if self._ticks % _TICKS == 0:
             self._collect()
-        elif self._ticks > _TICKS and self._ticks % _TICKS == 1:
+        else:
             self._publish()
 
     def _collect(self) -> None:
         values = self._values()
-        self._collected = {**values, RATE: self._rate(int(str(values[SAMPLES])))}
-        self._stamp = self._node.get_clock().now()
+        values = {**values, RATE: self._rate(int(str(values[SAMPLES])))}
+        self._collected = self._node.get_clock().now().to_msg(), values
 
     def _publish(self) -> None:
-        values = self._collected
+        if self._collected is None:
+            return
+        (stamp, values), self._collected = self._collected, None
         error = str(values.get("error", ""))
         lost, overruns = (int(str(values.get(name, 0))) for name in (LOST, OVERRUNS))
         level, words = self._levels.next(int(str(values[SAMPLES])), lost, overruns, bool(error))
@@ -67,7 +69,7 @@ class Diagnostics:
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = self._stamp.to_msg()
+        message.header.stamp = stamp
         self._publisher.publish(message)
 
     def _rate(self, samples: int) -> str:

@@ -54,7 +54,6 @@ def main() -> int:
     for module in _MODULES:
         importlib.import_module(f"straightcomp_ros.nodes.{module}")
     forking.tell_tracing()
-    print(json.dumps({"ready": True}), flush=True)
     started: list[int] = []
     for line in sys.stdin:
         request: dict[str, Any] = json.loads(line)

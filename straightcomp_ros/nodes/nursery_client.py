@@ -26,7 +26,6 @@ class Nursery:
             stdout=subprocess.PIPE,
             text=True,
         )
-        self._loaded = False
         self._codes: dict[int, int] = {}
 
     def start(self, words: Sequence[str], log: Path) -> int:
@@ -35,9 +34,6 @@ class Nursery:
         Raises:
             LaunchError: the modules cannot be loaded.
         """
-        if not self._loaded:
-            self._answer()
-            self._loaded = True
         return int(self._ask({"start": list(words), "log": str(log)})["pid"])
 
     def exit_code(self, process_id: int) -> int | None:
@@ -65,13 +61,9 @@ class Nursery:
             self._process.wait()
 
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        assert self._process.stdin is not None
+        assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
-        return self._answer()
-
-    def _answer(self) -> dict[str, Any]:
-        assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
             raise LaunchError("the nodes' modules cannot be loaded; is the package whole?")

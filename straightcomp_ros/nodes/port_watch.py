@@ -18,10 +18,10 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+from straightcomp_ros.nodes.threads import threads
 from straightcomp_ros.shared_memory import held_by, mappings
 
 _PROCESS = Path("/proc/self")
-_THREADS = _PROCESS / "task"
 _PORT = re.compile(r"(fastrtps_port(\d+))_el")
 _SIGNAL = signal.SIGURG
 """Ignored where nobody handles it, and used for urgent data on sockets only."""
@@ -43,7 +43,7 @@ class PortWatch:
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell = tell
         # Other systems than Linux have no such files.
-        names = held_by(os.getpid()) if _THREADS.is_dir() else set()
+        names = held_by(os.getpid()) if _PROCESS.is_dir() else set()
         self._ports = [Port(match[1], int(match[2])) for match in map(_PORT.fullmatch, names) if match]
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="port_watch", daemon=True)
@@ -89,10 +89,10 @@ class Port:
 
     def wake_reader(self) -> bool:
         """Interrupt the wait of the thread that reads the port; returns whether there is one."""
-        threads = [task.name for task in _THREADS.iterdir() if name_of(task) == f"dds.shm.{self.number}"]
-        for thread in threads:
-            _send(int(thread))
-        return bool(threads)
+        readers = [thread for thread, name in threads().items() if name == f"dds.shm.{self.number}"]
+        for reader in readers:
+            _send(reader)
+        return bool(readers)
 
     def _found(self) -> int | None:
         try:
@@ -106,18 +106,6 @@ def _mapped(file: Path) -> int | None:
     names = (str(file), f"{file} (deleted)")
     inodes = (inode for inode, path in mappings(_PROCESS) if str(path) in names)
     return max(inodes, default=None)
-
-
-def name_of(task: Path) -> str:
-    """Name of a thread; empty if it has ended.
-
-    Args:
-        task: its folder in /proc.
-    """
-    try:
-        return (task / "comm").read_text().strip()
-    except OSError:
-        return ""
 
 
 def _send(thread: int) -> None:

@@ -10,19 +10,16 @@ import os
 import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import BinaryIO
 
 from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes.port_watch import name_of
+from straightcomp_ros.nodes.threads import threads
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CPU_LATENCY = "/dev/cpu_dma_latency"
 _ANNOUNCES = "dds.ev."
 """Begin of the name of Fast DDS's thread that announces the participant, five times a second: a message to each place
 where another may be, up to half a millisecond in all."""
-
-_TASKS = Path("/proc/self/task")
 
 _held: list[BinaryIO] = []
 """Files whose request lasts as long as they are open."""
@@ -66,16 +63,16 @@ def _set_cpus(realtime: RealtimeParameters) -> None:
     # With a single CPU the rest is on it too.
     rest = permitted - loop or loop
     cpus = {"loop": loop, "rest": rest}.get(realtime.cpus) or {int(cpu) for cpu in realtime.cpus.split(",")}
-    for task in _TASKS.iterdir():
-        announces = cpus == loop and name_of(task).startswith(_ANNOUNCES)
-        os.sched_setaffinity(int(task.name), rest if announces else cpus)
+    for thread, name in threads().items():
+        announces = cpus == loop and name.startswith(_ANNOUNCES)
+        os.sched_setaffinity(thread, rest if announces else cpus)
 
 
 def _set_priority(realtime: RealtimeParameters) -> None:
     # The middleware's threads too, with the main thread's priority; threads that the node itself started have no part
     # in its timing.
     helpers = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
-    for thread in (int(task.name) for task in _TASKS.iterdir()):
+    for thread in threads():
         if thread not in helpers:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(realtime.priority))
 
