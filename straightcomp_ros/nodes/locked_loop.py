@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
-from straightcomp_ros.nodes.periodic import IDLE_EVERY_NS
+from straightcomp_ros.nodes.periodic import IDLE_EVERY_NS, IdleWork
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import OVERRUNS, TIMER_ERROR, written
 
@@ -50,7 +50,8 @@ class LockedLoop:
         """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
         period_ns, wait, cycle, record = self._period_ns, self._wait, self._cycle, self._lateness.record
         monotonic_ns = time.monotonic_ns
-        due_ns = next_idle_ns = monotonic_ns()
+        due_ns = monotonic_ns()
+        idle_turn = IdleWork(idle, due_ns, period_ns)
         while not stopped():
             wait(IDLE_EVERY_NS)
             now_ns = monotonic_ns()
@@ -62,11 +63,8 @@ class LockedLoop:
                     # At a real-time priority a loop that never waits would keep the middleware's threads from running.
                     os.sched_yield()
                 due_ns = self._follow(now_ns - age_ns, due_ns) + period_ns
-            if now_ns >= next_idle_ns and (
-                not count or due_ns - monotonic_ns() >= period_ns // 2 or now_ns >= next_idle_ns + IDLE_EVERY_NS
-            ):
-                idle()
-                next_idle_ns = now_ns + IDLE_EVERY_NS
+            # Without a message nothing is due.
+            idle_turn(now_ns, due_ns - monotonic_ns() if count else period_ns)
 
     def _follow(self, arrival_ns: int, due_ns: int) -> int:
         """When the message should have come that came at ``arrival_ns``."""

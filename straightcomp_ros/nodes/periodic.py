@@ -64,7 +64,8 @@ class PeriodicLoop:
         period_ns, cycle = self._period_ns, self._cycle
         monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
         give_way = os.sched_yield
-        wake_ns = next_idle_ns = monotonic_ns()
+        wake_ns = monotonic_ns()
+        idle_turn = IdleWork(idle, wake_ns, period_ns)
         while not stopped():
             wait_ns = wake_ns - self._early_ns - monotonic_ns()
             if wait_ns > 0:
@@ -78,11 +79,7 @@ class PeriodicLoop:
             record(monotonic_ns() - wake_ns)
             cycle(wake_ns)
             self.cycles += 1
-            if wake_ns >= next_idle_ns and (
-                monotonic_ns() - wake_ns <= period_ns // 2 or wake_ns >= next_idle_ns + IDLE_EVERY_NS
-            ):
-                idle()
-                next_idle_ns = wake_ns + IDLE_EVERY_NS
+            idle_turn(wake_ns, wake_ns + period_ns - monotonic_ns())
             wake_ns += period_ns
             behind_ns = monotonic_ns() - wake_ns
             if behind_ns > 0:
@@ -94,6 +91,26 @@ class PeriodicLoop:
         """Sleep less long, or longer: half of all wake-ups are to be later than that."""
         step_ns = _EARLIER_NS if late_ns > self._early_ns else -_EARLIER_NS
         self._early_ns = min(max(0, self._early_ns + step_ns), self._most_early_ns)
+
+
+class IdleWork:
+    """Gives the work that can wait its turns; see :data:`IDLE_EVERY_NS`.
+
+    Args:
+        idle: one turn.
+        first_ns: when the first is due, in ns of a monotonic clock.
+        period_ns: of the loop.
+    """
+
+    def __init__(self, idle: Callable[[], None], first_ns: int, period_ns: int) -> None:
+        self._idle, self._next_ns, self._enough_ns = idle, first_ns, period_ns // 2
+
+    def __call__(self, now_ns: int, left_ns: int) -> None:
+        """After a cycle that began at ``now_ns``, with ``left_ns`` until the next."""
+        late_ns = now_ns - self._next_ns
+        if late_ns >= 0 and (left_ns >= self._enough_ns or late_ns >= IDLE_EVERY_NS):
+            self._idle()
+            self._next_ns = now_ns + IDLE_EVERY_NS
 
 
 def _exact_sleep() -> None:
