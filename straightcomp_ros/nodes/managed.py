@@ -20,7 +20,6 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.serialization import serialize_message
 from rclpy.service import Service
 from rclpy.task import Future
-from rclpy.timer import Timer
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.contract import HEARTBEAT
@@ -28,6 +27,7 @@ from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.nodes.changes import ParameterChanges
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.periodic import Loop
+from straightcomp_ros.nodes.timers import WithSteadyTimers
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
@@ -68,7 +68,7 @@ class Part(Protocol):
 MakePart = Callable[["ManagedNode", Any], Part]
 
 
-class ManagedNode(LifecycleNode):
+class ManagedNode(WithSteadyTimers, LifecycleNode):
     """The transitions; what they mean is the part's.
 
     Args:
@@ -76,9 +76,6 @@ class ManagedNode(LifecycleNode):
         parameter_set: of the node, with a field ``autostart`` and one ``realtime``.
         make: ``make(node, parameters)`` makes the part.
     """
-
-    _life: object | None = None
-    """Of the part, from before it is made until it is released; before it, and after it, there is none."""
 
     def __init__(self, name: str, parameter_set: type, make: MakePart) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
@@ -92,6 +89,7 @@ class ManagedNode(LifecycleNode):
         self._active = False
         self._failure: Exception | None = None
         self._own: dict[str, set[Any]] = {}
+        self._own_timers = 0
         self._beats: dict[str, bytes] = {}
         self.done.add_done_callback(lambda _: self._turn())
         _refuse_wrong_transitions(self)
@@ -114,17 +112,6 @@ class ManagedNode(LifecycleNode):
                 self.trigger_activate()
             if self._failure is not None:
                 raise self._failure
-
-    def create_timer(self, period: float, callback: Callable[[], None], *more: Any, **options: Any) -> Timer:
-        """A timer. One of a part that has been released does nothing: the executor calls it once more where it was due
-        already, and what it works with is gone."""
-        life = self._life
-
-        def due() -> None:
-            if life is None or life is self._life:
-                callback()
-
-        return super().create_timer(period, due, *more, **options)
 
     @property
     def loop(self) -> Loop | None:
@@ -158,7 +145,7 @@ class ManagedNode(LifecycleNode):
         self._failure = None
         # What the node has of its own stays when the part goes.
         self._own = {kind: set(map(id, getattr(self, kind))) for kind in _DESTROY}
-        self._life = object()
+        self._own_timers = self.steady_timers.mark()
 
         def configure() -> None:
             self._part = self._make(self, self._changes.parameters())
@@ -227,7 +214,7 @@ class ManagedNode(LifecycleNode):
             gc.collect()
 
     def _destroy_entities(self) -> None:
-        self._life = None
+        self.steady_timers.cancel_after(self._own_timers)
         for kind, destroy in _DESTROY.items():
             own = self._own.get(kind, set())
             for entity in list(getattr(self, kind)):
@@ -249,7 +236,6 @@ class ManagedNode(LifecycleNode):
 
 
 _DESTROY = {
-    "timers": "destroy_timer",
     "services": "destroy_service",
     "clients": "destroy_client",
     "subscriptions": "destroy_subscription",

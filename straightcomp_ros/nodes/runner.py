@@ -26,6 +26,7 @@ from straightcomp_ros.nodes.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES,
 from straightcomp_ros.nodes.middleware import own_profile
 from straightcomp_ros.nodes.periodic import Loop
 from straightcomp_ros.nodes.port_watch import PortWatch
+from straightcomp_ros.nodes.timers import WithSteadyTimers
 from straightcomp_ros.shared_memory import remove_stale
 
 EXIT_CONFIGURATION = 2
@@ -39,7 +40,7 @@ _FAREWELL_S = 0.2
 class Runnable(Protocol):
     """What the runner needs: a node to spin, whether and how it is done, and a way to leave the outputs safe."""
 
-    node: Node
+    node: WithSteadyTimers
     done: Future  # its result is the process's exit code
     realtime: RealtimeParameters
     loop: Loop | None  # runs in the place of the executor, which then gets the idle time
@@ -65,7 +66,7 @@ def run(
     """
     return _run(
         name,
-        lambda: Node(name, automatically_declare_parameters_from_overrides=True),
+        lambda: WithSteadyTimers(name, automatically_declare_parameters_from_overrides=True),
         make,
         lambda runnable: _spin(runnable, executor()),
         arguments,
@@ -107,6 +108,9 @@ def _run(
                 args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
             )
             node = make_node()
+            # Python sees a signal only between two steps of its own; an idle executor takes none. Cyclic garbage is
+            # collected here, where it is little yet, and never in the middle of a cycle.
+            node.create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
     except Exception as error:
         # rclpy has one exception type for each kind of bad argument; all mean the same to the user.
         print(f"{name}: {error}", file=sys.stderr)
@@ -187,9 +191,6 @@ def _spin_managed(node: ManagedNode, executor: Executor) -> int:
 
 def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
     """All that is done once before the first cycle; returns what a loop is to do in its idle time."""
-    # Python sees a signal only between two steps of its own; an idle executor takes none. Cyclic garbage is collected
-    # here, where it is little yet, and never in the middle of a cycle.
-    runnable.node.create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
     executor.add_node(runnable.node)
     for refusal in realtime.apply(runnable.realtime):
         runnable.node.get_logger().warning(refusal)
@@ -197,5 +198,11 @@ def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
     gc.collect()
     gc.freeze()
     gc.disable()
-    # Runs one callback at most: never enough of them to make the next cycle late.
-    return lambda: executor.spin_once(timeout_sec=0)
+
+    def idle() -> None:
+        # One callback at most: never enough of them to make the next cycle late.
+        if not call_one_timer():
+            executor.spin_once(timeout_sec=0)
+
+    call_one_timer = runnable.node.steady_timers.call_one
+    return idle
