@@ -114,6 +114,9 @@ class Graph:
                 stderr=log,
                 text=True,
                 preexec_fn=_end_with_parent,
+                # Linux shares CPUs out among sessions first (sched_autogroup): in the terminal's own, all nodes
+                # together would get as much as one other program, of whatever niceness.
+                start_new_session=True,
             )
         self._processes[name] = process
         return process
