@@ -15,6 +15,8 @@ from straightcomp_ros.launcher import Graph, LaunchError, exit_words
 
 RECORDED = ("driver", "feedforward", "controller", "logger")
 """The nodes that run on as long as the cell does."""
+IN_THE_LOOP = ("driver", "feedforward", "controller")
+"""Those of them whose lateness moves the platform."""
 _SLACK_S = 90.0
 """Start, discovery and a busy machine, beyond the duration of the cycle itself."""
 

@@ -13,13 +13,14 @@ from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.diagnostics import read_reports
 from straightcomp_ros.configuration import node_parameters
-from straightcomp_ros.cycle import RECORDED, as_parameter_file, run_cycle
+from straightcomp_ros.cycle import IN_THE_LOOP, RECORDED, as_parameter_file, run_cycle
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.launcher import LaunchError, verb_command
 from straightcomp_ros.model.stage import cycles
 from straightcomp_ros.opcua.demonstrated import driven_by_opcua
 from straightcomp_ros.straightness.map import StraightnessMap, load_map
+from straightcomp_ros.timing.blame import blamed
 from straightcomp_ros.timing.report import NodeTiming, amplifier_on, summarise
 
 
@@ -51,7 +52,13 @@ class Demonstration:
             "latency_p99_us": evaluation.latency_us(99),
             "bag": str(self.bag),
             "timing": {node: timing.to_display() for node, timing in self.timing.items()},
+            "held_up": self.held_up,
         }
+
+    @property
+    def held_up(self) -> str:
+        """Who got no CPU while the amplifier was on, and for how long; empty if nobody was held up for long."""
+        return blamed({node: timing.held_up for node, timing in self.timing.items() if node in IN_THE_LOOP})
 
 
 def demonstrate(

@@ -100,5 +100,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         console.print(results_table(figures))
         console.print(timing_table(figures["timing"]))
+        if result.held_up:
+            console.print(f"Less accurate than it could be: {result.held_up}", soft_wrap=True)
         notes.print(f"bag: {result.bag}\nplot: {picture}")
     return 0

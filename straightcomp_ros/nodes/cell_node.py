@@ -27,6 +27,7 @@ from straightcomp_ros.contract import (
     STAGE_TRAJECTORY,
     UNCONNECTED,
 )
+from straightcomp_ros.cycle import IN_THE_LOOP
 from straightcomp_ros.model.stage import cycles
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.heartbeats import Heartbeats
@@ -35,7 +36,8 @@ from straightcomp_ros.nodes.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 from straightcomp_ros.nodes.streams import subscribe
 from straightcomp_ros.safety.machine import Condition
-from straightcomp_ros.timing.report import LOST
+from straightcomp_ros.timing.blame import blamed
+from straightcomp_ros.timing.report import LOST, held_up
 
 _TICK_S = 0.05
 _SETTLE_S = 1.5
@@ -43,6 +45,8 @@ _SETTLE_S = 1.5
 _HOME_S = 1.0
 """Time that the reference takes to the middle, or back to the map, and the platform to follow."""
 _FIRST_HEARTBEAT_S = 2.0
+_REPORTED_S = 1.5
+"""Each node's next diagnostics have come by then."""
 _STATE_KNOWN_S = 0.3
 """Three heartbeats: each says its node's state."""
 _BRING_UP = {Transition.TRANSITION_CONFIGURE: "unconfigured", Transition.TRANSITION_ACTIVATE: "inactive"}
@@ -75,8 +79,25 @@ class CellNode:
         subscribe(node, POSITION, self._on_position)
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
-        self._steps = self._cycle()
+        self._steps = self._explained(self._cycle())
         node.create_timer(_TICK_S, self._tick)
+
+    def _explained(self, cycle: Iterator[None]) -> Iterator[None]:
+        """The cycle; where it fails, the amplifier goes off, and what held the nodes up meanwhile is said too."""
+        try:
+            yield from cycle
+        except CycleFailed as failure:
+            if self._enable.service_is_ready():
+                self._enable.call_async(SetBool.Request(data=False))
+            before = dict(self._reports)
+            yield from self._for(_REPORTED_S)
+            latest = {
+                node: held_up([*([before[node]] if node in before else []), self._reports[node]])
+                for node in IN_THE_LOOP
+                if node in self._reports
+            }
+            why = blamed(latest)
+            raise CycleFailed(f"{failure} ({why})" if why else str(failure)) from failure
 
     def _cycle(self) -> Iterator[None]:
         log = self.node.get_logger()
@@ -217,8 +238,6 @@ class CellNode:
             self.done.set_result(0)
         except CycleFailed as failure:
             self.node.get_logger().error(f"cycle failed: {failure}")
-            if self._enable.service_is_ready():
-                self._enable.call_async(SetBool.Request(data=False))
             self.done.set_result(EXIT_FAILURE)
 
     def _on_position(self, stamp_ns: int, _: list[float]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import time
 from collections.abc import Callable, Mapping
@@ -11,12 +12,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS
+from straightcomp_ros.timing.blame import NORMAL, REFUSED
+from straightcomp_ros.timing.cpu_wait import CpuWait
 from straightcomp_ros.timing.level import Levels
-from straightcomp_ros.timing.report import LOST, OVERRUNS, RATE, SAMPLES
+from straightcomp_ros.timing.report import CPU_WAIT, LOST, OVERRUNS, RATE, SAMPLES, SCHEDULING
 
 _TICK_S, _TICKS = 0.25, 4
-"""Values are collected at each fourth tick and published at the next. A timer that is stopped and started again instead
-makes the EventsExecutor fire the others late, by its period."""
+"""Values are collected at each fourth tick and published at the next."""
+_LOOK_S = 0.05
+"""Time between two looks at how long the node's threads waited for a CPU."""
+_PRIORITY = "realtime.priority"
 
 
 class Diagnostics:
@@ -40,6 +45,9 @@ class Diagnostics:
         self._before = (time.monotonic(), 0)
         self._collected: tuple[Time, Mapping[str, object]] | None = None
         self._ticks = 0
+        self._cpu_wait = CpuWait()
+        self._cpu_wait.take_us()
+        node.create_timer(_LOOK_S, self._cpu_wait.look)
         node.create_timer(_TICK_S, self._tick)
 
     def _tick(self) -> None:
@@ -51,7 +59,12 @@ class Diagnostics:
 
     def _collect(self) -> None:
         values = self._values()
-        values = {**values, RATE: self._rate(int(str(values[SAMPLES])))}
+        values = {
+            **values,
+            RATE: self._rate(int(str(values[SAMPLES]))),
+            CPU_WAIT: f"{self._cpu_wait.take_us():.0f}",
+            SCHEDULING: self._scheduling(),
+        }
         self._collected = self._node.get_clock().now().to_msg(), values
 
     def _publish(self) -> None:
@@ -71,6 +84,12 @@ class Diagnostics:
         message = DiagnosticArray(status=[status])
         message.header.stamp = stamp
         self._publisher.publish(message)
+
+    def _scheduling(self) -> str:
+        if os.sched_getscheduler(0) == os.SCHED_FIFO:
+            return f"FIFO {os.sched_getparam(0).sched_priority}"
+        asked = self._node.has_parameter(_PRIORITY) and self._node.get_parameter(_PRIORITY).value
+        return REFUSED if asked else NORMAL
 
     def _rate(self, samples: int) -> str:
         now = time.monotonic()

@@ -9,6 +9,7 @@ from functools import reduce
 from operator import add
 from typing import Any
 
+from straightcomp_ros.timing.blame import HeldUp
 from straightcomp_ros.timing.histogram import NOTHING, Distribution
 
 SAMPLES = "samples"
@@ -20,6 +21,9 @@ TIMER_ERROR = "timer_error"
 LATENCY = "latency"
 AMPLIFIER = "amplifier"
 """State of the amplifier, in the driver's report."""
+CPU_WAIT = "cpu_wait_max_us"
+"""The longest time since the report before for which a thread was ready to run and got no CPU."""
+SCHEDULING = "scheduling"
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
 
@@ -60,6 +64,7 @@ class NodeTiming:
         lost_samples: samples that did not come to it.
         timer_error: how much too late its loop woke up.
         latency: from a sample until its command came in (driver only).
+        held_up: by what, and for how long.
     """
 
     rate_hz: float
@@ -67,6 +72,7 @@ class NodeTiming:
     lost_samples: int
     timer_error: Distribution
     latency: Distribution
+    held_up: HeldUp = HeldUp()
 
     def to_display(self) -> dict[str, Any]:
         """Values by name, durations in µs."""
@@ -75,7 +81,24 @@ class NodeTiming:
             "overruns": self.overruns,
             "lost_samples": self.lost_samples,
             "timer_error_us": percentiles_us(self.timer_error),
+            CPU_WAIT: self.held_up.cpu_wait_us,
+            SCHEDULING: self.held_up.scheduling,
         }
+
+
+def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
+    """What held a node up over some of its reports, given by their values.
+
+    Raises:
+        ValueError: a value is no number.
+    """
+
+    def most(name: str) -> float:
+        numbers = [float(values[name]) for values in reports if name in values]
+        return max((number for number in numbers if number == number), default=math.nan)
+
+    scheduling = next((values[SCHEDULING] for values in reversed(reports) if SCHEDULING in values), "")
+    return HeldUp(most(CPU_WAIT), most(f"{TIMER_ERROR}_max_us"), scheduling)
 
 
 def amplifier_on(driver: Sequence[Report]) -> tuple[int, int]:
@@ -115,4 +138,5 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
         lost_samples=grown(LOST),
         timer_error=total(TIMER_ERROR),
         latency=total(LATENCY),
+        held_up=held_up([report.values for report in inside[1:]]),
     )
