@@ -9,7 +9,6 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
-from straightcomp_ros.timing.report import CPU_WAIT
 
 _ROWS = (
     ("encoder_pp_um", "compensation error p-p, encoder", "µm", 3),
@@ -72,7 +71,7 @@ def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
     """Each node's rate, how late its loop woke up, and the longest time for which it got no CPU.
 
     ``timing`` as in the figures of a demonstration."""
-    columns = ("rate [Hz]", "overruns", "lost", "timer error p50 [µs]", "p99", "max", "no CPU for [ms]")
+    columns = ("rate [Hz]", "overruns", "lost", "late p50 [µs]", "p99", "max", "no CPU [ms]")
     table = titled_table("Timing of the nodes, from their diagnostics", "node", *columns)
     for node, values in timing.items():
         late = values["timer_error_us"]
@@ -82,7 +81,7 @@ def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
             str(values["overruns"]),
             str(values["lost_samples"]),
             *(rounded(late[key]) for key in ("p50", "p99", "max")),
-            rounded(values[CPU_WAIT] * 1e-3, 1),
+            rounded(values["no_cpu_us"] * 1e-3, 1),
         )
     return table
 

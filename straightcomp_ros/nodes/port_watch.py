@@ -14,7 +14,6 @@ import ctypes
 import os
 import re
 import signal
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,13 +24,16 @@ _PROCESS = Path("/proc/self")
 _PORT = re.compile(r"(fastrtps_port(\d+))_el")
 _SIGNAL = signal.SIGURG
 """Ignored where nobody handles it, and used for urgent data on sockets only."""
-_PERIOD_S = 0.5
+PERIOD_S = 0.5
 _PATIENCE = 2
 """Checks in a row that find a port's file gone; Fast DDS makes one anew within milliseconds where all goes well."""
 
 
 class PortWatch:
-    """Watches the ports on which this process reads now, in a thread of its own; use it as a context manager.
+    """Watches the ports on which this process reads now.
+
+    A look costs some 10 µs. It belongs to the thread of the node's loop: a thread of its own would have a lower
+    priority, and where other programs kept it from the CPU while it held the interpreter, the loop would wait for both.
 
     Args:
         tell: gets one sentence for each port whose reader was woken up.
@@ -45,29 +47,19 @@ class PortWatch:
         # Other systems than Linux have no such files.
         names = held_by(os.getpid()) if _PROCESS.is_dir() else set()
         self._ports = [Port(match[1], int(match[2])) for match in map(_PORT.fullmatch, names) if match]
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="port_watch", daemon=True)
         # Python's handlers interrupt system calls.
         signal.signal(_SIGNAL, _do_nothing)
+        # The first look reads all mappings of the process.
+        self.look()
 
-    def __enter__(self) -> PortWatch:
-        if self._ports:
-            self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def _watch(self) -> None:
-        while not self._ended.wait(_PERIOD_S):
-            for port in self._ports:
-                if port.is_lost() and port.wake_reader():
-                    self._tell(
-                        f"port {port.number} in shared memory was removed by others, as after a killed process: "
-                        "opening it again"
-                    )
+    def look(self) -> None:
+        """Look once; to be called every :data:`PERIOD_S`."""
+        for port in self._ports:
+            if port.is_lost() and port.wake_reader():
+                self._tell(
+                    f"port {port.number} in shared memory was removed by others, as after a killed process: "
+                    "opening it again"
+                )
 
 
 class Port:

@@ -25,7 +25,7 @@ from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakePart, ManagedNode
 from straightcomp_ros.nodes.middleware import own_profile
 from straightcomp_ros.nodes.periodic import Loop
-from straightcomp_ros.nodes.port_watch import PortWatch
+from straightcomp_ros.nodes.port_watch import PERIOD_S, PortWatch
 from straightcomp_ros.nodes.timers import WithSteadyTimers
 from straightcomp_ros.shared_memory import remove_stale
 
@@ -123,8 +123,8 @@ def _run(
             return EXIT_CONFIGURATION
         try:
             stop.ends(runnable.done)
-            with PortWatch(node.get_logger().warning):
-                code = spin(runnable)
+            node.create_timer(PERIOD_S, PortWatch(node.get_logger().warning).look)
+            code = spin(runnable)
         finally:
             runnable.close()
         return code

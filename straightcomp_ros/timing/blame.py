@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -13,43 +12,48 @@ NORMAL, REFUSED = "normal", "normal, real-time priority refused"
 
 
 class HeldUp(NamedTuple):
-    """What a node's diagnostics say of what held it up.
+    """What held a node up, as far as its diagnostics tell.
 
     Attributes:
-        cpu_wait_us: longest time for which a thread of the node was ready and got no CPU; NaN if unknown.
-        late_us: the most that its loop was late; NaN if unknown.
+        no_cpu_us: longest time for which a thread of the node was ready to run and got no CPU.
+        late_us: the most that its loop was late, for whatever reason.
         scheduling: "FIFO 40", :data:`NORMAL` or :data:`REFUSED`; empty if unknown.
     """
 
-    cpu_wait_us: float = math.nan
-    late_us: float = math.nan
+    no_cpu_us: float = 0.0
+    late_us: float = 0.0
     scheduling: str = ""
+
+    @property
+    def outranked(self) -> bool:
+        """Whether other programs can have kept the node from its CPU."""
+        return self.scheduling in (NORMAL, REFUSED) and self.no_cpu_us >= NOTED_US
 
 
 def blamed(nodes: Mapping[str, HeldUp]) -> str:
-    """Who got no CPU and for how long, with the remedy; empty where nobody was held up for long.
+    """Who was held up, for how long and by what, with the remedy; empty where nobody was for long.
 
     Args:
         nodes: by name, those whose lateness matters.
     """
-    waiting = {name: node.cpu_wait_us for name, node in nodes.items() if node.cpu_wait_us >= NOTED_US}
+    waiting = {name: node.no_cpu_us for name, node in nodes.items() if node.outranked}
     if waiting:
-        longest = sorted(waiting, key=lambda name: -waiting[name])
-        words = ", ".join(f"the {name} for {waiting[name] * 1e-3:.0f} ms" for name in longest)
-        return f"other programs held the CPUs: {words}; {_remedy({nodes[name].scheduling for name in waiting})}"
+        words = [f"the {name} got no CPU for {waiting[name] * 1e-3:.0f} ms" for name in _longest_first(waiting)]
+        refused = any(nodes[name].scheduling == REFUSED for name in waiting)
+        return f"{', '.join(words)}; real-time priority {_REFUSED if refused else _NOT_ASKED}"
     late = {name: node.late_us for name, node in nodes.items() if node.late_us >= NOTED_US}
     if late:
-        name = max(late, key=lambda name: late[name])
+        name = _longest_first(late)[0]
         return (
-            f"the {name} stood still for {late[name] * 1e-3:.0f} ms though no other program held its CPU: "
-            "the machine itself stood still, or waited for its disk; remedy: straightcomp doctor"
+            f"the {name} was late by {late[name] * 1e-3:.0f} ms, and not for other programs' sake: the kernel, the disk "
+            "or the hypervisor held its CPU; remedy: straightcomp doctor"
         )
     return ""
 
 
-def _remedy(scheduling: set[str]) -> str:
-    if REFUSED in scheduling:
-        return "real-time priority is not permitted; remedy: straightcomp doctor"
-    if NORMAL in scheduling:
-        return "real-time priority was not asked for; remedy: the parameter realtime.priority"
-    return "at real-time priority; remedy: straightcomp doctor, and CPUs of their own for these nodes"
+_REFUSED = "is not permitted; remedy: straightcomp doctor"
+_NOT_ASKED = "was not asked for; remedy: the parameter realtime.priority"
+
+
+def _longest_first(times: Mapping[str, float]) -> list[str]:
+    return sorted(times, key=lambda name: -times[name])

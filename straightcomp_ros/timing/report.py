@@ -81,7 +81,7 @@ class NodeTiming:
             "overruns": self.overruns,
             "lost_samples": self.lost_samples,
             "timer_error_us": percentiles_us(self.timer_error),
-            CPU_WAIT: self.held_up.cpu_wait_us,
+            "no_cpu_us": self.held_up.no_cpu_us,
             SCHEDULING: self.held_up.scheduling,
         }
 
@@ -92,13 +92,14 @@ def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
     Raises:
         ValueError: a value is no number.
     """
-
-    def most(name: str) -> float:
-        numbers = [float(values[name]) for values in reports if name in values]
-        return max((number for number in numbers if number == number), default=math.nan)
-
+    late = [float(values.get(f"{TIMER_ERROR}_max_us", "nan")) for values in reports]
+    waits = [float(values.get(CPU_WAIT, "nan")) for values in reports]
     scheduling = next((values[SCHEDULING] for values in reversed(reports) if SCHEDULING in values), "")
-    return HeldUp(most(CPU_WAIT), most(f"{TIMER_ERROR}_max_us"), scheduling)
+    # Many short waits look like a long one. But none was longer than the loop was late then, and where most of that
+    # lateness is missing in the scheduler's count, something else held the loop up.
+    no_cpu = [min(late_us, wait_us) for late_us, wait_us in zip(late, waits, strict=True) if wait_us >= 0.5 * late_us]
+    known = [late_us for late_us in late if not math.isnan(late_us)]
+    return HeldUp(max(no_cpu, default=0.0), max(known, default=0.0), scheduling)
 
 
 def amplifier_on(driver: Sequence[Report]) -> tuple[int, int]:

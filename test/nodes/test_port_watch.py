@@ -22,7 +22,7 @@ LISTENER = """
 import os, re, sys, rclpy, json
 from std_msgs.msg import String
 from straightcomp_ros.nodes.middleware import own_profile
-from straightcomp_ros.nodes.port_watch import PortWatch
+from straightcomp_ros.nodes.port_watch import PERIOD_S, PortWatch
 from straightcomp_ros.shared_memory import held_by
 with own_profile():
     rclpy.init()
@@ -35,8 +35,9 @@ def hear(message):
 node.create_subscription(String, "name", hear, 10)
 ports = [int(m[1]) for m in map(re.compile(r"fastrtps_port(\\d+)_el").fullmatch, held_by(os.getpid())) if m]
 print(json.dumps(ports), flush=True)
-with PortWatch(lambda text: print(text, file=sys.stderr, flush=True)):
-    rclpy.spin(node)
+watch = PortWatch(lambda text: print(text, file=sys.stderr, flush=True))
+node.create_timer(PERIOD_S, watch.look)
+rclpy.spin(node)
 """
 TALKER = """
 import sys, rclpy
@@ -87,19 +88,19 @@ def test_the_reader_is_woken_from_its_wait_and_nobody_else():
         answers[name] = (answer, ctypes.get_errno())
 
     threads = [threading.Thread(target=wait, args=(name,)) for name in semaphores]
-    with PortWatch(lambda text: None):
-        for name in semaphores:
-            library.sem_init(semaphores[name], 0, 0)
-        for thread in threads:
-            thread.start()
-        end = time.monotonic() + 30.0
-        while not answers and time.monotonic() < end:
-            Port(NAME, NUMBER).wake_reader()
-            time.sleep(0.05)
-        assert answers == {f"dds.shm.{NUMBER}": (-1, errno.EINTR)}
-        library.sem_post(semaphores["dds.shm.65001"])
-        for thread in threads:
-            thread.join()
+    PortWatch(lambda text: None)
+    for name in semaphores:
+        library.sem_init(semaphores[name], 0, 0)
+    for thread in threads:
+        thread.start()
+    end = time.monotonic() + 30.0
+    while not answers and time.monotonic() < end:
+        Port(NAME, NUMBER).wake_reader()
+        time.sleep(0.05)
+    assert answers == {f"dds.shm.{NUMBER}": (-1, errno.EINTR)}
+    library.sem_post(semaphores["dds.shm.65001"])
+    for thread in threads:
+        thread.join()
     assert answers["dds.shm.65001"][0] == 0
 
 
