@@ -69,6 +69,7 @@ setup: $(INSTALLED)
 $(INSTALLED): $(MADE) setup.py setup.cfg package.xml pyproject.toml
 	@echo "Installing the package and what it needs into .venv: one to three minutes the first time ..."
 	.venv/bin/python -m pip install -qq --disable-pip-version-check --editable '.[$(if $(JAZZY),,ros$(comma))test]'
+	.venv/bin/python scripts/prepare.py
 	touch $@
 
 comma := ,

@@ -22,6 +22,7 @@ CHECKS: tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...] = (
     ("real-time throttling", scheduling.throttling),
     ("CPU wake-up", scheduling.wake_up_latency),
     ("kernel", scheduling.kernel),
+    ("kernel preemption", scheduling.preemption),
     ("cores", scheduling.cores),
     ("frequency governor", scheduling.governor),
     ("clock", scheduling.clock),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import os
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -79,6 +81,41 @@ def kernel(file: Path = Path("/sys/kernel/realtime"), release: str | None = None
         "warn",
         f"{name}, no PREEMPT_RT",
         "Install a PREEMPT_RT kernel (Debian: linux-image-rt-amd64) on a machine that is to run for hours.",
+    )
+
+
+def preemption(
+    folder: Path = Path("/"), release: str | None = None, command_line: Path = Path("/proc/cmdline")
+) -> Finding:
+    """Whether the kernel lets a real-time thread go before its own work for other programs.
+
+    Args:
+        folder: where proc/config.gz or boot/config-RELEASE is.
+        release: of the kernel; this one's if None.
+        command_line: what the kernel was booted with.
+    """
+    name = "kernel preemption"
+    compressed, plain = folder / "proc/config.gz", folder / f"boot/config-{release or os.uname().release}"
+    if compressed.is_file():
+        text = gzip.decompress(compressed.read_bytes()).decode()
+    elif plain.is_file():
+        text = plain.read_text()
+    else:
+        return Finding(name, "warn", "this kernel does not show its configuration", "Boot with preempt=full.")
+    options = set(re.findall(r"^CONFIG_PREEMPT_?(\w*)=y$", text, re.MULTILINE))
+    if "RT" in options:
+        return Finding(name, "ok", "PREEMPT_RT")
+    model = next((each.lower() for each in ("LAZY", "VOLUNTARY", "NONE") if each in options), "full")
+    if "DYNAMIC" in options:
+        chosen = re.findall(r"\bpreempt=(\w+)", command_line.read_text() if command_line.is_file() else "")
+        model = chosen[-1] if chosen else model
+    if model == "full":
+        return Finding(name, "ok", model)
+    return Finding(
+        name,
+        "warn",
+        f"{model}: a program that writes to the disk can keep any other from its CPU for 30 ms",
+        "Boot with preempt=full." if "DYNAMIC" in options else "Install a kernel with full preemption.",
     )
 
 

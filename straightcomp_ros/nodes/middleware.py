@@ -18,6 +18,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import rclpy
+
 from straightcomp_ros.share import share_path
 from straightcomp_ros.shared_memory import mapped
 
@@ -36,11 +38,14 @@ def own_profile(by_sockets: bool = False, shared_memory: Path = Path("/dev/shm")
 
     Enter it before anything is removed from shared memory: what a killed node left there marks its place.
 
+    Another middleware than Fast DDS knows none of this, and stays as the user has set it up. (With the wider discovery
+    range it would look for nodes on other machines, and might command them.)
+
     Args:
         by_sockets: keep out of shared memory, where ROS_AUTOMATIC_DISCOVERY_RANGE keeps all traffic on this machine.
         shared_memory: folder with Fast DDS's files.
     """
-    if PROFILE_VARIABLE in os.environ:
+    if PROFILE_VARIABLE in os.environ or not uses_fast_dds():
         yield
     elif by_sockets and os.environ.get(_RANGE_VARIABLE) == "LOCALHOST":
         # For LOCALHOST rmw_fastrtps adds shared memory, whatever the profile says. This one is for this machine anyway.
@@ -55,6 +60,11 @@ def own_profile(by_sockets: bool = False, shared_memory: Path = Path("/dev/shm")
             file.flush()
             with _set(PROFILE_VARIABLE, file.name):
                 yield
+
+
+def uses_fast_dds() -> bool:
+    """Whether the middleware that ROS 2 has chosen here reads a profile of Fast DDS."""
+    return rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
 
 
 @contextmanager

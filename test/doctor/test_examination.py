@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gzip
 import json
 import os
 import resource
@@ -137,6 +138,33 @@ def test_a_refused_priority_is_a_warning_with_the_way_to_get_it() -> None:
     assert found.state == "warn"
     assert "rtprio" in found.remedy
     assert scheduling.priority(lambda: None).state == "ok"
+
+
+@pytest.mark.parametrize(
+    ("configuration", "command_line", "state", "detail"),
+    [
+        ("CONFIG_PREEMPT_NONE=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "quiet", "warn", "none: "),
+        ("CONFIG_PREEMPT_NONE=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "preempt=none preempt=full quiet", "ok", "full"),
+        ("CONFIG_PREEMPT=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "preempt=voluntary", "warn", "voluntary: "),
+        ("CONFIG_PREEMPT=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "", "ok", "full"),
+        ("CONFIG_PREEMPT_VOLUNTARY=y\n", "preempt=full", "warn", "voluntary: "),
+        ("CONFIG_PREEMPT_RT=y\n# CONFIG_PREEMPT_NONE is not set\n", "", "ok", "PREEMPT_RT"),
+    ],
+)
+def test_a_kernel_that_finishes_its_own_work_first_is_told(
+    tmp_path: Path, configuration: str, command_line: str, state: str, detail: str
+) -> None:
+    booted = _file(tmp_path, "cmdline", command_line)
+    plain = _file(tmp_path, "boot/config-7.0", configuration)
+    assert scheduling.preemption(tmp_path, "6.0", booted).detail == "this kernel does not show its configuration"
+    found = scheduling.preemption(tmp_path, "7.0", booted)
+    assert found.state == state
+    assert found.detail.startswith(detail)
+    plain.unlink()
+    compressed = tmp_path / "proc/config.gz"
+    compressed.parent.mkdir()
+    compressed.write_bytes(gzip.compress(configuration.encode()))
+    assert scheduling.preemption(tmp_path, "7.0", booted) == found
 
 
 def test_what_the_kernel_says_of_real_time(tmp_path: Path) -> None:

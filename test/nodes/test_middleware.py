@@ -7,6 +7,9 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from contextlib import ExitStack
 
+import pytest
+import rclpy
+
 from straightcomp_ros.nodes.middleware import PROFILE_VARIABLE, free_place, own_profile
 from straightcomp_ros.share import share_path
 
@@ -76,6 +79,24 @@ def test_sockets_take_the_place_of_shared_memory_where_all_traffic_stays_on_this
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     with own_profile(by_sockets=True, shared_memory=tmp_path):
         assert ("type", "SHM") in words(ElementTree.parse(os.environ[PROFILE_VARIABLE]).getroot())
+
+
+@pytest.mark.parametrize("by_sockets", [True, False])
+def test_under_another_middleware_nothing_is_set_and_the_discovery_range_stays(by_sockets, tmp_path, monkeypatch):
+    monkeypatch.delenv(PROFILE_VARIABLE, raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    before = dict(os.environ)
+    with own_profile(by_sockets=by_sockets, shared_memory=tmp_path):
+        assert dict(os.environ) == before
+    assert dict(os.environ) == before
+
+
+def test_the_discovery_range_stays_where_the_profile_is_the_users_own(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv(PROFILE_VARIABLE, "mine.xml")
+    with own_profile(by_sockets=True, shared_memory=tmp_path):
+        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
 
 
 def test_both_profiles_forget_a_killed_process_after_the_same_time():

@@ -1,0 +1,31 @@
+"""Does once what the first run would otherwise do while its loops already run: `make setup` calls it.
+
+Machine code of the control laws and of the plant, bytecode of the package, the list of fonts. Nodes that are started
+without it do the same before they say that they are ready.
+"""
+
+from __future__ import annotations
+
+import compileall
+from pathlib import Path
+
+# The import makes matplotlib's list of fonts.
+from matplotlib import font_manager  # noqa: F401
+
+import straightcomp_ros
+from straightcomp_ros.control.laws import prepare_all
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.straightness.map import MapParameters, load_map
+
+GUIDE = "config/guide_synthetic.csv"
+
+
+def main() -> None:
+    """Fill the caches of this user and this environment."""
+    compileall.compile_dir(str(Path(straightcomp_ros.__file__).parent), quiet=1)
+    prepare_all()
+    SimulatedHardware(SimulatedParameters(), load_map(MapParameters(file=GUIDE)))
+
+
+if __name__ == "__main__":
+    main()
