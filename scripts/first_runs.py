@@ -34,16 +34,21 @@ _BUSY = "while True: pass"
 def main() -> int:
     """Count the runs that ended with 0; returns the exit code."""
     options = _options()
+    stands = [Stand(Path(options.folder), python, user) for python in options.pythons for user in options.users]
     failed = 0
-    for python in options.pythons:
-        for user in options.users:
-            stand = Stand(Path(options.folder), python, user)
-            stand.set_up()
-            if options.quick:
-                code, text = stand.run("make quick", _LONGEST_S)
-                failed += code != 0
-                print(f"{stand.name}: make quick: exit {code}: {_last_line(text)}", flush=True)
-            failed += _count(stand, options.runs, options.busy)
+    for stand in stands:
+        stand.set_up()
+        if options.quick:
+            code, text = stand.run("make quick", _LONGEST_S)
+            failed += code != 0
+            print(f"{stand.name}: make quick: exit {code}: {_last_line(text)}", flush=True)
+    # In turns: what disturbs the machine for a while disturbs all alike.
+    for number in range(1, options.runs + 1):
+        for stand in stands:
+            print(f"{stand.name}: run {number}: {_first_run(stand, options.busy)}", flush=True)
+    for stand in stands:
+        print(f"{stand.name}: {stand.summary()}")
+        failed += stand.failed
     return 1 if failed else 0
 
 
@@ -58,27 +63,20 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _count(stand: Stand, runs: int, busy: int) -> int:
-    good, peak_to_peak = 0, []
-    for number in range(1, runs + 1):
-        stand.empty_caches()
-        begin = time.monotonic()
-        with load(busy):
-            code, text = stand.run("make --silent demo ARGS=--json", _LONGEST_S)
-        seconds = time.monotonic() - begin
-        words = _last_line(text)
-        if code == 0:
-            good += 1
-            figures = json.loads(text[text.index("{") : text.rindex("}") + 1])
-            peak_to_peak.append(figures["true_pp_um"])
-            words = f"{figures['true_pp_um']:.2f} µm, {figures['lost_samples']} samples lost"
-        else:
-            shutil.copytree(stand.clone / "demo_output", stand.clone / f"failed_{number}", dirs_exist_ok=True)
-        print(f"{stand.name}: run {number}: exit {code}, {seconds:.0f} s: {words}", flush=True)
-    middle = f"{statistics.median(peak_to_peak):.2f}" if peak_to_peak else "–"
-    most = f"{max(peak_to_peak):.2f}" if peak_to_peak else "–"
-    print(f"{stand.name}: {good} of {runs} ended with 0; p-p median {middle}, largest {most} µm", flush=True)
-    return runs - good
+def _first_run(stand: Stand, busy: int) -> str:
+    """One run with empty caches beside busy processes; returns what came of it."""
+    stand.empty_caches()
+    begin = time.monotonic()
+    with load(busy):
+        code, text = stand.run("make --silent demo ARGS=--json", _LONGEST_S)
+    seconds = time.monotonic() - begin
+    if code:
+        stand.failed += 1
+        shutil.copytree(stand.clone / "demo_output", stand.clone / f"failed_{stand.failed}", dirs_exist_ok=True)
+        return f"exit {code}, {seconds:.0f} s: {' '.join(text.split())}"
+    figures = json.loads(text[text.index("{") : text.rindex("}") + 1])
+    stand.peak_to_peak.append(figures["true_pp_um"])
+    return f"exit 0, {seconds:.0f} s, {figures['true_pp_um']:.2f} µm. {figures['held_up']}"
 
 
 class Stand:
@@ -95,6 +93,17 @@ class Stand:
         self.clone = folder / self.name.replace(" ", "_")
         self._python, self._user = python, user
         self._home = Path(pwd.getpwnam(user).pw_dir)
+        self.failed = 0
+        self.peak_to_peak: list[float] = []
+        """µm, of the runs that ended with 0."""
+
+    def summary(self) -> str:
+        """The counts, and the errors peak to peak."""
+        good = len(self.peak_to_peak)
+        words = f"{good} of {good + self.failed} ended with 0"
+        if good:
+            words += f"; p-p median {statistics.median(self.peak_to_peak):.2f}, largest {max(self.peak_to_peak):.2f} µm"
+        return words
 
     def set_up(self) -> None:
         """Clone and `make setup`.

@@ -114,7 +114,7 @@ def preemption(
     return Finding(
         name,
         "warn",
-        f"{model}: a program that writes to the disk can keep any other from its CPU for 30 ms",
+        f"{model}: a program that writes to the disk can keep the loop from its CPU for tens of ms",
         "Boot with preempt=full." if "DYNAMIC" in options else "Install a kernel with full preemption.",
     )
 

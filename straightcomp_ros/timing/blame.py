@@ -45,8 +45,8 @@ def blamed(nodes: Mapping[str, HeldUp]) -> str:
     if late:
         name = _longest_first(late)[0]
         return (
-            f"the {name} was late by {late[name] * 1e-3:.0f} ms, and no other program had its CPU: the kernel, the disk or "
-            "the hypervisor held it up; remedy: straightcomp doctor"
+            f"the {name} was late by {late[name] * 1e-3:.0f} ms, and no other program had its CPU: "
+            "the kernel, the disk or the hypervisor held it up; remedy: straightcomp doctor"
         )
     return ""
 
