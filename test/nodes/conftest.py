@@ -1,6 +1,5 @@
 import os
 import random
-from pathlib import Path
 
 import pytest
 
@@ -10,13 +9,6 @@ from straightcomp_ros.share import share_path
 
 if not ros_available():
     pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)
-
-
-def pytest_collection_modifyitems(items):
-    """A machine that stands still for a second in the wrong moment fails a live test once, a defect fails it again."""
-    for item in items:
-        if Path(__file__).parent in item.path.parents:
-            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 @pytest.fixture(autouse=True)

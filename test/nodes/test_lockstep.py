@@ -9,6 +9,8 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.demonstration import demonstrate
 from straightcomp_ros.simulation import Simulation
 
+pytestmark = pytest.mark.live
+
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("delay", [0.5, 1.3])

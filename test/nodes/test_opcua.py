@@ -38,6 +38,7 @@ SLOW = {
 }
 
 
+@pytest.mark.live
 def test_the_demonstration_runs_its_strokes_through_opc_ua_alone(tmp_path, capfd):
     settings = [word for name, value in SLOW.items() for word in ("--set", f"{name}={value}")]
     assert main(["demo", "--opcua", "--strokes", "2", "--json", "-o", str(tmp_path), *settings]) == 0

@@ -10,6 +10,7 @@ from straightcomp_ros.replay.graph import replay_through_graph
 from straightcomp_ros.simulation import Simulation
 
 
+@pytest.mark.live
 def test_the_nodes_answer_played_samples_as_they_were_recorded_to_the_bit(tmp_path, short_cycle):
     simulation = Simulation(short_cycle)
     with SimulatedRun(tmp_path / "run", short_cycle, simulation.delay) as run:
