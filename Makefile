@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick processors docs setup clean
+.PHONY: help demo test quick soak processors docs setup clean
 
 ARGS ?=
 PYTHON ?=
@@ -12,7 +12,7 @@ PYTHON ?=
 # A graph of ours talks to this machine only, and tests to no other graph on it.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Above 101 the ports of DDS collide with those that Linux hands out.
-test quick processors: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
+test quick soak processors: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
 
 # A sourced Jazzy is used as it is; elsewhere its wheels come from PyPI.
 JAZZY := $(shell [ "$${ROS_DISTRO:-}" = jazzy ] && python3 -c 'import rclpy' 2> /dev/null && echo yes)
@@ -29,6 +29,7 @@ help:
 	make test              all tests, with branch coverage: below 95 % of the core or 85 % of all it fails
 	make test ARGS="..."   some of them, without coverage, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
+	make soak              tests of live nodes that take minutes, which make test leaves out
 	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
 	make docs              the pages in docs/ as HTML in site/; a warning or a broken link fails
 	make setup             only .venv with the package in it
@@ -50,7 +51,7 @@ code=0
 echo "Tests without live nodes, one process a core:"
 .venv/bin/python -m pytest -m "not live" -n logical --dist worksteal --cov --cov-report= || code=1
 echo "Tests of live nodes, one after the other:"
-.venv/bin/python -m pytest -m live --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
+.venv/bin/python -m pytest -m "live and not soak" --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
 echo "Some tests as on other processors:"
 .venv/bin/python scripts/processors.py --only SKYLAKEX PRESCOTT -n logical $(PROCESSOR_DEPENDENT:%=test/%) || code=1
 [ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }
@@ -70,6 +71,9 @@ QUICK := model control straightness timing doctor packaging/test_gates.py test_c
 LONGER := control/test_learning.py control/test_learning_file.py control/test_observer_laws.py
 quick: setup
 	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)
+
+soak: setup
+	@exec .venv/bin/python -m pytest -m soak $(ARGS)
 
 processors: setup
 	@exec .venv/bin/python scripts/processors.py -n logical $(ARGS)
