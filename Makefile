@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick docs setup clean
+.PHONY: help demo test quick soak processors docs setup clean
 
 ARGS ?=
 PYTHON ?=
@@ -12,7 +12,7 @@ PYTHON ?=
 # A graph of ours talks to this machine only, and tests to no other graph on it.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Above 101 the ports of DDS collide with those that Linux hands out.
-test quick: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
+test quick soak processors: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
 
 # A sourced Jazzy is used as it is; elsewhere its wheels come from PyPI.
 JAZZY := $(shell [ "$${ROS_DISTRO:-}" = jazzy ] && python3 -c 'import rclpy' 2> /dev/null && echo yes)
@@ -29,6 +29,8 @@ help:
 	make test              all tests, with branch coverage: below 95 % of the core or 85 % of all it fails
 	make test ARGS="..."   some of them, without coverage, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
+	make soak              tests of live nodes that take minutes, which make test leaves out
+	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
 	make docs              the pages in docs/ as HTML in site/; a warning or a broken link fails
 	make setup             only .venv with the package in it
 	make clean             removes .venv and everything that was built or written
@@ -42,14 +44,24 @@ demo: setup
 CORE := analysis control model straightness timing
 CORE_FILES := straightcomp_ros/cdr.py straightcomp_ros/contract.py straightcomp_ros/parameters.py
 comma_separated = $(subst $(space),$(comma),$(strip $(1)))
+# Live nodes share the machine with nothing else; the other tests share out its cores first.
 define TEST_ALL
 .venv/bin/python -m coverage erase
-.venv/bin/python -m pytest --cov --cov-report= --rerun-show-tracebacks
+code=0
+echo "Tests without live nodes, one process a core:"
+.venv/bin/python -m pytest -m "not live" -n logical --dist worksteal --cov --cov-report= || code=1
+echo "Tests of live nodes, one after the other:"
+.venv/bin/python -m pytest -m "live and not soak" --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
+echo "Some tests as on other processors:"
+.venv/bin/python scripts/processors.py --only SKYLAKEX PRESCOTT -n logical $(PROCESSOR_DEPENDENT:%=test/%) || code=1
+[ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }
 echo "Branch coverage of the core:"
 .venv/bin/python -m coverage report --fail-under=95 --include='$(call comma_separated,$(CORE:%=straightcomp_ros/%/*) $(CORE_FILES))'
 echo "Branch coverage of all:"
 .venv/bin/python -m coverage report --fail-under=85
 endef
+# What sums, solves and fits the most.
+PROCESSOR_DEPENDENT := model straightness analysis bench/test_measuring.py control/test_observer.py control/test_design.py
 test: setup
 	@mkdir -p .coverage_data
 	$(if $(ARGS),exec .venv/bin/python -m pytest $(ARGS),$(TEST_ALL))
@@ -59,6 +71,12 @@ QUICK := model control straightness timing doctor packaging/test_gates.py test_c
 LONGER := control/test_learning.py control/test_learning_file.py control/test_observer_laws.py
 quick: setup
 	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)
+
+soak: setup
+	@exec .venv/bin/python -m pytest -m soak $(ARGS)
+
+processors: setup
+	@exec .venv/bin/python scripts/processors.py -n logical $(ARGS)
 
 docs: setup
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict

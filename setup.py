@@ -72,9 +72,11 @@ setup(
         "test": [
             *DOCS,
             "pytest",
-            # Live graphs on shared machines: see test/nodes/conftest.py.
+            # Live graphs on shared machines: see test/repeats.py.
             "pytest-rerunfailures>=16.3",
             "hypothesis",
+            # The tests without live nodes, one process a core.
+            "pytest-xdist",
             "asyncua>=2.1,<2.2",
             "cantools",
             "dask[distributed]",

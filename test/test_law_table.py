@@ -30,7 +30,7 @@ def test_a_row_has_the_readers_units_and_the_parts_of_the_law_with_sgn(script):
     row = script.row("smc", LAW, SGN)
     assert (row["pp_um"], row["rms_um"], row["control_rms_step_mA"]) == pytest.approx((0.5, 0.05, 4.0))
     assert (row["control_rms_step_relative"], row["control_activity_relative"]) == pytest.approx((0.05, 0.25))
-    assert script.row("sgn", SGN, SGN)["control_activity_relative"] == 1.0
+    assert script.row("sgn", SGN, SGN)["control_activity_relative"] == pytest.approx(1.0)
 
 
 def test_markdown_leaves_out_what_nobody_knows_and_has_as_many_cells_in_every_line(script):

@@ -43,7 +43,7 @@ def test_the_slope_of_the_memory_is_that_of_the_line_through_the_looks():
     noise = (0.3, -0.3, -0.3, 0.3)
     looks = [Usage(START + k * 10 * 10**9, {}, {"a": 50.0 + 0.2 * k + noise[k], "b": 7.0}) for k in range(4)]
     slope = growth_mb_per_hour(looks)
-    assert slope["a"] == pytest.approx(0.2 / 10 * 3600) and slope["b"] == 0.0
+    assert slope["a"] == pytest.approx(0.2 / 10 * 3600) and slope["b"] == pytest.approx(0.0, abs=1e-9)
     assert math.isnan(growth_mb_per_hour(looks[:1])["a"])
 
 
@@ -91,7 +91,7 @@ def test_every_sample_of_the_window_is_asked_for_on_every_topic(bag):
     assert found.expected == 800
     missing = {"encoder": 0, "reference": 0, "command": 80, "controller_state": 1, "driver_state": 0, "truth": 0}
     assert found.missing == missing and found.lost_samples == 80
-    assert found.amplifier_on == 0.75
+    assert found.amplifier_on == pytest.approx(0.75)
     assert found.latency_us()["max"] == pytest.approx(899) and found.latency_us()["p50"] == pytest.approx(499.5)
 
 
@@ -113,7 +113,8 @@ def test_at_every_rate_the_reference_leads_by_the_same_time_and_the_stage_moves_
     controller = node_parameters("controller", values["controller"])
     driver = node_parameters("driver", values["driver"])
     assert controller.rate == driver.simulated.rate == rate
-    assert controller.reference_lead / rate == 0.006 and driver.simulated.sample_memory / rate == 0.128
+    assert controller.reference_lead / rate == pytest.approx(0.006)
+    assert driver.simulated.sample_memory / rate == pytest.approx(0.128)
     duration = forward_and_back(node_parameters("cell", values["cell"]).motion)[-1].time_ns * 1e-9
     assert duration == pytest.approx(seconds + 2.5)
     assert all(section["realtime.priority"] == 0 for section in values.values())

@@ -4,6 +4,8 @@ import os
 import signal
 import time
 
+import pytest
+
 from straightcomp_ros.bench.stalls import Stalls
 
 
@@ -12,10 +14,10 @@ def test_a_stall_is_found_in_the_time_that_it_took_and_in_no_other(tmp_path):
     for file in watch._files.values():
         file.write_text("")
     next(iter(watch._files.values())).write_text("1000000000 20.0\n5000000000 7.5\n6000")
-    assert watch.total_ms(970_000_000, 979_000_000) == 0.0
-    assert watch.total_ms(970_000_000, 981_000_000) == 20.0
-    assert watch.total_ms(1_000_000_001, 9_000_000_000) == 7.5
-    assert watch.total_ms(0, 9_000_000_000) == 27.5
+    assert watch.total_ms(970_000_000, 979_000_000) == pytest.approx(0.0)
+    assert watch.total_ms(970_000_000, 981_000_000) == pytest.approx(20.0)
+    assert watch.total_ms(1_000_000_001, 9_000_000_000) == pytest.approx(7.5)
+    assert watch.total_ms(0, 9_000_000_000) == pytest.approx(27.5)
 
 
 def test_stalls_of_two_cpus_are_not_added_up(tmp_path):
@@ -23,7 +25,7 @@ def test_stalls_of_two_cpus_are_not_added_up(tmp_path):
     watch._files = {0: tmp_path / "a", 1: tmp_path / "b"}
     (tmp_path / "a").write_text("1000000000 20.0\n")
     (tmp_path / "b").write_text("1000000000 30.0\n")
-    assert watch.total_ms(0, 2_000_000_000) == 30.0
+    assert watch.total_ms(0, 2_000_000_000) == pytest.approx(30.0)
 
 
 def test_a_watch_that_is_stopped_for_a_while_has_seen_a_stall(tmp_path):

@@ -1,6 +1,5 @@
 import os
 import random
-from pathlib import Path
 
 import pytest
 
@@ -12,30 +11,35 @@ if not ros_available():
     pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)
 
 
-def pytest_collection_modifyitems(items):
-    """A machine that stands still for a second in the wrong moment fails a live test once, a defect fails it again."""
-    for item in items:
-        if Path(__file__).parent in item.path.parents:
-            item.add_marker(pytest.mark.flaky(reruns=2))
-
-
 @pytest.fixture(autouse=True)
 def own_domain(monkeypatch):
-    """Each test talks on a domain of its own, on this machine only."""
+    """Each test talks on a domain of its own, on this machine only; tests beside each other on different ones."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    domains = range(1 + worker, 102, workers)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().choice(domains)))
     monkeypatch.setenv("RCUTILS_LOGGING_BUFFERED_STREAM", "0")
 
 
 @pytest.fixture(autouse=True)
 def untraced_nodes(request, monkeypatch):
     """Nodes that keep time against each other run without coverage, which makes each step two or three times longer."""
-    if request.node.get_closest_marker("keeps_time"):
+    if request.node.get_closest_marker("keeps_time") or request.node.get_closest_marker("untraced"):
         monkeypatch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)
 
 
 @pytest.fixture
 def graph(tmp_path):
+    """Starts nodes; who uses it is a live test."""
+    with Graph(tmp_path / "logs", dict(os.environ)) as graph:
+        yield graph
+
+
+@pytest.fixture
+def single(tmp_path):
+    """Starts one node, of which no more is asked than how it comes up and how it ends: that may take its time, so other
+    tests may run beside it."""
     with Graph(tmp_path / "logs", dict(os.environ)) as graph:
         yield graph
 

@@ -26,7 +26,7 @@ from straightcomp_ros.model.stage import MotionParameters, forward_and_back
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
 from straightcomp_ros.nodes.streams import subscribe
 
-pytestmark = pytest.mark.keeps_time
+pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
 NODES = ("driver", "feedforward", "controller", "logger")
 PATIENCE_S = 60.0

@@ -10,6 +10,8 @@ from straightcomp_ros.contract import ENCODER, TRUTH
 from straightcomp_ros.nodes.copies import BurstPublisher, BurstQueue, CopiedPublisher
 from straightcomp_ros.nodes.streams import Inbox, unspun_node
 
+pytestmark = pytest.mark.live
+
 PERIOD = 500_000
 
 

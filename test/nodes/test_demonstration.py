@@ -12,7 +12,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate
 from straightcomp_ros.launcher import Graph
 
-pytestmark = pytest.mark.keeps_time
+pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
 
 def test_a_live_stroke_is_recorded_and_compensated(tmp_path, short_cycle):

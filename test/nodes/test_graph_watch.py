@@ -13,6 +13,8 @@ from straightcomp_ros.nodes.safety_panel import LATCHED, safety_status
 from straightcomp_ros.nodes.streams import publisher
 from straightcomp_ros.safety.machine import Condition, Latched
 
+pytestmark = pytest.mark.live
+
 STATES = {"driver": "active", "controller": "active"}
 
 

@@ -79,18 +79,18 @@ def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(graph, sam
     assert "player" in read_attachments(bag)["parameters.yaml"].decode()
 
 
-def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(graph, tmp_path):
+def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(single, tmp_path):
     bag = tmp_path / "bag"
-    logger = graph.start("logger", {"output": str(bag), "min_free_bytes": 10**18})
+    logger = single.start("logger", {"output": str(bag), "min_free_bytes": 10**18})
     assert logger.wait(120) == 1
-    assert "min_free_bytes" in graph.log("logger").read_text()
+    assert "min_free_bytes" in single.log("logger").read_text()
     assert (bag / "metadata.yaml").exists()
 
 
-def test_a_pattern_that_is_none_is_refused(graph, tmp_path):
-    logger = graph.start("logger", {"output": str(tmp_path / "bag"), "topics": "("})
+def test_a_pattern_that_is_none_is_refused(single, tmp_path):
+    logger = single.start("logger", {"output": str(tmp_path / "bag"), "topics": "("})
     assert logger.wait(120) == 2
-    assert "parameter 'topics'" in graph.last_words("logger")
+    assert "parameter 'topics'" in single.last_words("logger")
 
 
 def test_recording_starts_stops_and_splits_by_service_and_takes_topics_of_others(graph, tmp_path):

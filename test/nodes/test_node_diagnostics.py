@@ -13,6 +13,8 @@ from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.timing.report import LOST, SAMPLES
 
+pytestmark = pytest.mark.live
+
 NODES = ("driver", "feedforward", "controller", "logger")
 COUNT = re.compile(r"\d+")
 UNITS = ("_us", "_hz")

@@ -38,6 +38,7 @@ SLOW = {
 }
 
 
+@pytest.mark.live
 def test_the_demonstration_runs_its_strokes_through_opc_ua_alone(tmp_path, capfd):
     settings = [word for name, value in SLOW.items() for word in ("--set", f"{name}={value}")]
     assert main(["demo", "--opcua", "--strokes", "2", "--json", "-o", str(tmp_path), *settings]) == 0
@@ -85,7 +86,7 @@ def test_a_gateway_without_users_serves_readers_on_this_machine():
     assert parameters.opcua.on_loopback and not parameters.opcua.users
 
 
-def test_wrong_parameters_end_the_node_with_one_sentence(graph, tmp_path):
-    node = graph.start("opcua", {"opcua.users": str(tmp_path / "none")})
-    assert node.wait(90) == EXIT_CONFIGURATION
-    assert "users file" in graph.last_words("opcua") and "Traceback" not in graph.log("opcua").read_text()
+def test_wrong_parameters_end_the_node_with_one_sentence(single, tmp_path):
+    node = single.start("opcua", {"opcua.users": str(tmp_path / "none")})
+    assert node.wait(120) == EXIT_CONFIGURATION
+    assert "users file" in single.last_words("opcua") and "Traceback" not in single.log("opcua").read_text()

@@ -108,6 +108,7 @@ def test_without_a_reader_nobody_is_woken():
     assert not Port(NAME, NUMBER).wake_reader()
 
 
+@pytest.mark.live
 @pytest.mark.keeps_time
 @pytest.mark.skipif(not SHARED_MEMORY.is_dir(), reason="Fast DDS's shared memory lies elsewhere here")
 def test_who_starts_after_the_port_was_removed_is_heard_too():

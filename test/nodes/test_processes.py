@@ -16,21 +16,21 @@ def extra(node, tmp_path):
 
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_node_stops_on_a_signal_within_two_seconds_and_without_a_traceback(graph, tmp_path, node, number):
-    process = graph.start(node, extra(node, tmp_path))
-    wait_for_line(graph, node, "ready")
+def test_a_node_stops_on_a_signal_within_two_seconds_and_without_a_traceback(single, tmp_path, node, number):
+    process = single.start(node, extra(node, tmp_path))
+    wait_for_line(single, node, "ready")
     process.send_signal(number)
     assert process.wait(timeout=120) == 0
-    assert "Traceback" not in graph.log(node).read_text()
+    assert "Traceback" not in single.log(node).read_text()
     if node == "logger":
         assert "parameters.yaml" in read_attachments(tmp_path / "bag")
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(graph, tmp_path, node):
-    process = graph.start(node, {**extra(node, tmp_path), "realtime.priorty": 1})
+def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(single, tmp_path, node):
+    process = single.start(node, {**extra(node, tmp_path), "realtime.priorty": 1})
     assert process.wait(timeout=120) == 2
-    assert "'realtime.priorty' is unknown; did you mean 'realtime.priority'" in graph.last_words(node)
+    assert "'realtime.priorty' is unknown; did you mean 'realtime.priority'" in single.last_words(node)
 
 
 @pytest.mark.parametrize(
@@ -45,32 +45,32 @@ def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(graph, tmp_pa
         ("cell", "motion.speed", 0, "0.0 m/s is too small"),
     ],
 )
-def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(graph, tmp_path, node, name, value, words):
+def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(single, tmp_path, node, name, value, words):
     # The reaching condition is that of 'smc'.
     law = {"control.law": "smc"} if node == "controller" else {}
-    process = graph.start(node, {**law, name: value})
+    process = single.start(node, {**law, name: value})
     assert process.wait(timeout=120) == 2
-    assert words in graph.last_words(node)
+    assert words in single.last_words(node)
 
 
-def test_an_integer_is_taken_where_a_float_is_meant(graph):
-    graph.start("driver", {"simulated.command_timeout": 1, "simulated.hold_stiffness": 0})
-    wait_for_line(graph, "driver", "ready")
+def test_an_integer_is_taken_where_a_float_is_meant(single):
+    single.start("driver", {"simulated.command_timeout": 1, "simulated.hold_stiffness": 0})
+    wait_for_line(single, "driver", "ready")
 
 
-def test_the_logger_refuses_a_folder_that_holds_something(graph, tmp_path):
+def test_the_logger_refuses_a_folder_that_holds_something(single, tmp_path):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "precious").write_text("data")
-    process = graph.start("logger", extra("logger", tmp_path))
+    process = single.start("logger", extra("logger", tmp_path))
     assert process.wait(timeout=120) == 2
-    assert str(tmp_path / "bag") in graph.last_words("logger")
+    assert str(tmp_path / "bag") in single.last_words("logger")
     assert (tmp_path / "bag" / "precious").read_text() == "data"
 
 
-def test_a_cell_without_a_driver_fails_and_names_what_is_missing(graph):
-    process = graph.start("cell", {"start_timeout": 1.0})
+def test_a_cell_without_a_driver_fails_and_names_what_is_missing(single):
+    process = single.start("cell", {"start_timeout": 1.0})
     assert process.wait(timeout=120) == 1
-    assert "missing: driver, feedforward, controller, logger" in graph.last_words("cell")
+    assert "missing: driver, feedforward, controller, logger" in single.last_words("cell")
 
 
 def test_a_cell_whose_samples_cease_fails_with_the_silence(graph, short_cycle):

@@ -8,7 +8,7 @@ import pytest
 
 from straightcomp_ros.nodes.soak_actions import ACTIONS
 
-pytestmark = pytest.mark.keeps_time
+pytestmark = [pytest.mark.live, pytest.mark.keeps_time, pytest.mark.soak]
 
 
 def test_the_graph_is_at_work_again_after_every_kind_of_action_and_nothing_is_lost(tmp_path):

@@ -8,7 +8,7 @@ from straightcomp_ros.bags.messages import read_messages
 from straightcomp_ros.bench.traffic import TRAFFIC, record_traffic
 from straightcomp_ros.launcher import LaunchError
 
-pytestmark = pytest.mark.keeps_time
+pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
 SECONDS = 2.0
 

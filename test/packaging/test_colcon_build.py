@@ -162,6 +162,7 @@ while True:
         process.kill()
 
 
+@pytest.mark.live
 @pytest.mark.parametrize("node", NODES)
 def test_sigint_ends_a_running_node_with_exit_code_0(
     node: str, prefix: Path, environment: dict[str, str], tmp_path: Path, observer: subprocess.Popen[str]

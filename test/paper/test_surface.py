@@ -38,7 +38,7 @@ def test_the_sliding_variable_obeys_its_differential_equation(phi, rho, sigma_0)
 
 
 def test_without_a_rate_the_switching_alone_reaches_the_surface():
-    assert reaching_time(0.0, 2.0, -0.5) == 0.25
+    assert reaching_time(0.0, 2.0, -0.5) == pytest.approx(0.25)
     assert reaching_time(1e-9, 2.0, -0.5) == pytest.approx(0.25)
 
 
@@ -75,7 +75,7 @@ def test_a_slow_reference_is_followed_with_a_lag_of_two_zeta_over_omega_n():
 
 def test_the_reaching_condition_asks_for_nothing_at_the_centre_of_a_frictionless_guide():
     nominal = dataclasses.replace(NominalPlant(), friction=0.0)
-    assert reaching_demand(DESIGN, nominal, 0.0, 0.5) == DESIGN.gamma
+    assert reaching_demand(DESIGN, nominal, 0.0, 0.5) == pytest.approx(DESIGN.gamma)
 
 
 def test_the_reaching_condition_cannot_be_met_where_the_gain_error_exceeds_one():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
@@ -44,4 +45,4 @@ def test_no_value_on_the_way_lies_outside_of_start_turning_and_held(
 
 
 def test_a_straight_end_is_held_half_a_length_on() -> None:
-    assert runout(1.0, 2.0, 0.0, 3.0).held == 4.0
+    assert runout(1.0, 2.0, 0.0, 3.0).held == pytest.approx(4.0)

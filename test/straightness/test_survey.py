@@ -35,8 +35,8 @@ def _refusal(path: Path) -> str:
 def test_a_survey_is_read_in_metres(tmp_path: Path) -> None:
     run = read_survey(_write(tmp_path, _rows())).runs[0]
     assert run.direction == "forward"
-    assert run.x.tolist() == [x / 1000 for x in POSITIONS_MM]
-    assert run.deviation[1] == 1e-6
+    assert run.x == pytest.approx([x / 1000 for x in POSITIONS_MM])
+    assert run.deviation[1] == pytest.approx(1e-6)
 
 
 @pytest.mark.parametrize(

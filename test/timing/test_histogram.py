@@ -87,7 +87,7 @@ def test_a_summary_has_the_percentiles_and_counts_of_its_window_alone():
     reports, values = reports_of(10)
     summary = summarise(reports, 2 * 10**9, 7 * 10**9)
     inside = np.concatenate(values[3:8])
-    assert summary.rate_hz == 2000.0 and summary.overruns == 5 and summary.lost_samples == 15
+    assert summary.rate_hz == pytest.approx(2000.0) and summary.overruns == 5 and summary.lost_samples == 15
     assert summary.timer_error.total == len(inside)
     assert summary.timer_error.largest_us == inside.max() * 1e-3
     assert summary.timer_error.percentiles_us([99])[0] == pytest.approx(np.percentile(inside, 99) * 1e-3, rel=0.06)
