@@ -129,10 +129,11 @@ def peer_law(name: str, design: Design, values: Values) -> Law:
     def start(y: float) -> Peer:
         return Peer(name, design, control.nominal, control.current_limit, 1.0 / controller.rate, y)
 
-    def step(gains: None, peer: Peer, y: float, r: float, r_dot: float, r_ddot: float, current: float) -> Any:
+    def step(gains: tuple[()], peer: Peer, y: float, r: float, r_dot: float, r_ddot: float, current: float) -> Any:
         return peer, peer.step(y, r, r_dot, r_ddot)
 
-    return Law(None, start, step)
+    # Its constants are in the peer itself.
+    return Law((), start, step)
 
 
 def search(name: str, values: Values, draws: int) -> tuple[Design, float]:
