@@ -79,6 +79,8 @@ setup(
             "cantools",
             "dask[distributed]",
             "mypy",
+            # The peer of benchmarks/peer_opensmc.py; MIT, needs numpy only.
+            "opensmc>=2.0,<3",
             "psutil",
             "pytest-cov",
             "coverage>=7.10",
