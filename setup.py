@@ -8,6 +8,7 @@ from setuptools import find_packages, setup
 NAME = "straightcomp_ros"
 MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
+OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 
@@ -64,7 +65,7 @@ setup(
         ],
         # The node opcua. asyncua is LGPL-3: it is used as a library, unchanged, and only where this extra is asked for.
         # The guard of sessions (opcua/guard.py) overrides its internals: a newer one needs a look first.
-        "opcua": ["asyncua>=2.1,<2.2"],
+        "opcua": OPCUA,
         # Sweeps on other machines' cores.
         "dask": ["dask[distributed]"],
         # The pages in docs/ as HTML: make docs.
@@ -75,7 +76,7 @@ setup(
             # Live graphs on shared machines: see test/nodes/conftest.py.
             "pytest-rerunfailures>=16.3",
             "hypothesis",
-            "asyncua>=2.1,<2.2",
+            *OPCUA,
             "cantools",
             "dask[distributed]",
             "mypy",
