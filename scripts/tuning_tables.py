@@ -1,7 +1,7 @@
 """Print the tables of docs/tuning.md: what the shipped stroke leaves with other values of one parameter, Markdown.
 
 True error p-p and RMS in µm, RMS step of i_c in mA; each is the median of nine starts (min to max), as
-`straightcomp simulate --starts 9` has them. Two minutes.
+`straightcomp simulate --starts 9` has them. Shipped values are bold. Two minutes.
 """
 
 from __future__ import annotations
@@ -72,7 +72,9 @@ def column(shipped: Values, table: Table, value: float) -> Values:
 
 def markdown(shipped: Values, table: Table) -> Iterator[str]:
     """The lines of one table."""
-    yield f"| {table.head} | " + " | ".join(f"{value:g}" for value in table.values) + " |"
+    at_present = shipped[table.node][table.parameter]
+    heads = (f"**{value:g}**" if value == at_present else f"{value:g}" for value in table.values)
+    yield f"| {table.head} | " + " | ".join(heads) + " |"
     yield "|---" * (len(table.values) + 1) + "|"
     columns = [over_starts(column(shipped, table, value)) for value in table.values]
     for row in table.rows:
