@@ -8,6 +8,7 @@ from setuptools import find_packages, setup
 NAME = "straightcomp_ros"
 MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
+OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 
@@ -64,7 +65,7 @@ setup(
         ],
         # The node opcua. asyncua is LGPL-3: it is used as a library, unchanged, and only where this extra is asked for.
         # The guard of sessions (opcua/guard.py) overrides its internals: a newer one needs a look first.
-        "opcua": ["asyncua>=2.1,<2.2"],
+        "opcua": OPCUA,
         # Sweeps on other machines' cores.
         "dask": ["dask[distributed]"],
         # The pages in docs/ as HTML: make docs.
@@ -77,10 +78,12 @@ setup(
             "hypothesis",
             # The tests without live nodes, one process a core.
             "pytest-xdist",
-            "asyncua>=2.1,<2.2",
+            *OPCUA,
             "cantools",
             "dask[distributed]",
             "mypy",
+            # The peer of benchmarks/peer_opensmc.py; MIT, needs numpy only.
+            "opensmc>=2.0,<3",
             "psutil",
             "pytest-cov",
             "coverage>=7.10",

@@ -1,8 +1,7 @@
 """Fits the simulated plant's friction to the paper's figure for linear control, and shows what smc needs for its own.
 
 Run `python scripts/fit_paper_plant.py`: a few minutes, the same numbers each time; docs/plant.md explains them.
-Figures are true peak-to-peak errors in µm over the whole cycle, as median (smallest–largest) of several starts:
-a platform that starts 0.1 µm off moves the figure of one run by some hundredths of a µm.
+Figures are true peak-to-peak errors in µm over the whole cycle: median of nine starts (min to max).
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from paper_stroke import PERIOD, STARTS, Stroke
+from paper_stroke import PERIOD, Stroke
 from scipy.stats import qmc
 
 from straightcomp_ros.control import sliding_mode
@@ -97,16 +96,12 @@ def fitted_coulomb(stroke: Stroke) -> float:
     print("| F_C [N] | linear (9) | with feedforward |\n|---|---|---|")
     rows = []
     for level in levels:
-        rows.append(stroke.errors(plant_with(level), law(), starts=STARTS))
-        print(f"| {level:g} | {_cell(rows[-1])} | {_cell(stroke.errors(plant_with(level), law(feedforward=True)))} |")
+        rows.append(stroke.errors(plant_with(level), law()))
+        print(f"| {level:g} | {rows[-1].text(2)} | {stroke.errors(plant_with(level), law(feedforward=True)).text(2)} |")
     for (low, row), (high, next_row) in pairwise(zip(levels, rows, strict=True)):
         if row[0] <= LINEAR <= next_row[0]:
             return round(low + (high - low) * (LINEAR - row[0]) / (next_row[0] - row[0]), 2)
     raise SystemExit(f"no F_C of {levels} N gives {LINEAR} µm: medians {[round(row[0], 2) for row in rows]} µm")
-
-
-def _cell(figures: tuple[float, ...]) -> str:
-    return f"{figures[0]:.2f} ({figures[1]:.2f}–{figures[2]:.2f})"
 
 
 def show_switching(stroke: Stroke, plant: PlantParameters, title: str, *, feedforward: bool) -> None:
@@ -119,7 +114,7 @@ def show_switching(stroke: Stroke, plant: PlantParameters, title: str, *, feedfo
     )
     print("|---" * (len(slopes) + 1) + "|")
     for rho in (0.4, 0.7, 1.0, 2.0):
-        cells = [_cell(stroke.errors(plant, law(slope, rho=rho, feedforward=feedforward))) for slope in slopes]
+        cells = [stroke.errors(plant, law(slope, rho=rho, feedforward=feedforward)).text(2) for slope in slopes]
         print(f"| {rho:g} | " + " | ".join(cells) + " |")
 
 
@@ -130,7 +125,7 @@ def show_velocity_estimate(stroke: Stroke, plant: PlantParameters, slope: float)
     for bandwidth in (50.0, 100.0, 200.0, 400.0, 1000.0):
         cases = [(0.0, 1.0), (slope, 1.0), (math.inf, 0.4), (math.inf, 1.0)]
         laws = [law(at, rho=rho, feedforward=True, velocity_bandwidth=bandwidth) for at, rho in cases]
-        print(f"| {bandwidth:g} | " + " | ".join(_cell(stroke.errors(plant, chosen)) for chosen in laws) + " |")
+        print(f"| {bandwidth:g} | " + " | ".join(stroke.errors(plant, chosen).text(2) for chosen in laws) + " |")
 
 
 def show_drive(stroke: Stroke, coulomb: float, slope: float) -> None:
@@ -144,7 +139,7 @@ def show_drive(stroke: Stroke, coulomb: float, slope: float) -> None:
     for delay in (0.0, 0.5, 1.0):
         for bandwidth in (200.0, 500.0, 2000.0):
             plant = plant_with(coulomb, **{"drive.bandwidth": bandwidth})
-            cells = [_cell(stroke.errors(plant, chosen, delay=delay)) for chosen in laws]
+            cells = [stroke.errors(plant, chosen, delay=delay).text(2) for chosen in laws]
             limit = stable_slope(delay, bandwidth)
             print(f"| {delay:g} | {bandwidth:g} | " + " | ".join(cells) + f" | {limit:.0f} /s |")
 
@@ -170,7 +165,7 @@ def show_guides(slope: float) -> None:
         lag = 2.0 * SlidingDesign().zeta / SlidingDesign().omega_n * 2.0 * stroke.rate * 1e6
         for coulomb in (0.43, 1.0, 2.0, 4.0):
             plant = plant_with(coulomb)
-            cells = [_cell(stroke.errors(plant, law(chosen))) for chosen in (0.0, slope)]
+            cells = [stroke.errors(plant, law(chosen)).text(2) for chosen in (0.0, slope)]
             print(f"| {half_waves} | {stroke.rate * 1e6:.0f} | {lag:.2f} | {coulomb:g} | {cells[0]} | {cells[1]} |")
 
 

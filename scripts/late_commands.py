@@ -23,6 +23,7 @@ from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
 from straightcomp_ros.comparison import Values
 from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.sweep.starts import spreads, values_of_starts
 from straightcomp_ros.sweep.stroke import run_stroke
 
 _TIMES_OF_ACTION = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -53,11 +54,12 @@ def stalled(period_ns: int, stall_ms: float, first: int) -> tuple[NDArray[np.int
 
 
 def jitter(values: Values, delays: NDArray[np.int64], period_ns: int) -> None:
-    """Print the stroke's error for each time of action."""
+    """Print the stroke's error for each time of action: median of nine starts (min to max)."""
     print("acts after [samples]   p-p / µm   RMS / µm")
     for share in _TIMES_OF_ACTION:
-        figures = evaluate(*run_stroke(values, np.maximum(delays, round(share * period_ns)))).to_display()
-        print(f"{share:20.2f}   {figures['true_pp_um']:8.3f}   {figures['true_rms_um']:8.4f}")
+        late = np.maximum(delays, round(share * period_ns))
+        found = spreads(evaluate(*run_stroke(one, late)).to_display() for one in values_of_starts(values))
+        print(f"{share:20.2f}   {found['true_pp_um'].text(2)}   {found['true_rms_um'].text(3)}")
 
 
 def stalls(values: Values, period_ns: int) -> None:

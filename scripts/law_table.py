@@ -1,8 +1,7 @@
-"""Print the table of the laws that the README shows: Markdown, or JSON with --json.
+"""Print the table of the laws that the README shows, and below it each law's margins: Markdown, or JSON with --json.
 
-One cycle of the whole stroke offline for each law, with the shipped parameters; how hard the coils work is also told
-relative to the law as the paper writes it, with sgn σ (law smc, boundary layer 0). Percentiles over uncertain machines
-are taken from a file, since they take minutes:
+Errors are medians over nine starts (min to max) of the whole stroke offline, with the shipped parameters. Percentiles
+over uncertain machines are taken from a file, since they take minutes:
 
     straightcomp robustness --json > robustness.json
     python scripts/law_table.py --robustness robustness.json
@@ -21,27 +20,36 @@ from straightcomp_ros.comparison import LawFigures, Values, figures_of, law_of, 
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.paper.machine import machine_from
+from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
 from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
+from straightcomp_ros.sweep.starts import Spread
 
-SGN = "smc, sgn σ"
-COLUMNS: Sequence[tuple[str, str, int]] = (
-    ("pp_um", "p-p [µm]", 2),
-    ("rms_um", "RMS [µm]", 3),
-    ("control_rms_step_mA", "RMS Δi_c [mA]", 1),
-    ("control_rms_step_relative", "of sgn's", 2),
-    ("control_activity_A", "Σ\\|Δi_c\\| [A]", 0),
-    ("control_activity_relative", "of sgn's", 2),
-    ("step_us", "step [µs]", 1),
-    ("robust_pp_p95_um", "p95 [µm]", 2),
-    ("robust_pp_worst_um", "worst [µm]", 2),
-    ("limit_cycles", "limit cycles", 0),
-    ("gain_low", "gain from", 2),
-    ("gain_high", "to", 2),
-    ("phase_deg", "phase [°]", 0),
-    ("longest_delay_samples", "longest delay [samples]", 2),
+SGN = "`smc` with sgn σ as printed"
+NAMES = {
+    "linear": "`linear`",
+    "smc": "`smc`, with the map's rates fed forward",
+    "super_twisting": "`super_twisting`, for comparison",
+    "smc_observer": "`smc_observer`",
+}
+"""First cell of each law's row."""
+HEADS = (
+    "`--law`",
+    "paper [µm]",
+    "p-p [µm]",
+    "RMS [µm]",
+    "RMS Δi_c [mA]",
+    "p50 / p95 / worst of uncertain machines [µm]",
+    "failed, limit cycles",
+    "µs per step",
 )
-"""Name in JSON, head in Markdown, digits."""
+MARGINS = {
+    "gain_low": ("gain from", 2),
+    "gain_high": ("to", 2),
+    "phase_deg": ("phase [°]", 0),
+    "longest_delay_samples": ("longest delay [samples]", 2),
+}
+"""By name in JSON: head in Markdown, digits."""
 
 
 class InputError(ValueError):
@@ -58,8 +66,8 @@ def read_robustness(path: Path) -> dict[str, dict[str, Any]]:
         laws = json.loads(path.read_text("utf-8"))["laws"]
         return {
             law: {
-                "robust_pp_p95_um": told["pp_um"]["p95"],
-                "robust_pp_worst_um": told["pp_um"]["max"],
+                "robust_pp_um": {name: told["pp_um"][name] for name in ("p50", "p95", "max")},
+                "failures": told["failures"],
                 "limit_cycles": told["limit_cycles"],
             }
             for law, told in laws.items()
@@ -83,7 +91,7 @@ def margins_of(values: Values) -> dict[str, float | None]:
             amplifier_bandwidth=machine.plant.drive.bandwidth,
         )
     except ValueError:
-        return dict.fromkeys(("gain_low", "gain_high", "phase_deg", "longest_delay_samples"))
+        return dict.fromkeys(MARGINS)
     return {
         "gain_low": margins.gain_low,
         "gain_high": margins.gain_high,
@@ -92,42 +100,61 @@ def margins_of(values: Values) -> dict[str, float | None]:
     }
 
 
-def row(law: str, figures: LawFigures, sgn: LawFigures) -> dict[str, Any]:
-    """What is told of one run, beside the law with sgn σ."""
+def row(law: str, figures: LawFigures) -> dict[str, Any]:
+    """What is told of one law's strokes."""
     return {
         "law": law,
-        "pp_um": figures.pp * 1e6,
-        "rms_um": figures.rms * 1e6,
-        "control_rms_step_mA": figures.control_rms_step * 1e3,
-        "control_rms_step_relative": figures.control_rms_step / sgn.control_rms_step,
-        "control_activity_A": figures.control_activity,
-        "control_activity_relative": figures.control_activity / sgn.control_activity,
+        "pp_um": figures.pp.scaled(1e6)._asdict(),
+        "rms_um": figures.rms.scaled(1e6)._asdict(),
+        "control_rms_step_mA": figures.control_rms_step.scaled(1e3)._asdict(),
+        "control_activity_A": figures.control_activity._asdict(),
         "step_us": figures.step_time * 1e6,
     }
 
 
-def rows(values: Values, robustness: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The table: all laws, then the one with sgn σ."""
+def chosen_laws(values: Values) -> dict[str, dict[str, dict[str, Any]]]:
+    """Parameters of each row: all laws, then the one with sgn σ."""
     chosen = {law: with_values(values, "controller", {"control.law": law}) for law in LAWS}
     chosen[SGN] = with_values(values, "controller", {"control.law": "smc", "control.design.boundary_layer": 0.0})
-    figures = {law: figures_of(one) for law, one in chosen.items()}
+    return chosen
+
+
+def rows(values: Values, robustness: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The table, one row for each of `chosen_laws`."""
     return [
-        {**row(law, figures[law], figures[SGN]), **robustness.get(law, {}), **margins_of(one)}
-        for law, one in chosen.items()
+        {**row(law, figures_of(one)), **robustness.get(law, {}), **margins_of(one)}
+        for law, one in chosen_laws(values).items()
     ]
+
+
+def cells(told: Mapping[str, Any]) -> list[str]:
+    """One row of the README's table."""
+    law = told["law"]
+    errors = [
+        Spread(**told[name]).text(digits) for name, digits in (("pp_um", 2), ("rms_um", 3), ("control_rms_step_mA", 1))
+    ]
+    paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if law in PEAK_TO_PEAK_UM else ""
+    uncertain, failed = "", ""
+    if "robust_pp_um" in told:
+        percentiles = told["robust_pp_um"]
+        uncertain = f"{percentiles['p50']:.2f} / {percentiles['p95']:.2f} / {percentiles['max']:.2f}"
+        failed = f"{told['failures']}, {told['limit_cycles']}"
+    return [NAMES.get(law, law), paper, *errors, uncertain, failed, f"{told['step_us']:.1f}"]
 
 
 def markdown(table: Sequence[Mapping[str, Any]]) -> str:
-    """The table in Markdown; columns of which no row knows anything are left out."""
-    shown = [column for column in COLUMNS if any(one.get(column[0]) is not None for one in table)]
-    lines = [
-        "| law | " + " | ".join(head for _, head, _ in shown) + " |",
-        "|---" * (len(shown) + 1) + "|",
+    """The table of the README, and the margins of those laws that have some."""
+    margins = [
+        [NAMES.get(told["law"], told["law"]), *(f"{told[name]:.{digits}f}" for name, (_, digits) in MARGINS.items())]
+        for told in table
+        if told.get("gain_low") is not None
     ]
-    for one in table:
-        numbers = ("" if one.get(name) is None else f"{one[name]:.{digits}f}" for name, _, digits in shown)
-        lines.append(f"| {one['law']} | " + " | ".join(numbers) + " |")
-    return "\n".join(lines)
+    heads = ["law", *(head for head, _ in MARGINS.values())]
+    return f"{_grid(HEADS, [cells(told) for told in table])}\n\n{_grid(heads, margins)}"
+
+
+def _grid(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *lines))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

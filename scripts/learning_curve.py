@@ -1,4 +1,5 @@
-"""Prints how learning from stroke to stroke lowers the true error, cycle by cycle, in three cases:
+"""Prints how learning from stroke to stroke lowers the true error, cycle by cycle, in three cases. Each figure is the
+median of nine starts (min to max):
 
 stroke      the shipped stroke, commands half a sampling period late
 late        the same, commands a whole period late (the amplifier's own 500 Hz come on top, in both)
@@ -24,6 +25,7 @@ from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.straightness.run import Run
 from straightcomp_ros.straightness.survey import Survey, write_survey
+from straightcomp_ros.sweep.starts import STARTS, Spread, spreads, values_of_starts
 
 AMPLITUDE, FREQUENCY, SPEED, WAVES = 50e-6, 0.8, 0.1, 4
 """m, Hz, m/s, and waves along the stroke."""
@@ -46,13 +48,13 @@ def harmonic(values: Values, folder: Path) -> None:
     values["cell"].update({"motion.start": 0.0, "motion.stroke": length, "motion.speed": SPEED})
 
 
-def curve(values: Values, cycles: int) -> Iterator[tuple[float, float]]:
+def curve(values: Values, cycles: int, starts: int) -> Iterator[tuple[Spread, Spread]]:
     """True error of each cycle in µm: peak to peak, and RMS."""
     values["controller"]["learning.learn"] = True
-    simulation = Simulation(values)
+    simulations = [Simulation(one) for one in values_of_starts(values, starts)]
     for _ in range(cycles):
-        figures = evaluate(simulation.run(), simulation.map).to_display()
-        yield figures["true_pp_um"], figures["true_rms_um"]
+        found = spreads(evaluate(one.run(), one.map).to_display() for one in simulations)
+        yield found["true_pp_um"], found["true_rms_um"]
 
 
 def main() -> int:
@@ -61,6 +63,7 @@ def main() -> int:
     add_parameter_options(parser)
     parser.set_defaults(law="smc_observer")
     parser.add_argument("--cycles", type=int, default=11, help="the first one is without a correction (default: 11)")
+    parser.add_argument("--starts", type=int, default=STARTS, metavar="N", help="default: %(default)s")
     parser.add_argument("cases", nargs="*", metavar="CASE", help="stroke, late, harmonic (default: all)")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -76,8 +79,8 @@ def main() -> int:
                 values = chosen_parameters(options)
                 cases[name](values)
                 print(f"\n{name}, law {options.law}\ncycle   p-p / µm   RMS / µm")
-                for number, (pp, rms) in enumerate(curve(values, options.cycles), 1):
-                    print(f"{number:5d}   {pp:8.3f}   {rms:8.4f}", flush=True)
+                for number, (pp, rms) in enumerate(curve(values, options.cycles, options.starts), 1):
+                    print(f"{number:5d}   {pp.text(3)}   {rms.text(4)}", flush=True)
         except (CommandFailed, ParameterError) as error:
             print(f"{Path(sys.argv[0]).name}: {error}", file=sys.stderr)
             return 2

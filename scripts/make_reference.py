@@ -29,7 +29,8 @@ All numbers are SI. All names are relative: a namespace or a remapping moves the
 
 ## Topics
 
-The streams carry the stamp of the encoder sample that they belong to, one message for each sample, best effort.
+The streams carry the stamp of the encoder sample that they belong to, best effort, one message for each sample unless
+said otherwise.
 
 | topic | type | numbers, in the order of the message | content |
 |---|---|---|---|
@@ -41,7 +42,7 @@ SLOW_TOPIC = re.compile(r"(\w+_msgs)/(\w+)[:,] (.*)", re.DOTALL)
 def reference() -> str:
     """Text of the page."""
     lines = [HEAD.rstrip("\n")]
-    for stream in contract.STREAMS:
+    for stream in (*contract.STREAMS, *_other_streams()):
         numbers = ", ".join(f"`{name}`" for name in stream.layout.columns)
         lines.append(f"| `{stream.topic}` | {stream.layout.type_name} | {numbers} | {stream.description} |")
     for stream in contract.STREAMS:
@@ -63,6 +64,12 @@ def reference() -> str:
             lines.append(f"| `{one.name}` | {_default(one.default)} | {one.unit} | {allowed} | {meaning} |")
         lines.append("")
     return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _other_streams() -> list[contract.Stream]:
+    """Those of the contract that go out neither at the control rate nor in bursts."""
+    found = [one for one in vars(contract).values() if isinstance(one, contract.Stream)]
+    return [one for one in found if one not in contract.STREAMS]
 
 
 def services() -> Iterator[tuple[str, str, str, str]]:

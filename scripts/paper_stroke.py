@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,10 @@ from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_a
 from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.map import load_map
 from straightcomp_ros.sweep.kernel import Conditions, run_cycle
+from straightcomp_ros.sweep.starts import Spread, offsets, spread
 
 PERIOD = 1.0 / DEFAULT_RATE
 """Sampling period in s."""
-STARTS = [offset * 0.13e-6 for offset in range(-4, 5)]
-"""Positions in m at which the platform may stand at the start: 0.13 µm does not beat with the encoder's 0.1 µm."""
 
 
 class Stroke:
@@ -72,7 +70,6 @@ class Stroke:
         true_y = run_cycle(law, plant, conditions, start).true_y
         return float(np.ptp((self._true_r - true_y)[self._window])) * 1e6
 
-    def errors(self, *arguments: Any, starts: Sequence[float] = STARTS[2:7], **options: Any) -> tuple[float, ...]:
-        """Median, smallest and largest :meth:`error` in µm over ``starts``."""
-        found = [self.error(*arguments, start=start, **options) for start in starts]
-        return float(np.median(found)), min(found), max(found)
+    def errors(self, *arguments: Any, **options: Any) -> Spread:
+        """:meth:`error` in µm over the starts."""
+        return spread(self.error(*arguments, start=start, **options) for start in offsets())

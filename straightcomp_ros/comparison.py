@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from straightcomp_ros.configuration import ControllerNodeParameters, node_parame
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.simulation import Simulation
+from straightcomp_ros.sweep.starts import STARTS, Spread, first_cycle, spread, values_of_starts
 
 _TIMED_SAMPLES = 2000
 _REPEATS = 5
@@ -22,7 +24,7 @@ Values = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class LawFigures:
-    """One law over one cycle of the stage, offline.
+    """One law over one cycle of the stage, offline, from several starts.
 
     Attributes:
         pp, rms: true compensation error, m.
@@ -31,10 +33,10 @@ class LawFigures:
         step_time: of the processor for one sample of the law alone, s; the least of some repetitions.
     """
 
-    pp: float
-    rms: float
-    control_activity: float
-    control_rms_step: float
+    pp: Spread
+    rms: Spread
+    control_activity: Spread
+    control_rms_step: Spread
     step_time: float
 
 
@@ -55,24 +57,40 @@ def law_of(values: Values) -> Law:
     return make_law(controller.control, 1.0 / controller.rate)
 
 
-def figures_of(values: Values, law: Law | None = None) -> LawFigures:
-    """Run one cycle under ``law``, or under the one that ``values`` name, and time its step on the samples of that run.
+def figures_of(values: Values, law: Law | None = None, starts: int = STARTS) -> LawFigures:
+    """Run one cycle from each start, and time the law's step on the samples of the first.
+
+    Args:
+        values: parameters by node and dotted name.
+        law: steps in place of the law that ``values`` name; it need not be compilable.
+        starts: how many.
 
     Raises:
         ParameterError, SurveyError: the parameters are refused.
         MetricsError: the stage does not move.
     """
-    law = law or law_of(values)
-    simulation = Simulation(values, law=law)
+    timed = law or law_of(values)
     samples: list[tuple[float, ...]] = []
+    first, *others = values_of_starts(values, starts)
+    simulation = Simulation(first, law=timed)
     record = simulation.run(
         observe=lambda sample, truth, reference, command, age: samples.append((sample.y, *reference, sample.current))
     )
-    metrics = evaluate(record, simulation.map)
-    assert metrics.true_pp is not None and metrics.true_rms is not None  # a simulation knows the truth
+    found = [evaluate(record, simulation.map)]
+    for other in others:
+        if law is None:
+            found.append(evaluate(*first_cycle(other)))
+        else:
+            simulation = Simulation(other, law=law)
+            found.append(evaluate(simulation.run(), simulation.map))
     middle = samples[len(samples) // 4 :][:_TIMED_SAMPLES]
     return LawFigures(
-        metrics.true_pp, metrics.true_rms, metrics.control_activity, metrics.control_rms_step, step_time(law, middle)
+        # A simulation knows the truth.
+        spread(metrics.true_pp or math.nan for metrics in found),
+        spread(metrics.true_rms or math.nan for metrics in found),
+        spread(metrics.control_activity for metrics in found),
+        spread(metrics.control_rms_step for metrics in found),
+        step_time(timed, middle),
     )
 
 

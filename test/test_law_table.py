@@ -10,10 +10,16 @@ from types import ModuleType
 import pytest
 
 from straightcomp_ros.comparison import LawFigures, figures_of, law_of, with_values
+from straightcomp_ros.sweep.starts import Spread, spread
 
 SHORT = {"controller": {}, "cell": {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1}}
-SGN = LawFigures(pp=1e-6, rms=4e-7, control_activity=200.0, control_rms_step=0.08, step_time=3e-6)
-LAW = LawFigures(pp=0.5e-6, rms=5e-8, control_activity=50.0, control_rms_step=0.004, step_time=2e-6)
+LAW = LawFigures(
+    pp=Spread(0.5e-6, 0.45e-6, 0.55e-6),
+    rms=Spread(5e-8, 4.99e-8, 5.01e-8),
+    control_activity=spread([50.0]),
+    control_rms_step=spread([0.004]),
+    step_time=2e-6,
+)
 
 
 @pytest.fixture(scope="module")
@@ -26,27 +32,32 @@ def script() -> ModuleType:
     return module
 
 
-def test_a_row_has_the_readers_units_and_the_parts_of_the_law_with_sgn(script):
-    row = script.row("smc", LAW, SGN)
-    assert (row["pp_um"], row["rms_um"], row["control_rms_step_mA"]) == pytest.approx((0.5, 0.05, 4.0))
-    assert (row["control_rms_step_relative"], row["control_activity_relative"]) == pytest.approx((0.05, 0.25))
-    assert script.row("sgn", SGN, SGN)["control_activity_relative"] == pytest.approx(1.0)
+def test_a_row_has_the_readers_units(script):
+    row = script.row("smc", LAW)
+    assert row["pp_um"] == pytest.approx({"median": 0.5, "min": 0.45, "max": 0.55})
+    assert (row["control_rms_step_mA"]["median"], row["step_us"]) == pytest.approx((4.0, 2.0))
 
 
-def test_markdown_leaves_out_what_nobody_knows_and_has_as_many_cells_in_every_line(script):
-    rows = [{**script.row("smc", LAW, SGN), "gain_low": 0.22, "phase_deg": None}, script.row("sgn", SGN, SGN)]
-    head, rule, first, second = script.markdown(rows).replace("\\|", "").splitlines()
-    assert "gain from" in head and "phase" not in head and "p95" not in head
+def test_markdown_shows_median_and_range_and_has_as_many_cells_in_every_line(script):
+    margins = {"gain_low": 0.22, "gain_high": 3.0, "phase_deg": 15.2, "longest_delay_samples": 1.5}
+    swept = {"robust_pp_um": {"p50": 0.4, "p95": 0.7, "max": 1.1}, "failures": 2, "limit_cycles": 3}
+    table, below = script.markdown([{**script.row("smc", LAW), **swept, **margins}, script.row("sgn", LAW)]).split(
+        "\n\n"
+    )
+    head, rule, first, second = table.splitlines()
     assert len({line.count("|") for line in (head, rule, first, second)}) == 1
-    assert first.startswith("| smc | 0.50 | 0.050 | 4.0 | 0.05 |") and "| 0.22 |" in first
-    assert second.endswith("|  |")
+    assert "| 0.40 | 0.50 (0.45 to 0.55) | 0.050 | 4.0 | 0.40 / 0.70 / 1.10 | 2, 3 | 2.0 |" in first
+    assert second.endswith("|  |  | 2.0 |")
+    assert below.splitlines()[-1].endswith("| 0.22 | 3.00 | 15 | 1.50 |")
 
 
 def test_figures_of_a_sweep_are_taken_from_its_file(script, tmp_path):
-    told = {"laws": {"smc": {"pp_um": {"p95": 0.7, "max": 1.1}, "limit_cycles": 3}}}
+    told = {
+        "laws": {"smc": {"pp_um": {"p5": 0.1, "p50": 0.4, "p95": 0.7, "max": 1.1}, "failures": 2, "limit_cycles": 3}}
+    }
     (tmp_path / "sweep.json").write_text(json.dumps(told))
     taken = script.read_robustness(tmp_path / "sweep.json")
-    assert taken == {"smc": {"robust_pp_p95_um": 0.7, "robust_pp_worst_um": 1.1, "limit_cycles": 3}}
+    assert taken == {"smc": {"robust_pp_um": {"p50": 0.4, "p95": 0.7, "max": 1.1}, "failures": 2, "limit_cycles": 3}}
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"laws": {"smc": {}}}', '{"laws": []}', None])
@@ -62,10 +73,10 @@ def test_another_file_is_refused_in_one_sentence_that_names_it(script, tmp_path,
 def test_the_law_with_sgn_works_the_coils_harder_and_a_law_that_is_handed_in_is_the_one_that_runs():
     smooth = with_values(SHORT, "controller", {"control.law": "smc"})
     sgn = with_values(smooth, "controller", {"control.design.boundary_layer": 0.0})
-    figures = figures_of(sgn)
-    assert figures.control_activity > 2.0 * figures_of(smooth).control_activity
+    figures = figures_of(sgn, starts=2)
+    assert figures.control_activity.min > 2.0 * figures_of(smooth, starts=1).control_activity.max
     assert figures.step_time > 0.0
-    handed_in = figures_of(smooth, law_of(sgn))
+    handed_in = figures_of(smooth, law_of(sgn), starts=2)
     assert (handed_in.pp, handed_in.control_activity) == (figures.pp, figures.control_activity)
     assert SHORT["controller"] == {}
 

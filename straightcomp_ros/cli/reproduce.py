@@ -70,5 +70,5 @@ def _table(claims: tuple[Claim, ...]) -> Table:
     for claim in claims:
         paper = "" if claim.paper is None else f"{claim.paper:.4g}"
         within = {True: "yes", False: "no", None: ""}[claim.within]
-        table.add_row(claim.name, paper, f"{claim.ours:.4g}", claim.unit, within)
+        table.add_row(claim.name, paper, claim.shown, claim.unit, within)
     return table

@@ -27,6 +27,7 @@ from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.sweep.starts import Spread, metrics_of_starts, spreads
 from straightcomp_ros.sweep.stroke import can_run, run_stroke
 
 SUMMARY = "run strokes forward and back offline"
@@ -39,6 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)"
     )
     parser.add_argument("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
+    parser.add_argument(
+        "--starts",
+        type=int,
+        default=1,
+        metavar="N",
+        help="repeat the cycle from N places of the platform around its start, and tell median and range (default: 1)",
+    )
     parser.add_argument("--learn", action="store_true", help="learn from stroke to stroke")
     parser.add_argument(
         "--learned", metavar="FILE", help="as --learn; read what was learned from FILE if it exists, and write it there"
@@ -54,14 +62,18 @@ def run(options: argparse.Namespace) -> int:
     if options.delay is not None:
         values["driver"]["lockstep_delay"] = options.delay
     check_range("--strokes", options.strokes, 1)
+    check_range("--starts", options.starts, 1)
+    if options.starts > 1 and (options.strokes > 1 or options.learn or options.learned or options.bag):
+        raise CommandFailed(
+            "--starts: is of single cycles; leave out --strokes, --learn, --learned and --bag", exit_code=2
+        )
     plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
     if options.learn or options.learned:
         values["controller"]["learning.learn"] = True
     if options.learned:
         values["controller"]["learning.file"] = str(output_file("--learned", options.learned))
     try:
-        compiled = options.strokes == 1 and not options.bag and can_run(values)
-        if compiled:
+        if options.strokes == 1 and not options.bag and can_run(values):
             record, straightness = run_stroke(values)
             cycles = [evaluate(record, straightness)]
         else:
@@ -69,6 +81,7 @@ def run(options: argparse.Namespace) -> int:
             straightness = simulation.map
             record, cycles = _run_cycles(options, values, simulation)
             simulation.save_learning()
+        over_starts = _over_starts(values, options.starts) if options.starts > 1 else {}
     except (ParameterError, SurveyError) as error:
         raise CommandFailed(str(error), exit_code=2) from error
     except (BagError, MetricsError, OSError, ValueError) as error:
@@ -83,13 +96,23 @@ def run(options: argparse.Namespace) -> int:
     delay = node_parameters("driver", values["driver"]).lockstep_delay
     figures = {"law": record.law, "delay_samples": delay, **shown[-1]}
     if options.json:
+        if over_starts:
+            figures["starts"] = {"count": options.starts, **{k: one._asdict() for k, one in over_starts.items()}}
         listed = [{"true_pp_um": c["true_pp_um"], "true_rms_um": c["true_rms_um"]} for c in shown]
         print_json({**figures, "cycles": listed} if options.strokes > 1 else figures)
         return 0
     if options.strokes > 1:
         console.print(cycles_table(figures["law"], shown))
-    console.print(results_table(figures))
+    console.print(results_table(figures, over_starts))
     return 0
+
+
+def _over_starts(values: Mapping[str, Mapping[str, Any]], count: int) -> dict[str, Spread]:
+    """Each figure over ``count`` starts."""
+    with progress_bar() as bar:
+        task = bar.add_task("simulating the starts", total=1.0)
+        found = metrics_of_starts(values, count, lambda fraction: bar.update(task, completed=fraction))
+    return spreads(metrics.to_display() for metrics in found)
 
 
 def _run_cycles(

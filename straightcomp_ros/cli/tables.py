@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
+
+if TYPE_CHECKING:
+    # The sweep takes longer to import than most verbs run.
+    from straightcomp_ros.sweep.starts import Spread
 
 _ROWS = (
     ("encoder_pp_um", "compensation error p-p, encoder", "µm", 3),
@@ -52,8 +56,12 @@ def shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def results_table(figures: Mapping[str, Any]) -> Table:
-    """A table of those figures that are there; the paper's figure beside the p-p error."""
+def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] | None = None) -> Table:
+    """A table of those figures that are there; the paper's figure beside the p-p error.
+
+    A figure of ``over_starts`` is shown in the place of that of one run, as median (min to max).
+    """
+    over_starts = over_starts or {}
     law = figures["law"]
     table = Table(title=f"Straightness compensation, law '{law}'", title_justify="left")
     table.add_column("figure")
@@ -63,7 +71,8 @@ def results_table(figures: Mapping[str, Any]) -> Table:
     for key, words, unit, digits in _ROWS:
         if figures.get(key) is not None:
             paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
-            table.add_row(words, f"{figures[key]:.{digits}f}", unit, paper)
+            value = over_starts[key].text(digits) if key in over_starts else f"{figures[key]:.{digits}f}"
+            table.add_row(words, value, unit, paper)
     return table
 
 

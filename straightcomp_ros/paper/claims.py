@@ -14,10 +14,11 @@ class Claim:
     Attributes:
         name: what the number is, in words.
         paper: the paper's number, None where it prints none.
-        ours: our number; NaN where there is none.
+        ours: our number; NaN where there is none. Of a stroke it is the median over several starts.
         unit: of both; empty for pure numbers.
         tolerance: largest |ours − paper| that counts as agreement; no meaning without ``paper``.
         note: what to know of it.
+        range: least and largest over the starts; None for what does not depend on one.
     """
 
     name: str
@@ -26,6 +27,14 @@ class Claim:
     unit: str
     tolerance: float = 0.0
     note: str = ""
+    range: tuple[float, float] | None = None
+
+    @property
+    def shown(self) -> str:
+        """Our number in four digits, with its range."""
+        if self.range is None:
+            return f"{self.ours:.4g}"
+        return "{:.3g} ({:.3g} to {:.3g})".format(self.ours, *self.range)
 
     @property
     def within(self) -> bool | None:
@@ -38,6 +47,7 @@ class Claim:
             "name": self.name,
             "paper": self.paper,
             "ours": self.ours if math.isfinite(self.ours) else None,
+            "range": self.range,
             "unit": self.unit,
             "tolerance": self.tolerance if self.paper is not None else None,
             "within": self.within,

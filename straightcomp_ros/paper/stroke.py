@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,18 +19,27 @@ from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import label, legend_above, sheet
 from straightcomp_ros.paper.machine import Machine
 from straightcomp_ros.paper.surface import lag
-from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.straightness.map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.sweep.starts import first_cycle, spread, values_of_starts
+
+
+class Figures(NamedTuple):
+    """Of one start, m: true error peak to peak, and the largest |r − y| and |y| as the encoder sees them."""
+
+    pp: float
+    largest_error: float
+    largest_y: float
 
 
 @dataclass(frozen=True, eq=False)
 class CompensatedStroke:
-    """A run, its map and its figures."""
+    """A run and its map, its figures, and those of all starts; the run is from the first of them."""
 
     record: StrokeRecord
     map: StraightnessMap
     metrics: Metrics
+    starts: tuple[Figures, ...]
     claims: tuple[Claim, ...] = ()
 
     @property
@@ -37,16 +49,31 @@ class CompensatedStroke:
 
 
 def run_stroke(machine: Machine, law: str) -> CompensatedStroke:
-    """One cycle under ``law``, everything else as the parameter file says; without claims as yet.
+    """One cycle under ``law`` from each start, everything else as the parameter file says; without claims as yet.
 
     Raises:
         ParameterError, SurveyError: the parameters are refused.
     """
     values = {node: dict(parameters) for node, parameters in machine.values.items()}
     values.setdefault("controller", {})["control.law"] = law
-    simulation = Simulation(values)
-    record = simulation.run()
-    return CompensatedStroke(record, simulation.map, evaluate(record, simulation.map))
+    runs = [first_cycle(one) for one in values_of_starts(values)]
+    record, straightness = runs[0]
+    found = tuple(_figures(*run) for run in runs)
+    return CompensatedStroke(record, straightness, evaluate(record, straightness), found)
+
+
+def _figures(record: StrokeRecord, straightness: StraightnessMap) -> Figures:
+    window = find_motion(record).window
+    error = float(np.abs(record.r - record.y)[window].max())
+    return Figures(evaluate(record, straightness).true_pp or math.nan, error, float(np.abs(record.y)[window].max()))
+
+
+def stroke_claim(
+    name: str, paper: float | None, numbers: Iterable[float], unit: str, tolerance: float = 0.0, note: str = ""
+) -> Claim:
+    """The claim of a figure over the starts; arguments as of `Claim`."""
+    over = spread(numbers)
+    return Claim(name, paper, over.median, unit, tolerance=tolerance, note=note, range=(over.min, over.max))
 
 
 def lag_share(stroke: CompensatedStroke, design: SlidingDesign) -> float:

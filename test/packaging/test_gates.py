@@ -68,12 +68,3 @@ def test_the_manifest_keeps_the_order_of_its_schema_and_names_nothing_twice() ->
     depends = [(child.tag, child.text) for child in root if child.tag.endswith("depend")]
     assert len(depends) == len(set(depends))
     assert (REPOSITORY / str(root.find("license").get("file"))).is_file()  # type: ignore[union-attr]
-
-
-def test_what_the_package_imports_from_ros_is_in_the_manifest() -> None:
-    root = ElementTree.parse(REPOSITORY / "package.xml").getroot()
-    named = {child.text for child in root if child.tag in ("exec_depend", "depend")}
-    ros = re.compile(r"^\s*(?:from|import) (\w+_(?:msgs|srvs|interfaces)|rclpy)\b", re.MULTILINE)
-    sources = (REPOSITORY / "straightcomp_ros").rglob("*.py")
-    imported = {name for path in sources for name in ros.findall(path.read_text(encoding="utf-8"))}
-    assert imported <= named

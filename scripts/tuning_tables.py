@@ -1,0 +1,116 @@
+"""Print the tables of docs/tuning.md: what the shipped stroke leaves with other values of one parameter, Markdown.
+
+True error p-p and RMS in µm, RMS step of i_c in mA; each is the median of nine starts (min to max), as
+`straightcomp simulate --starts 9` has them. Shipped values are bold. Two minutes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from straightcomp_ros.comparison import Values, with_values
+from straightcomp_ros.parameter_file import read_parameter_file
+from straightcomp_ros.share import share_path
+from straightcomp_ros.sweep.starts import STARTS, Spread, metrics_of_starts, spreads
+
+FIGURES = {"p-p": ("true_pp_um", 1.0, 2), "RMS": ("true_rms_um", 1.0, 3), "step of i_c": ("control_rms_step_A", 1e3, 1)}
+"""Head of a row: name in `Metrics.to_display`, factor, digits."""
+
+
+class Table(NamedTuple):
+    """One parameter: head, law, delay in samples, node and name of the parameter, rows, and the values tried."""
+
+    head: str
+    law: str
+    delay: float
+    node: str
+    parameter: str
+    rows: tuple[str, ...]
+    values: tuple[float, ...]
+
+
+_BOTH = ("p-p", "step of i_c")
+TABLES = (
+    Table("ε [m/s]", "smc", 0.5, "controller", "control.design.boundary_layer", tuple(FIGURES),
+          (0.0008, 0.0016, 0.0032, 0.004, 0.008)),
+    Table("ωn/2π [Hz]", "smc", 0.5, "controller", "control.design.natural_frequency", _BOTH,
+          (20, 35, 50, 70)),
+    Table("φ [1/s]", "smc", 0.5, "controller", "control.design.phi", _BOTH, (25, 50, 100, 200, 400)),
+    Table("velocity estimate [Hz]", "smc", 0.5, "controller", "control.velocity_bandwidth", _BOTH, (50, 100, 1000)),
+    Table("allowance", "smc_observer", 1.0, "controller", "control.observer.gain_allowance", _BOTH,
+          (0.7, 1.0, 1.5, 2.3, 3.0)),
+    Table("bandwidth [Hz]", "smc_observer", 1.0, "controller", "control.observer.bandwidth", _BOTH,
+          (100, 200, 400, 545, 800)),
+    Table("λ [1/s]", "smc_observer", 1.0, "controller", "control.observer.surface", _BOTH,
+          (150, 300, 545, 800, 1200)),
+    Table("κ [1/s]", "smc_observer", 1.0, "controller", "control.observer.reaching", _BOTH, (200, 400, 600, 1200)),
+    Table("delay believed [samples]", "smc_observer", 1.0, "controller", "control.observer.delay", _BOTH,
+          (0.0, 0.5, 1.0)),
+    Table("true delay [samples]", "smc_observer", 0.5, "driver", "lockstep_delay", _BOTH, (0.05, 0.5, 1.0, 1.25, 2.0)),
+)  # fmt: skip
+
+
+def over_starts(values: Values, count: int = STARTS) -> dict[str, Spread]:
+    """Each of `FIGURES` over the starts, in its row's unit."""
+    found = spreads(metrics.to_display() for metrics in metrics_of_starts(values, count))
+    return {row: found[name].scaled(factor) for row, (name, factor, _) in FIGURES.items()}
+
+
+def values_of(shipped: Values, law: str, delay: float, changes: Mapping[str, Mapping[str, Any]]) -> Values:
+    """Parameters of one cell: the shipped ones under ``law`` with a command delay in samples, and ``changes``."""
+    values = with_values(with_values(shipped, "controller", {"control.law": law}), "driver", {"lockstep_delay": delay})
+    for node, changed in changes.items():
+        values = with_values(values, node, changed)
+    return values
+
+
+def column(shipped: Values, table: Table, value: float) -> Values:
+    """Parameters of one column of ``table``."""
+    return values_of(shipped, table.law, table.delay, {table.node: {table.parameter: value}})
+
+
+def markdown(shipped: Values, table: Table) -> Iterator[str]:
+    """The lines of one table."""
+    at_present = shipped[table.node][table.parameter]
+    heads = (f"**{value:g}**" if value == at_present else f"{value:g}" for value in table.values)
+    yield f"| {table.head} | " + " | ".join(heads) + " |"
+    yield "|---" * (len(table.values) + 1) + "|"
+    columns = [over_starts(column(shipped, table, value)) for value in table.values]
+    for row in table.rows:
+        yield f"| {row} | " + " | ".join(one[row].text(FIGURES[row][2]) for one in columns) + " |"
+
+
+def line(name: str, values: Values, rows: Sequence[str] = tuple(FIGURES)) -> str:
+    """One case as a row of its own."""
+    found = over_starts(values)
+    return f"| {name} | " + " | ".join(found[row].text(FIGURES[row][2]) for row in rows) + " |"
+
+
+def main() -> None:
+    """Print all of them."""
+    shipped = read_parameter_file(share_path("config/straightcomp.yaml"))
+    print("| law | " + " | ".join(FIGURES) + " |\n|---|---|---|---|")
+    for law in ("linear", "smc", "smc_observer"):
+        print(line(f"`{law}`", values_of(shipped, law, 0.5, {})), flush=True)
+    print(
+        line(
+            "`smc` without feedforward",
+            values_of(shipped, "smc", 0.5, {"controller": {"control.smc_feedforward": False}}),
+        )
+    )
+    for law in ("smc", "smc_observer"):
+        for coulomb in (0.2, 0.43, 1.0):
+            friction = {
+                "simulated.plant.friction.coulomb": coulomb,
+                "simulated.plant.friction.static": round(1.5 * coulomb, 3),
+            }
+            print(line(f"`{law}`, F_C = {coulomb:g} N", values_of(shipped, law, 0.5, {"driver": friction})), flush=True)
+    for table in TABLES:
+        print(f"\n`{table.law}`, {table.delay:g} samples of delay")
+        for text in markdown(shipped, table):
+            print(text, flush=True)
+
+
+if __name__ == "__main__":
+    main()
