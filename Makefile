@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick docs setup clean
+.PHONY: help demo test quick mutants docs setup clean
 
 ARGS ?=
 PYTHON ?=
@@ -29,6 +29,8 @@ help:
 	make test              all tests, with branch coverage: below 95 % of the core or 85 % of all it fails
 	make test ARGS="..."   some of them, without coverage, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
+	make mutants           200 random changes of the core: tests of the changed folder must notice 92 % of them
+	make mutants ARGS="..."  with options, e.g. ARGS="--seed 2 --processes 4"; ARGS=--help lists them
 	make docs              the pages in docs/ as HTML in site/; a warning or a broken link fails
 	make setup             only .venv with the package in it
 	make clean             removes .venv and everything that was built or written
@@ -59,6 +61,12 @@ QUICK := model control straightness timing doctor packaging/test_gates.py test_c
 LONGER := control/test_learning.py control/test_learning_file.py control/test_observer_laws.py
 quick: setup
 	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)
+
+# Ends with an error if the tests of the core's folders notice less than 92 % of the changes.
+mutants: setup
+	@.venv/bin/python -c 'import cosmic_ray' 2> /dev/null ||
+	  .venv/bin/python -m pip install -qq --disable-pip-version-check --editable '.[mutants]'
+	exec .venv/bin/python scripts/mutants.py $(ARGS)
 
 docs: setup
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict
