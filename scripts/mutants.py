@@ -51,6 +51,8 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("analysis", "bags", "control", "hardware/can", "model", "safety", "straightness", "timing")
 EQUIVALENT = ROOT / "test" / "equivalent_mutants.yaml"
 REQUIRED = 0.92
+_SLOW = 0.4
+"""s"""
 IMPORTED_BEFORE = (
     "can hypothesis matplotlib.figure numba plotly.graph_objects rosbags.typesys scipy.linalg scipy.signal"
 )
@@ -167,14 +169,26 @@ def copy_tree(parent: str) -> None:
     )
     shutil.copytree(ROOT, _tree, ignore=outside)
     # For the tests' own processes, too: before the package that is installed in .venv.
-    os.environ |= {"PYTHONPATH": str(_tree), "XDG_CACHE_HOME": str(_tree / ".cache"), "PYTHONDONTWRITEBYTECODE": "1"}
-    sys.dont_write_bytecode = True
+    os.environ |= {"PYTHONPATH": str(_tree), "XDG_CACHE_HOME": str(_tree / ".cache")}
     sys.path.insert(0, str(_tree))
     for module in IMPORTED_BEFORE.split():
         __import__(module)
 
 
-def run_pytest(tests: list[str]) -> None:
+class SlowLast:
+    """Runs the tests last that took long without a mutant: what notices a mutant is rarely one of them."""
+
+    def pytest_collection_modifyitems(self, items):
+        slow = set((_tree / "slow.txt").read_text().splitlines()) if (_tree / "slow.txt").exists() else set()
+        items.sort(key=lambda item: item.nodeid in slow)
+
+    def pytest_runtest_logreport(self, report):
+        if report.duration > _SLOW and not sys.dont_write_bytecode:
+            with (_tree / "slow.txt").open("a") as file:
+                print(report.nodeid, file=file)
+
+
+def run_pytest(tests: list[str], mutated: bool) -> None:
     os.setsid()
     os.chdir(_tree)
     resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
@@ -191,7 +205,11 @@ def run_pytest(tests: list[str]) -> None:
         "--hypothesis-seed=1",
         "--basetemp=temporary",
     ]
-    code = pytest.main([*options, *tests])
+    # A mutant may have the size and the second of the source before it: its byte code would be taken for the other's.
+    sys.dont_write_bytecode = mutated
+    if mutated:
+        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+    code = pytest.main([*options, *tests], plugins=[SlowLast()])
     import straightcomp_ros
 
     os._exit(int(code) if str(_tree) in straightcomp_ros.__file__ else 99)
@@ -203,7 +221,7 @@ def run(file: str, source: str | None = None, limit: float = 600.0) -> tuple[boo
     original, stat = path.read_bytes(), path.stat()
     if source is not None:
         path.write_text(source, encoding="utf-8")
-    process = multiprocessing.get_context("fork").Process(target=run_pytest, args=(tests_of(file),))
+    process = multiprocessing.get_context("fork").Process(target=run_pytest, args=(tests_of(file), source is not None))
     process.start()
     try:
         process.join(limit)
