@@ -129,7 +129,7 @@ def draw(seed: int) -> Iterator[Mutant]:
             key = (seed, file, lines[line - 1].strip(), lines[line - 1][column : end[1]])
             same[key] += 1
             digest = hashlib.sha256(repr((*key, same[key])).encode()).digest()
-            places.append((digest, file, line, ways[digest[0] % len(ways)]))
+            places.append((digest, file, line, ways[digest[-1] % len(ways)]))
     for _, file, line, (operator, occurrence) in sorted(places, key=lambda place: place[0]):
         source = (ROOT / file).read_text(encoding="utf-8")
         mutated = mutate_code(source, operator, occurrence)
@@ -149,12 +149,13 @@ def described(number: int, mutant: Mutant) -> str:
     return f"{number:3} {mutant.file}:{mutant.line}: {mutant.before}  ->  {mutant.after}"
 
 
-def tests_of(file: str) -> list[str]:
-    """The test files of this source file's folder; first those that name its module."""
+def tests_of(file: str) -> list[list[str]]:
+    """The test files of this source file's folder: first those that import its module."""
     tests = sorted((_tree / "test" / folder_of(file)).glob("test_*.py"))
-    module = re.compile(rf"\b{Path(file).stem}\b")
-    tests.sort(key=lambda test: not module.search(test.read_text(encoding="utf-8")))
-    return [test.relative_to(_tree).as_posix() for test in tests]
+    imports = re.compile(rf"\.{Path(file).stem}\b")
+    near = [test for test in tests if imports.search(test.read_text(encoding="utf-8"))]
+    parts = near, [test for test in tests if test not in near]
+    return [[test.relative_to(_tree).as_posix() for test in part] for part in parts if part]
 
 
 _tree = Path()
@@ -188,7 +189,7 @@ class SlowLast:
                 print(report.nodeid, file=file)
 
 
-def run_pytest(tests: list[str], mutated: bool) -> None:
+def run_pytest(parts: list[list[str]], mutated: bool) -> None:
     os.setsid()
     os.chdir(_tree)
     resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
@@ -209,10 +210,11 @@ def run_pytest(tests: list[str], mutated: bool) -> None:
     sys.dont_write_bytecode = mutated
     if mutated:
         os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-    code = pytest.main([*options, *tests], plugins=[SlowLast()])
+    failed = any(pytest.main([*options, *tests], plugins=[SlowLast()]) != 0 for tests in parts)
     import straightcomp_ros
 
-    os._exit(int(code) if str(_tree) in straightcomp_ros.__file__ else 99)
+    assert str(_tree) in straightcomp_ros.__file__
+    os._exit(failed)
 
 
 def run(file: str, source: str | None = None, limit: float = 600.0) -> tuple[bool, float]:
