@@ -13,8 +13,9 @@ source is as likely as any other. Left out are:
 - Renamed exceptions and variables: mypy and ruff find them.
 
 Each mutant stands in a temporary copy of the tree, with numba's cache beside it; the working tree is never touched. A
-run that takes three times the processor time of one without a mutant is ended, and the mutant counts as killed. Equivalent mutants,
-which do what the source does, are named with the reason in test/equivalent_mutants.yaml and count neither way.
+run that takes three times the processor time of one without a mutant is ended, and the mutant counts as killed.
+Equivalent mutants, which do what the source does, are named with the reason in test/equivalent_mutants.yaml and count
+neither way.
 """
 
 from __future__ import annotations
@@ -32,7 +33,6 @@ import shutil
 import signal
 import sys
 import tempfile
-import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
