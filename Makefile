@@ -6,6 +6,8 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .PHONY: help demo test quick soak processors docs setup clean
 
+.PHONY: help demo test quick mutants docs setup clean
+
 ARGS ?=
 PYTHON ?=
 
@@ -31,6 +33,8 @@ help:
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
 	make soak              tests of live nodes that take minutes, which make test leaves out
 	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
+	make mutants           200 random changes of the core: tests of the changed folder must notice 92 % of them
+	make mutants ARGS="..."  with options, e.g. ARGS="--seed 2 --processes 4"; ARGS=--help lists them
 	make docs              the pages in docs/ as HTML in site/; a warning or a broken link fails
 	make setup             only .venv with the package in it
 	make clean             removes .venv and everything that was built or written
@@ -77,6 +81,12 @@ soak: setup
 
 processors: setup
 	@exec .venv/bin/python scripts/processors.py -n logical $(ARGS)
+
+# Ends with an error if the tests of the core's folders notice less than 92 % of the changes.
+mutants: setup
+	@.venv/bin/python -c 'import cosmic_ray' 2> /dev/null ||
+	  .venv/bin/python -m pip install -qq --disable-pip-version-check --editable '.[mutants]'
+	exec .venv/bin/python scripts/mutants.py $(ARGS)
 
 docs: setup
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict

@@ -70,6 +70,8 @@ setup(
         "dask": ["dask[distributed]"],
         # The pages in docs/ as HTML: make docs.
         "docs": DOCS,
+        # Changes of the source that tests must notice: make mutants.
+        "mutants": ["cosmic-ray>=8.4"],
         "test": [
             *DOCS,
             "pytest",

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.assessment import assess
+from straightcomp_ros.analysis.assessment import assess, displayed_error
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.limits import LimitsError, judged, read_limits
 from straightcomp_ros.analysis.metrics import evaluate
@@ -86,8 +86,11 @@ def test_gaps_saturation_and_switch_off_are_told_with_time_and_count(make_record
     kept[9000:9004] = False
     evaluation = as_evaluation(replace(record, current=current), stamps=stamps[kept], amplifier_on=on[kept])
     found = assess(Path("bag"), evaluation)
-    assert [(gap.samples, gap.end - gap.start) for gap in found.gaps] == [(4, pytest.approx(2.5e-3))]
-    assert [(part.samples, part.start) for part in found.saturated] == [(11, pytest.approx(2.5))]
+    (gap,) = found.gaps
+    # From the last sample before the gap to the first one after it.
+    assert (gap.samples, gap.start, gap.end) == (4, pytest.approx(4.4995), pytest.approx(4.502))
+    (part,) = found.saturated
+    assert (part.samples, part.start, part.end) == (11, pytest.approx(2.5), pytest.approx(2.505))
     # Switched off at the end, when the stage stands, is no fault.
     assert [(part.samples, part.start) for part in found.amplifier_off] == [(20, pytest.approx(3.5))]
     figures = found.figures()
@@ -103,6 +106,100 @@ def test_each_stroke_has_its_straightness_by_both_lines(make_record):
         assert stroke.before_end_points > stroke.before_least_squares > 15e-6
         assert stroke.after_least_squares < 0.1e-6
     assert found.figures()["straightness_after_least_squares_forward_um"] < 0.1
+
+
+def test_the_figures_are_those_of_the_worst_stroke_of_each_direction(make_record):
+    found = assess(Path("bag"), as_evaluation(make_record()))
+    forward, backward = found.strokes
+    worse = replace(forward, before_end_points=1.0, after_least_squares=3.0)
+    better = replace(forward, before_end_points=0.5, after_least_squares=4.0)
+    figures = replace(found, strokes=[worse, backward, better]).figures()
+    assert figures["straightness_before_end_points_forward_um"] == 1e6
+    assert figures["straightness_after_least_squares_forward_um"] == 4e6
+    assert figures["straightness_before_end_points_backward_um"] == backward.before_end_points * 1e6
+    assert figures["straightness_after_end_points_backward_um"] == backward.after_end_points * 1e6
+    figures = replace(found, strokes=[backward]).figures()
+    assert figures["straightness_before_end_points_forward_um"] is None
+
+
+def test_a_sine_in_the_error_shows_in_the_figure_of_its_band_in_micrometres(make_record, motion_profile):
+    record = make_record(1e-6 * np.sin(2 * np.pi * 40 * motion_profile[0]), quantum=1e-9)
+    found = assess(Path("bag"), as_evaluation(record))
+    figures = found.figures()
+    assert figures["error_rms_10_100_Hz_um"] == pytest.approx(1 / math.sqrt(2), rel=0.01)
+    assert figures["error_rms_0_10_Hz_um"] < 0.02 and figures["error_rms_100_1000_Hz_um"] < 0.02
+    peak = found.as_json()["spectrum_peaks"][0]
+    assert peak["frequency_Hz"] == pytest.approx(40.0, abs=1.0)
+    # A Hann window of 1 s spreads a line over 1.5 Hz.
+    assert peak["amplitude_density_um_per_sqrt_Hz"] == pytest.approx(math.sqrt(0.5 / 1.5), rel=0.05)
+
+
+def test_latency_is_told_by_percentiles_and_spread_in_microseconds(make_record):
+    latency = np.arange(101) * 1e-6
+    figures = assess(Path("bag"), as_evaluation(make_record(), latency=latency, lateness=3.0 * latency)).figures()
+    names = ("p50", "p90", "p99", "max")
+    assert [figures[f"latency_{name}_us"] for name in names] == pytest.approx([50.0, 90.0, 99.0, 100.0])
+    assert [figures[f"lateness_{name}_us"] for name in names] == pytest.approx([150.0, 270.0, 297.0, 300.0])
+    assert figures["latency_jitter_us"] == pytest.approx(np.std(np.arange(101)))
+    without = assess(Path("bag"), as_evaluation(make_record(), latency=np.empty(0))).figures()
+    assert math.isnan(without["latency_p50_us"]) and math.isnan(without["latency_jitter_us"])
+
+
+def test_the_longest_gap_and_all_saturated_samples_are_told(make_record):
+    record = make_record()
+    current = record.current.copy()
+    current[5000:5011] = 0.5
+    current[6000:6002] = -0.5
+    kept = np.ones(len(record.time), bool)
+    kept[9000:9004], kept[9500:9501] = False, False
+    stamps = np.round(record.time * 1e9).astype(np.int64)[kept] + 10**18
+    found = assess(Path("bag"), as_evaluation(replace(record, current=current), stamps=stamps, amplifier_on=kept[kept]))
+    figures = found.figures()
+    assert (figures["gaps"], figures["longest_gap_s"]) == (2, pytest.approx(2.5e-3))
+    assert (figures["saturations"], figures["saturated_samples"]) == (2, 13)
+    whole = assess(Path("bag"), as_evaluation(record)).figures()
+    assert (whole["gaps"], whole["longest_gap_s"], whole["saturations"]) == (0, 0.0, 0)
+
+
+def test_an_amplifier_that_was_never_on_is_no_fault_in_motion(make_record):
+    record = make_record()
+    found = assess(Path("bag"), as_evaluation(record, amplifier_on=np.zeros(len(record.time), bool)))
+    assert found.amplifier_off == []
+
+
+def test_the_displayed_error_is_the_reference_minus_the_encoder_and_minus_the_truth(make_record):
+    found = assess(Path("bag"), as_evaluation(make_record(0.3e-6)))
+    seen, true = displayed_error(found)
+    assert seen == pytest.approx(0.3e-6, abs=0.11e-6)
+    assert true[found.motion.window] == pytest.approx(0.3e-6, abs=0.01e-6)
+    assert displayed_error(assess(Path("bag"), as_evaluation(make_record(truth=False))))[1] is None
+
+
+@pytest.mark.parametrize("samples", [16, 17, 100, 101])
+def test_the_density_of_one_piece_adds_up_to_the_power_under_its_window(samples):
+    error = np.random.default_rng(samples).normal(3e-6, 1e-6, samples)
+    spectrum = error_spectrum(np.arange(samples) / 2000.0, error)
+    window = np.hanning(samples + 1)[:-1]
+    power = np.sum(((error - error.mean()) * window) ** 2) / np.sum(window**2)
+    assert spectrum.band_rms(0.0, 1001.0) ** 2 == pytest.approx(power, rel=1e-9)
+    assert spectrum.frequency[1] == pytest.approx(2000.0 / samples)
+    assert len(error_spectrum(np.arange(15) / 2000.0, error[:15]).density) == 0
+
+
+def test_a_band_holds_its_lower_end_and_not_its_upper_one():
+    time = np.arange(8192) / 2048.0
+    spectrum = error_spectrum(time, 1e-6 * np.sin(2 * np.pi * 100 * time))
+    # Of a line's power the Hann window leaves two thirds at its frequency and a sixth 1 Hz to each side.
+    for low, high, part in ((100, 101, 4), (99, 100, 1), (101, 102, 1), (99, 102, 6), (102, 1025, 0)):
+        assert spectrum.band_rms(low, high) ** 2 == pytest.approx(0.5e-12 * part / 6, abs=1e-20)
+
+
+def test_the_highest_peaks_come_first_and_no_more_than_five():
+    time = np.arange(8000) / 2000.0
+    error = sum(k * 1e-7 * np.sin(2 * np.pi * 50 * k * time) for k in range(1, 9))
+    peaks = error_spectrum(time, error).peaks()
+    assert [round(frequency) for frequency, _ in peaks] == [400, 350, 300, 250, 200]
+    assert [density for _, density in peaks] == sorted((density for _, density in peaks), reverse=True)
 
 
 def limits(tmp_path: Path, text: str) -> Path:

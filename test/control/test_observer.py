@@ -56,3 +56,47 @@ def test_a_constant_disturbance_is_found_exactly():
 def test_an_estimate_outside_the_air_gap_stays_finite(y):
     ahead = predicted(ACTUATOR, 3.0, interval(RATE, PERIOD), Estimate(y, 0.0, 0.0, 0.0), 0.1)
     assert all(math.isfinite(value) for value in ahead)
+
+
+@pytest.mark.parametrize("y", [2e-4, 1.4e-3, 1.6e-3, 1.0])
+def test_mirroring_the_platform_mirrors_the_prediction(y):
+    over = interval(RATE, PERIOD)
+    ahead = predicted(ACTUATOR, 3.0, over, Estimate(y, 2e-3, 0.3, 0.02), 0.05)
+    mirrored = predicted(ACTUATOR, 3.0, over, Estimate(-y, -2e-3, -0.3, -0.02), -0.05)
+    assert mirrored == pytest.approx([-value for value in ahead], rel=1e-12)
+
+
+def test_the_magnets_pull_grows_up_to_the_edge_of_the_gap_and_stays_so_beyond():
+    gap = ACTUATOR.air_gap
+    pulls = [
+        predicted(ACTUATOR, 3.0, interval(RATE, PERIOD), Estimate(part * gap, 0.0, 0.0, 0.0), 0.0).velocity
+        for part in (0.0, 0.5, 0.9, 0.94, 0.95, 0.96, 2.0)
+    ]
+    assert pulls[0] == pytest.approx(0.0, abs=1e-12)
+    assert pulls[0] < pulls[1] < pulls[2] < pulls[3] < pulls[4]
+    assert pulls[4] == pulls[5] == pulls[6]
+
+
+def test_the_force_is_that_of_the_place_reached_halfway():
+    over = interval(RATE, PERIOD)
+    moving = predicted(ACTUATOR, 3.0, over, Estimate(1e-4, 0.4, 0.0, 0.0), 0.0)
+    at_halfway = predicted(ACTUATOR, 3.0, over, Estimate(1e-4 + 0.5 * PERIOD * 0.4, 0.0, 0.0, 0.0), 0.0)
+    assert moving.velocity - 0.4 == pytest.approx(at_halfway.velocity, rel=1e-9)
+
+
+def test_under_a_known_disturbance_alone_the_prediction_is_the_parabola_of_free_fall():
+    # Without bias current the magnets do not pull.
+    ahead = predicted(
+        ACTUATOR._replace(bias_current=0.0), 3.0, interval(RATE, 0.01), Estimate(0.0, 2.0, 10.0, 0.0), 0.0
+    )
+    assert ahead.y == pytest.approx(2.0 * 0.01 + 0.5 * 10.0 * 0.01**2, rel=1e-12)
+    assert ahead.velocity == pytest.approx(2.0 + 10.0 * 0.01, rel=1e-12)
+
+
+def test_the_mean_of_an_interval_is_the_integral_of_the_coils_decay():
+    for duration in (1e-6, PERIOD, 0.02):
+        times = np.linspace(0.0, duration, 20_001)
+        decay = np.exp(-RATE * times)
+        assert interval(RATE, duration).mean == pytest.approx(np.trapezoid(decay, times) / duration, rel=1e-5)
+        assert interval(RATE, duration).left == pytest.approx(decay[-1], rel=1e-12)
+    assert interval(RATE, 0.0) == (0.0, 1.0, 1.0)

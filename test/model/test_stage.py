@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, Waypoint, forward_and_back, trapezoid
+from straightcomp_ros.model.stage import MotionParameters, Trajectory, Waypoint, cycles, forward_and_back, trapezoid
 
 MOTION = MotionParameters()
 CYCLE = Trajectory(forward_and_back(MOTION))
@@ -52,9 +52,71 @@ def test_a_trapezoid_ends_at_rest_at_its_goal(distance, speed, acceleration, bac
         ([], "no points"),
         ([Waypoint(0, 0.0, 0.0), Waypoint(0, 1.0, 0.0)], "point 1.*not after"),
         ([Waypoint(0, 0.0, 0.0), Waypoint(1, float("nan"), 0.0)], "point 1.*not finite"),
+        ([Waypoint(0, 0.0, 0.0), Waypoint(10, 1.0, 0.0), Waypoint(5, 2.0, 0.0)], "point 2.*5e-09 s.*not after 1e-08 s"),
+        ([Waypoint(0, 0.0, 0.0), Waypoint(10, 1.0, 0.0), Waypoint(10, 2.0, 0.0)], "point 2.*not after"),
+        ([Waypoint(0, 0.0, 0.0), Waypoint(1, 0.0, float("inf")), Waypoint(2, 0.0, 0.0)], "point 1.*not finite"),
         ([Waypoint(0, 0.0, 0.0), Waypoint(10, 1.0, 0.5)], "end at rest"),
     ],
 )
 def test_a_bad_trajectory_is_refused_with_its_point(points, words):
     with pytest.raises(ValueError, match=words):
         Trajectory(points)
+
+
+def test_equal_waypoints_in_a_row_are_one_wherever_they_stand():
+    a, b, c = Waypoint(0, 0.0, 0.0), Waypoint(10, 1.0, 0.1), Waypoint(20, 2.0, 0.0)
+    assert list(Trajectory([a, a, b, b, b, c, c]).waypoints) == [a, b, c]
+
+
+def test_a_trajectory_may_begin_in_motion_but_not_end_so():
+    moving, resting = Waypoint(0, 0.0, 1.0), Waypoint(10, 0.0, 0.0)
+    assert Trajectory([moving, resting]).end_ns == 10
+    with pytest.raises(ValueError, match="end at rest"):
+        Trajectory([resting, Waypoint(20, 0.0, 1.0)])
+
+
+def test_the_motion_passes_each_waypoint_with_its_speed():
+    points = [
+        Waypoint(0, 0.0, 0.0),
+        Waypoint(10**9, 0.3, 0.5),
+        Waypoint(3 * 10**9, -0.2, -0.4),
+        Waypoint(4 * 10**9, 0.0, 0.0),
+    ]
+    trajectory = Trajectory(points)
+    for point in points[1:-1]:
+        assert trajectory.position(point.time_ns) == pytest.approx(point.position, abs=1e-15)
+        before, after = (trajectory.position(point.time_ns + step) for step in (-1000, 1000))
+        assert (after - before) / 2e-6 == pytest.approx(point.velocity, rel=1e-5)
+
+
+def test_a_move_too_short_to_cruise_has_one_corner_and_a_longer_one_two():
+    # With 0.3 m/s and 0.2 m/s² the ramps take 0.45 m.
+    start = Waypoint(5, 1.0, 0.0)
+    short, long = (trapezoid(start, 1.0 - length, 0.3, 0.2) for length in (0.2, 0.6))
+    assert [point.position for point in short] == pytest.approx([0.9, 0.8])
+    assert [point.velocity for point in short] == pytest.approx([-0.2, 0.0])
+    assert [point.time_ns for point in short] == [5 + 10**9, 5 + 2 * 10**9]
+    assert [point.position for point in long] == pytest.approx([0.775, 0.625, 0.4])
+    assert [point.velocity for point in long] == pytest.approx([-0.3, -0.3, 0.0])
+    assert [point.time_ns for point in long] == [5 + 1_500_000_000, 5 + 2 * 10**9, 5 + 3_500_000_000]
+    assert trapezoid(start, 1.0, 0.3, 0.2) == []
+
+
+def test_a_cycle_settles_goes_pauses_comes_back_and_settles_at_its_start():
+    motion = MotionParameters(start=0.2, stroke=0.6, speed=0.3, acceleration=0.2, settle=1.0, pause=0.25)
+    cycle = Trajectory(forward_and_back(motion))
+    assert [(point.time_ns, point.position) for point in cycle.waypoints if point.velocity == 0.0] == [
+        (0, 0.2),
+        (1_000_000_000, 0.2),
+        (4_500_000_000, pytest.approx(0.8)),
+        (4_750_000_000, pytest.approx(0.8)),
+        (8_250_000_000, 0.2),
+        (9_250_000_000, 0.2),
+    ]
+
+
+def test_each_cycle_begins_where_and_when_the_one_before_ended():
+    once, thrice = Trajectory(forward_and_back(MOTION)), Trajectory(cycles(MOTION, 3))
+    assert thrice.end_ns == 3 * once.end_ns
+    for at in range(0, once.end_ns, 500_000_000):
+        assert [thrice.position(at + k * once.end_ns) for k in range(3)] == [once.position(at)] * 3

@@ -102,6 +102,85 @@ def test_x_that_stays_while_the_stage_is_to_move_is_frozen():
     assert len(found) == 1 and 2_000_000_000 < found[0] < 2_300_000_000
 
 
+@pytest.mark.parametrize("start_ns", [0, 10**18])
+def test_the_stage_is_judged_by_the_time_since_its_trajectory_began(start_ns):
+    trajectory = Trajectory(forward_and_back(MotionParameters()))
+    stage = StageWatch(WatchParameters())
+    stage.follow(trajectory, start_ns, 0.0)
+    assert stage.check(start_ns + 1_500_000_000, trajectory.position(1_500_000_000)) is None
+    stuck = trajectory.position(2_000_000_000)
+    assert stage.check(start_ns + 2_000_000_000, stuck) is None
+    name, words = stage.check(start_ns + 3_000_000_000, stuck)
+    moved = (trajectory.position(3_000_000_000) - stuck) * 1e3
+    assert name == "x_frozen" and f"{stuck * 1e3:.4f} mm" in words and f"{moved:+.1f} mm" in words
+
+
+def test_a_stage_that_has_not_begun_to_move_is_not_frozen():
+    trajectory = Trajectory(forward_and_back(MotionParameters()))
+    stage = StageWatch(WatchParameters())
+    stage.follow(trajectory, 0, 0.0)
+    assert all(stage.check(at_ns, 0.0) is None for at_ns in range(0, trajectory.end_ns, 50_000_000))
+
+
+def test_a_stage_that_is_sent_anew_has_to_move_anew():
+    trajectory = Trajectory(forward_and_back(MotionParameters()))
+    stage = StageWatch(WatchParameters())
+    stage.follow(trajectory, 0, 0.0)
+    assert stage.check(1_500_000_000, 0.025) is None
+    stage.follow(trajectory, 0, 0.025)
+    assert stage.check(3_000_000_000, 0.025) is None
+
+
+def test_y_at_its_limit_is_allowed_and_a_count_beyond_is_not():
+    found = watch()
+    found.check(Sample(0, 0.0, 1e-3, 0.0), 0.0)
+    found.hold()
+    assert found.check(Sample(T, 0.0, -1e-3, 0.0), 0.0) is None
+    for y in (1e-3 + COUNT, -1e-3 - COUNT):
+        name, words = found.check(Sample(2 * T, 0.0, y, 0.0), 0.0)
+        assert name == "y_out_of_range" and f"y = {y * 1e6:.1f} µm; allowed: ±1000 µm" in words
+
+
+def test_a_break_in_the_samples_starts_the_watch_anew():
+    found = watch()
+    found.check(Sample(0, 0.0, 0.0, 0.0), 0.0)
+    found.restart()
+    assert found.check(Sample(T, 1.0, 0.0, 0.0), 0.0) is None
+
+
+def test_y_is_called_frozen_only_after_the_frozen_time():
+    found = SampleWatch(WatchParameters(frozen_time=0.01, frozen_current=0.08), T)
+    findings = [found.check(Sample(k * T, 0.0, COUNT, 0.0), 100.0) for k in range(30)]
+    # The first sample changes y; twenty more of half a millisecond are ten milliseconds.
+    assert [bool(finding) for finding in findings] == [k >= 20 for k in range(30)]
+
+
+def test_the_finding_gives_y_in_micrometres_and_the_sign_of_the_change():
+    found = watch()
+    findings = [found.check(Sample(k * T, 0.0, 5e-6, 0.0), -0.5 if k else 0.0) for k in range(2000)]
+    assert findings[-1] == ("y_frozen", "y stays at 5.0 µm though the current changed by -0.50 A")
+
+
+def test_the_mean_current_follows_a_step_to_63_percent_in_five_milliseconds():
+    # So long does the mean of a step of 1 A take to 1 − 1/e: with that threshold the fault comes there.
+    found = SampleWatch(WatchParameters(frozen_time=1e-9, frozen_current=1.0 - math.exp(-1.0)), T)
+    found.check(Sample(0, 0.0, COUNT, 0.0), 0.0)
+    findings = [found.check(Sample(k * T, 0.0, COUNT, 0.0), 1.0) for k in range(1, 20)]
+    assert [bool(finding) for finding in findings].index(True) in (9, 10)
+
+
+def test_four_repeated_answers_in_a_row_are_a_second_controller_and_three_are_none():
+    commands = CommandWatch()
+    assert [bool(commands.again()) for _ in range(9)] == [False, False, False, True] * 2 + [False]
+    commands.good()
+    # Each good answer makes up for a quarter of a repeated one.
+    assert [bool(commands.again()) for _ in range(3)] == [False, False, False]
+    commands = CommandWatch()
+    for _ in range(1000):
+        commands.good()
+    assert [bool(commands.again()) for _ in range(4)] == [False, False, False, True]
+
+
 def test_a_second_controller_is_found_and_now_and_then_a_repetition_is_none():
     commands = CommandWatch()
     findings = []
@@ -170,3 +249,36 @@ def test_a_process_that_stood_still_between_two_readings_has_seen_no_step():
     assert clocks.seen_by(found) is None
     clocks.reading_ns = 1000
     assert clocks.seen_by(found) is not None
+
+
+def test_a_step_of_the_limit_is_none_and_a_longer_one_is():
+    for step_ns, found in ((50_000_000, False), (-50_000_000, False), (50_000_001, True), (-50_000_001, True)):
+        clocks = Clocks()
+        clocks.reading_ns = 0
+        watching = clocks.watch()
+        clocks.offset += step_ns
+        assert bool(clocks.seen_by(watching)) is found
+        # Nor does it matter that the process was held up between the readings before.
+        assert bool(watching.check(clocks.monotonic_ns() - 10**9, clocks.system_ns())) is False
+
+
+def test_a_step_is_judged_by_the_middle_of_the_readings_around_it():
+    clocks = Clocks()
+    clocks.reading_ns = 0
+    found = clocks.watch()
+    # The system's clock is read 10 ms after the monotonic one and 10 ms before it is read again.
+    times = iter([10_000_000, 30_000_000])
+    found._monotonic_ns = lambda: clocks.monotonic + next(times)
+    found._system_ns = lambda: clocks.monotonic + 20_000_000 + clocks.offset + 55_000_000
+    name, words = found.check(clocks.monotonic, clocks.monotonic + clocks.offset + 55_000_000)
+    assert name == "clock_jump" and "+0.055 s" in words
+
+
+def test_following_takes_no_more_than_half_a_step_at_once():
+    clocks = Clocks()
+    clocks.reading_ns = 0
+    found = clocks.watch()
+    clocks.offset += 30_000_000
+    found.follow()
+    clocks.offset += 30_000_000
+    assert clocks.seen_by(found)[0] == "clock_jump"

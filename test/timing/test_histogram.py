@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import NOTHING, Distribution, Histogram
-from straightcomp_ros.timing.report import Report, summarise, written
+from straightcomp_ros.timing.report import Report, amplifier_on, summarise, written
 
 PERIOD = 500_000
 
@@ -45,7 +45,25 @@ def test_taking_starts_anew_and_nothing_has_no_percentile():
     assert empty.total == 0 and math.isnan(empty.percentiles_us([50.0])[0]) and math.isnan(empty.largest_us)
 
 
-@pytest.mark.parametrize("text", ["", "x", "5 9999:1", "5 -1:1", "5 3"])
+def test_each_percentile_that_is_asked_for_is_answered_even_by_an_empty_histogram():
+    for percents in ([], [50.0], [50.0, 90.0, 100.0]):
+        assert len(NOTHING.percentiles_us(percents)) == len(recorded([3, 5]).percentiles_us(percents)) == len(percents)
+
+
+def test_a_duration_below_32_ns_is_known_exactly():
+    for duration in range(32):
+        assert dict(recorded([duration]).counts) == {duration: 1}
+    assert dict(recorded([-7]).counts) == {0: 1}
+
+
+def test_what_is_longer_than_the_longest_bin_counts_as_18_minutes():
+    longest = recorded([2**40 - 1])
+    assert recorded([2**41]) == longest
+    assert longest.largest_us == pytest.approx(2**40 * 1e-3)
+    assert Distribution.from_text(longest.to_text()) == longest
+
+
+@pytest.mark.parametrize("text", ["", "x", "5 9999:1", "5 592:1", "5 -1:1", "5 1:0", "5 3"])
 def test_a_text_that_is_no_histogram_is_refused(text):
     with pytest.raises(ValueError):
         Distribution.from_text(text)
@@ -67,6 +85,22 @@ def test_a_restart_of_the_source_is_no_loss():
         for k in range(10):
             gaps.see(start + k * PERIOD)
     assert gaps.lost == 0
+
+
+def test_samples_lost_within_ten_seconds_are_counted_and_a_longer_silence_is_a_restart():
+    for silence, lost in ((10 * 10**9 - PERIOD, 19_998), (10 * 10**9, 0)):
+        gaps = StampGaps()
+        for stamp in (0, PERIOD, 2 * PERIOD, 2 * PERIOD + silence):
+            gaps.see(stamp)
+        assert gaps.lost == lost
+
+
+def test_the_first_stamp_of_all_is_no_gap():
+    gaps = StampGaps()
+    gaps.see(0)
+    gaps.see(1)
+    gaps.see(3)
+    assert gaps.lost == 1
 
 
 def reports_of(seconds):
@@ -96,3 +130,29 @@ def test_a_summary_has_the_percentiles_and_counts_of_its_window_alone():
 
 def test_one_report_says_nothing_of_a_rate():
     assert math.isnan(summarise(reports_of(1)[0]).rate_hz)
+
+
+def test_a_window_holds_the_reports_at_both_of_its_ends():
+    reports, _ = reports_of(5)
+    assert summarise(reports, 10**9, 3 * 10**9).overruns == 2
+    assert summarise(reports, 10**9 + 1, 3 * 10**9).overruns == 1
+    assert summarise(reports, 10**9, 3 * 10**9 - 1).overruns == 1
+
+
+def test_two_reports_of_the_same_time_have_no_rate():
+    (report,), _ = reports_of(1)
+    assert math.isnan(summarise([report, report]).rate_hz)
+
+
+def test_a_driver_counts_from_the_first_report_with_its_amplifier_on_to_the_last():
+    driver = [Report(time, {"amplifier": state}) for time, state in ((1, "off"), (2, "on"), (3, "on"), (4, "off"))]
+    assert amplifier_on(driver) == (2, 3)
+    begin, end = amplifier_on(driver[:1])
+    assert begin <= 0 and end > 2 * 10**18
+
+
+def test_a_summary_is_shown_in_hertz_and_microseconds():
+    reports, values = reports_of(3)
+    shown = summarise(reports).to_display()
+    assert (shown["rate_hz"], shown["overruns"], shown["lost_samples"]) == (2000.0, 2, 6)
+    assert max(shown["timer_error_us"].values()) == pytest.approx(max(values[1] + values[2]) * 1e-3)
