@@ -4,9 +4,8 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick soak processors docs setup clean
+.PHONY: help demo test quick soak processors mutants docs setup clean
 
-.PHONY: help demo test quick mutants docs setup clean
 
 ARGS ?=
 PYTHON ?=
