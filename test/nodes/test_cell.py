@@ -9,6 +9,9 @@ from rclpy.node import Node
 from waiting import wait_for_line
 
 from straightcomp_ros.contract import TRIP
+from straightcomp_ros.nodes import cell_node
+from straightcomp_ros.timing.blame import REFUSED
+from straightcomp_ros.timing.report import CPU_WAIT, SCHEDULING
 
 pytestmark = pytest.mark.keeps_time
 
@@ -50,3 +53,32 @@ def test_a_fault_in_mid_cycle_is_recovered_from_as_often_as_that_is_allowed(
     told = graph.log("cell").read_text()
     assert words in told
     assert ("fault 1: tripped: somebody is in there; switching on again" in told) is (recoveries > 0)
+
+
+def test_a_cycle_that_fails_says_which_node_got_no_cpu(monkeypatch):
+    rclpy.init()
+    node = Node("cell", automatically_declare_parameters_from_overrides=True)
+    monkeypatch.setattr(cell_node, "_REPORTED_S", 0.0)
+    try:
+        cell = cell_node.CellNode(node)
+        cell._reports = {
+            "driver": {SCHEDULING: REFUSED, CPU_WAIT: "900", "timer_error_max_us": "1200.0"},
+            "controller": {SCHEDULING: REFUSED, CPU_WAIT: "181000", "timer_error_max_us": "180000.0"},
+        }
+
+        def cycle():
+            yield
+            raise cell_node.CycleFailed("amplifier off in mid-cycle: command_timeout")
+
+        with pytest.raises(cell_node.CycleFailed) as failed:
+            list(cell._explained(cycle()))
+        assert str(failed.value) == (
+            "amplifier off in mid-cycle: command_timeout (the controller got no CPU for 180 ms; "
+            "real-time priority is not permitted; remedy: straightcomp doctor)"
+        )
+        cell._reports.clear()
+        with pytest.raises(cell_node.CycleFailed, match=r"^amplifier off in mid-cycle: command_timeout$"):
+            list(cell._explained(cycle()))
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
