@@ -15,6 +15,7 @@ from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
+from straightcomp_ros.bags.definitions import definition
 from straightcomp_ros.bags.parameters import attach_map
 from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.writer import BagWriter
@@ -92,6 +93,8 @@ class LoggerPart:
             return
         full_name = self.node.resolve_topic_name(topic)
         type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        # The first one takes half a second; the bag's first message must not wait for it.
+        definition(type_name)
         # How it is offered is known when a publisher is there: at the first message.
         self._unheard[full_name] = Announced(full_name, type_name, stored([qos]))
         self._recorder.expect(self._unheard[full_name])
