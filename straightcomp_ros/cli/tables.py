@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rich.markup import escape
 from rich.table import Table
 
 from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
@@ -33,9 +34,10 @@ _ROWS = (
 def titled_table(title: str, first: str, *others: str) -> Table:
     """An empty table: names stand left in its first column, numbers right in the others."""
     table = Table(title=title, title_justify="left")
-    table.add_column(first)
+    table.add_column(first, no_wrap=True)
     for heading in others:
-        table.add_column(heading, justify="right")
+        # Rich takes [ms] for markup.
+        table.add_column(escape(heading), justify="right")
     return table
 
 
