@@ -20,11 +20,11 @@ def test_both_graphs_are_measured_in_one_run_and_only_json_is_printed(capfd, tmp
     for measured in (figures, baseline):
         assert measured["seconds"] == pytest.approx(6.0, abs=2.0)
         assert measured["bag"]["expected_samples"] == pytest.approx(100 * measured["seconds"], abs=2)
-        # A busy machine may starve a node, or two of its reports in so short a window, for which it has no rate then.
-        rates = [measured[node]["rate_hz"] for node in NODES if measured[node]["rate_hz"] is not None]
-        # None handles more than there is, but for a backlog.
-        assert len(rates) >= 2 and all(0 < rate < 200 for rate in rates)
         for node in NODES:
+            # It reports once a second. None means that it fell silent: the executor's timers did so after a slow start.
+            assert measured[node]["rate_hz"] is not None, f"{node} reported less than twice in the window"
+            # None handles more than there is, but for a backlog.
+            assert 0 < measured[node]["rate_hz"] < 200
             assert 0 < measured[node]["cpu_cores"] < 2 and min(measured[node]["rss_mb"]) > 10
         assert measured["cpu_cores"] == pytest.approx(sum(measured[node]["cpu_cores"] for node in NODES))
         assert measured["lost_samples"] == measured["bag"]["missing"]["command"] <= measured["bag"]["expected_samples"]

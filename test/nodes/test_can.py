@@ -51,9 +51,9 @@ class Operator:
 
     def until(self, condition):
         end = time.monotonic() + PATIENCE_S
-        while not condition() and time.monotonic() < end:
+        while not condition():
+            assert time.monotonic() < end, "it never came true"
             rclpy.spin_once(self.node, timeout_sec=0.05)
-        assert condition()
 
     def call(self, kind, name, request):
         client = self.node.create_client(kind, name)

@@ -28,11 +28,11 @@ class Pair:
 
     def wait(self, condition):
         end = time.monotonic() + 60.0
-        while not condition() and time.monotonic() < end:
+        while not condition():
+            assert time.monotonic() < end, "it never came true"
             rclpy.spin_once(self.reader, timeout_sec=0.01)
             rclpy.spin_once(self.writer, timeout_sec=0.01)
             self.fetch()
-        assert condition()
 
     def fetch(self):
         self.stamps += [stamp for stamp, _, _ in self.inbox.fetch()]

@@ -9,12 +9,15 @@ import pytest
 
 from straightcomp_ros import demonstration
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate
 from straightcomp_ros.launcher import Graph
+from straightcomp_ros.simulation import Simulation
 
-pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
+pytestmark = pytest.mark.keeps_time
 
 
+@pytest.mark.live
 def test_a_live_stroke_is_recorded_and_compensated(tmp_path, short_cycle):
     seen = []
     result = demonstrate(short_cycle, tmp_path, seen.append)
@@ -40,6 +43,7 @@ def test_a_live_stroke_is_recorded_and_compensated(tmp_path, short_cycle):
     assert seen == sorted(seen) and seen[-1] > 0.99
 
 
+@pytest.mark.live
 @pytest.mark.parametrize("victim", ["driver", "controller", "logger"])
 def test_a_node_that_dies_in_mid_stroke_ends_the_demonstration_with_its_name(
     tmp_path, short_cycle, victim, monkeypatch
@@ -73,6 +77,13 @@ def test_a_bag_that_is_short_fails_the_demonstration(tmp_path, short_cycle, monk
         evaluation.record.time[:] *= 0.5
         return evaluation
 
+    def simulated(bag, *_, **__):
+        simulation = Simulation(short_cycle)
+        with SimulatedRun(bag, short_cycle, simulation.delay) as run:
+            simulation.run(observe=run.add)
+
+    # The graph itself is in the other tests.
+    monkeypatch.setattr(demonstration, "run_cycle", simulated)
     monkeypatch.setattr(demonstration, "evaluate_bag", half)
     with pytest.raises(DemonstrationFailed, match="is short"):
         demonstrate(short_cycle, tmp_path)
@@ -86,6 +97,7 @@ def test_a_demonstration_without_a_bag_fails_with_the_reason(tmp_path, short_cyc
     assert str(tmp_path) in str(failure.value)
 
 
+@pytest.mark.live
 def test_children_of_a_killed_launcher_do_not_run_on(tmp_path):
     """The launcher is a process of its own here, and is killed."""
     import subprocess

@@ -2,7 +2,10 @@
 
 import itertools
 import math
+import os
+import random
 import time
+from contextlib import contextmanager
 
 import pytest
 import rclpy
@@ -11,7 +14,10 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, TRIP
+from straightcomp_ros.launcher import Graph
 from straightcomp_ros.nodes.streams import publisher, subscribe
+
+pytestmark = pytest.mark.live
 
 _APPLIED, _ENABLED = (DRIVER_STATE.layout.columns.index(name) for name in ("applied_current", "enabled"))
 
@@ -42,9 +48,10 @@ class Peer:
 
     def until(self, condition, seconds=60.0):
         end = time.monotonic() + seconds
-        while not condition() and time.monotonic() < end:
+        # Asked once in each turn: a condition may be a request, and a second one after it was granted may be refused.
+        while not condition():
+            assert time.monotonic() < end, "it never came true"
             rclpy.spin_once(self.node, timeout_sec=0.05)
-        assert condition()
 
     def call(self, kind, name, request):
         client = self.node.create_client(kind, name)
@@ -60,16 +67,47 @@ class Peer:
         return bool(self.samples) and not math.isnan(self.samples[-1][1][3])
 
 
-@pytest.fixture
-def peer(graph):
-    # A test's own process is slow to answer at times; the timeout under test has a test of its own.
-    graph.start("driver", {"simulated.rate": 200, "simulated.command_timeout": 0.5})
+# A test's own process is slow to answer at times; the timeout under test has a test of its own.
+PARAMETERS = {"simulated.rate": 200, "simulated.command_timeout": 0.5}
+
+
+@pytest.fixture(scope="module")
+def domain(tmp_path_factory):
+    """Where a driver is that several tests use."""
+    domain = str(random.SystemRandom().randint(1, 101))
+    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain}
+    with Graph(tmp_path_factory.mktemp("driver") / "logs", environment) as graph:
+        graph.start("driver", PARAMETERS)
+        yield domain
+
+
+@contextmanager
+def peer_in_this_domain():
     peer = Peer()
     try:
         yield peer
     finally:
         peer.node.destroy_node()
         rclpy.shutdown()
+
+
+@pytest.fixture
+def peer(domain, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with peer_in_this_domain() as peer:
+        # As the test before found it: off, and no fault.
+        assert peer.enable(False).success
+        peer.call(Trigger, "driver/reset_fault", Trigger.Request())
+        peer.states.clear()
+        yield peer
+
+
+@pytest.fixture
+def pushing_peer(graph):
+    """Of a driver of its own: a constant current leaves the platform where the next test could not use it."""
+    graph.start("driver", PARAMETERS)
+    with peer_in_this_domain() as peer:
+        yield peer
 
 
 def test_samples_come_on_the_grid_of_the_sampling_clock(peer):
@@ -81,7 +119,8 @@ def test_samples_come_on_the_grid_of_the_sampling_clock(peer):
 
 def test_without_commands_enable_is_refused(peer):
     peer.current = None
-    peer.until(lambda: len(peer.samples) > 10)
+    # For longer than the timeout, beyond which no command of the test before is fresh.
+    peer.spin(1.0)
     answer = peer.enable()
     assert not answer.success and "no fresh command" in answer.message
 
@@ -116,7 +155,8 @@ def test_commands_that_cease_switch_the_amplifier_off_until_a_reset(peer):
 
 
 @pytest.mark.parametrize("switch_off", ["disable", "trip"])
-def test_once_the_amplifier_is_off_its_record_says_no_current_whatever_is_commanded(peer, switch_off):
+def test_once_the_amplifier_is_off_its_record_says_no_current_whatever_is_commanded(pushing_peer, switch_off):
+    peer = pushing_peer
     peer.until(lambda: len(peer.samples) > 20)
     peer.current = 0.02
     peer.until(lambda: peer.enable().success)

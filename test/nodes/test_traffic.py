@@ -8,11 +8,12 @@ from straightcomp_ros.bags.messages import read_messages
 from straightcomp_ros.bench.traffic import TRAFFIC, record_traffic
 from straightcomp_ros.launcher import LaunchError
 
-pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
+pytestmark = pytest.mark.keeps_time
 
 SECONDS = 2.0
 
 
+@pytest.mark.live
 def test_the_logger_records_eight_topics_at_2_khz_without_a_loss(tmp_path):
     missing, busy = record_traffic(tmp_path, SECONDS)
     assert missing == 0
@@ -21,13 +22,14 @@ def test_the_logger_records_eight_topics_at_2_khz_without_a_loss(tmp_path):
         assert len(read_messages(tmp_path / "traffic", f"/{stream.topic}").data) == SECONDS * 2000
 
 
+@pytest.mark.live
 def test_a_node_that_cannot_publish_says_why(tmp_path):
     with pytest.raises(LaunchError, match=r"node 'traffic' ended: .*'seconds'.*allowed: > 0"):
         record_traffic(tmp_path, 0.0)
 
 
-def test_traffic_without_a_reader_ends_with_their_names(graph):
+def test_traffic_without_a_reader_ends_with_their_names(single):
     command = [sys.executable, "-m", "straightcomp_ros.nodes.traffic"]
-    traffic = graph.start("traffic", {"start_timeout": 0.5}, command=command)
+    traffic = single.start("traffic", {"start_timeout": 0.5}, command=command)
     assert traffic.wait(120) == 1
-    assert "nobody subscribes to encoder, reference" in graph.log("traffic").read_text()
+    assert "nobody subscribes to encoder, reference" in single.log("traffic").read_text()
