@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import re
 import shlex
@@ -78,9 +79,15 @@ def commands(page: Path) -> Iterator[str]:
             yield command.partition(" #")[0].rstrip("& ")
 
 
+@pytest.fixture(scope="module")
+def parser() -> argparse.ArgumentParser:
+    return make_parser()
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_command_is_one_that_the_program_takes(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    parser = make_parser()
+def test_every_command_is_one_that_the_program_takes(
+    page: Path, parser: argparse.ArgumentParser, capsys: pytest.CaptureFixture[str]
+) -> None:
     for command in commands(page):
         # What stands in brackets may be left out; a word in capitals stands for a law or a number.
         words = shlex.split(re.sub(r"\b(N|SAMPLES)\b", "1", re.sub(r"[\[\]…]", "", command).replace("LAW", "smc")))[1:]
