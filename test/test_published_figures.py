@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 from straightcomp_ros.sweep.run import run_trials
@@ -18,6 +20,7 @@ from straightcomp_ros.sweep.starts import Spread, metrics_of_starts, spreads
 REPOSITORY = Path(__file__).resolve().parents[1]
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 TUNING = (REPOSITORY / "docs" / "tuning.md").read_text(encoding="utf-8")
+SURVEYS = (REPOSITORY / "docs" / "surveys.md").read_text(encoding="utf-8")
 BESIDE = 0.06
 """Part of a figure by which another processor may leave the range of nine starts."""
 
@@ -96,3 +99,9 @@ def test_the_tuning_guides_laws_are_those_of_the_readme():
         (line,) = (line for line in TUNING.splitlines() if line.startswith(f"| `{law}` |"))
         (other,) = (line for line in README.splitlines() if line.startswith(f"| {LAW_TABLE.NAMES[law]} |"))
         assert cells(line)[1:4] == cells(other)[2:5]
+
+
+def test_the_page_on_surveys_tells_how_far_an_error_table_lies_beside_the_map(capsys, tmp_path):
+    told = re.search(r"beside the map: ([\d.]+) µm for the shipped\s+survey at 10 mm", SURVEYS)
+    assert main(["map", "export", "-o", str(tmp_path / "table.cal"), "--spacing", "10", "--json"]) == 0
+    assert float(told[1]) == pytest.approx(json.loads(capsys.readouterr().out)["interpolation_error_um"], abs=0.001)
