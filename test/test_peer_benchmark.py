@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -10,6 +11,8 @@ from types import ModuleType
 import pytest
 
 from straightcomp_ros.comparison import LawFigures, figures_of, with_values
+from straightcomp_ros.parameter_file import read_parameter_file
+from straightcomp_ros.share import share_path
 from straightcomp_ros.sweep.starts import spread
 
 SHORT = {"driver": {}, "controller": {}, "cell": {"motion.stroke": 0.03, "motion.settle": 0.3, "motion.pause": 0.1}}
@@ -53,3 +56,13 @@ def test_every_machine_is_one_that_can_be_set(script):
 def test_the_peer_holds_the_platform_on_the_reference(script, name):
     found = figures_of(SHORT, script.peer_law(name, script.DESIGNS[name], SHORT), starts=2)
     assert 0.0 < found.pp.min < found.pp.max < 1e-6
+
+
+def test_the_readmes_figure_of_the_peer_is_what_the_benchmark_finds(script):
+    """From one of the nine starts."""
+    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+    told = re.search(r"gains searched: [\d.]+ \(([\d.]+) to ([\d.]+)\) µm with its extended state observer", readme)
+    shipped = read_parameter_file(share_path("config/straightcomp.yaml"))
+    name = "opensmc, ESO"
+    found = figures_of(shipped, script.peer_law(name, script.DESIGNS[name], shipped), starts=1).pp.median * 1e6
+    assert float(told[1]) - 0.03 < found < float(told[2]) + 0.03

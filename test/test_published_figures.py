@@ -1,14 +1,16 @@
-"""Figures of strokes in README and tuning guide are made again: all of the table of laws, some of each other table."""
+"""Figures in README and on the pages are made again: all of the table of laws, some of each other table."""
 
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from straightcomp_ros.cli.main import main
 from straightcomp_ros.parameter_file import read_parameter_file
 from straightcomp_ros.share import share_path
 from straightcomp_ros.sweep.run import run_trials
@@ -18,6 +20,8 @@ from straightcomp_ros.sweep.starts import Spread, metrics_of_starts, spreads
 REPOSITORY = Path(__file__).resolve().parents[1]
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 TUNING = (REPOSITORY / "docs" / "tuning.md").read_text(encoding="utf-8")
+DESIGN = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
+SURVEYS = (REPOSITORY / "docs" / "surveys.md").read_text(encoding="utf-8")
 BESIDE = 0.06
 """Part of a figure by which another processor may leave the range of nine starts."""
 
@@ -45,7 +49,7 @@ def lies_within(found: float, told: Spread, digits: int) -> bool:
     return told.min - beside <= found <= told.max + beside
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def shipped():
     return read_parameter_file(share_path("config/straightcomp.yaml"))
 
@@ -96,3 +100,22 @@ def test_the_tuning_guides_laws_are_those_of_the_readme():
         (line,) = (line for line in TUNING.splitlines() if line.startswith(f"| `{law}` |"))
         (other,) = (line for line in README.splitlines() if line.startswith(f"| {LAW_TABLE.NAMES[law]} |"))
         assert cells(line)[1:4] == cells(other)[2:5]
+
+
+def test_the_page_on_surveys_tells_how_far_an_error_table_lies_beside_the_map(capsys, tmp_path):
+    told = re.search(r"beside the map: ([\d.]+) µm for the shipped\s+survey at 10 mm", SURVEYS)
+    assert main(["map", "export", "-o", str(tmp_path / "table.cal"), "--spacing", "10", "--json"]) == 0
+    assert float(told[1]) == pytest.approx(json.loads(capsys.readouterr().out)["interpolation_error_um"], abs=0.001)
+
+
+def test_the_designs_errors_around_stalls_are_what_their_script_finds(shipped, capsys, monkeypatch):
+    """Of the row for 2 ms, the last column: what the board does."""
+    (line,) = (line for line in DESIGN.splitlines() if line.startswith("| 2 ms |"))
+    told = [float(number) for number in re.findall(r"[\d.]+", cells(line)[-1])]
+    late = script("late_commands")
+    monkeypatch.setattr(late, "_STALLS_MS", (2,))
+    shipped["driver"]["lockstep_delay"] = 1.0
+    late.stalls(shipped, 500_000)
+    _, _, p98, largest, count = capsys.readouterr().out.splitlines()[-1].split()
+    assert [float(p98), float(largest)] == pytest.approx(told, rel=0.1)
+    assert f"{count} stalls of each length" in DESIGN

@@ -57,6 +57,11 @@ def test_every_file_of_ours_that_is_named_exists(page: Path) -> None:
         assert any((root / name).exists() for root in (REPOSITORY, REPOSITORY / "straightcomp_ros")), name
 
 
+def test_the_overview_leads_to_every_page() -> None:
+    linked = set(re.findall(r"\]\((\w+\.md)", (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")))
+    assert linked == {page.name for page in (REPOSITORY / "docs").glob("*.md")} - {"index.md"}
+
+
 @pytest.fixture(scope="module")
 def build_pages():
     """Runs in a folder what `make docs` runs."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import re
 import shlex
@@ -78,9 +79,15 @@ def commands(page: Path) -> Iterator[str]:
             yield command.partition(" #")[0].rstrip("& ")
 
 
+@pytest.fixture(scope="module")
+def parser() -> argparse.ArgumentParser:
+    return make_parser()
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_command_is_one_that_the_program_takes(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    parser = make_parser()
+def test_every_command_is_one_that_the_program_takes(
+    page: Path, parser: argparse.ArgumentParser, capsys: pytest.CaptureFixture[str]
+) -> None:
     for command in commands(page):
         # What stands in brackets may be left out; a word in capitals stands for a law or a number.
         words = shlex.split(re.sub(r"\b(N|SAMPLES)\b", "1", re.sub(r"[\[\]…]", "", command).replace("LAW", "smc")))[1:]
@@ -97,3 +104,12 @@ def test_every_parameter_that_a_command_sets_exists(page: Path) -> None:
     for named in re.findall(r"--set[ =]([a-z_.0-9]+)=", page.read_text(encoding="utf-8")):
         node, _, name = named.partition(".")
         assert name in PARAMETERS[node], named
+
+
+def test_the_lease_that_is_told_is_that_of_both_profiles() -> None:
+    page = (REPOSITORY / "docs" / "realtime.md").read_text(encoding="utf-8")
+    told = float(re.search(r"forgotten after ([\d.]+) s \(the profile's lease", page)[1])  # type: ignore[index]
+    for profile in ("fastdds", "fastdds_loopback"):
+        text = (REPOSITORY / "config" / f"{profile}.xml").read_text(encoding="utf-8")
+        seconds, rest = re.search(r"<leaseDuration>\s*<sec>(\d+)</sec>\s*<nanosec>(\d+)", text).groups()  # type: ignore[union-attr]
+        assert int(seconds) + int(rest) * 1e-9 == told
