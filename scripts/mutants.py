@@ -119,7 +119,8 @@ def draw(seed: int) -> Iterator[Mutant]:
     for path in sorted(path for folder in FOLDERS for path in (ROOT / "straightcomp_ros" / folder).rglob("*.py")):
         file, source = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
         lines, spans, same = source.splitlines(), left_out(source), Counter()
-        nodes, choices = list(ast_nodes(get_ast(source))), defaultdict(list)
+        nodes = [node for node in ast_nodes(get_ast(source)) if node.type not in ("name", "newline", "string")]
+        choices = defaultdict(list)
         for operator in OPERATORS:
             positions = (position for node in nodes for position in operator.mutation_positions(node))
             for occurrence, place in enumerate(positions):

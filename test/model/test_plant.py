@@ -6,7 +6,15 @@ import pytest
 
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current
 from straightcomp_ros.model.friction import FrictionParameters
-from straightcomp_ros.model.plant import SUBSTEP_NS, PlantParameters, PlantState, advance, as_array, energy
+from straightcomp_ros.model.plant import (
+    SUBSTEP_NS,
+    PlantParameters,
+    PlantState,
+    _from_array,
+    advance,
+    as_array,
+    energy,
+)
 from straightcomp_ros.parameters import ParameterError
 
 NO_FRICTION = FrictionParameters(
@@ -147,3 +155,4 @@ def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
     flat = as_array(plant)
     assert flat.tolist() == [plant.mass, plant.stop, plant.amplifier_rate, *plant.actuator, *plant.lugre]
     assert dataclasses.astuple(odd.friction) == tuple(plant.lugre)
+    assert _from_array(flat) == plant and len(set(flat.tolist())) == len(flat)

@@ -1,0 +1,292 @@
+"""Figures of one stroke, limits, and what the pictures show: numbers whose right value is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from straightcomp_ros.analysis import map_plot, plot
+from straightcomp_ros.analysis.assessment import assess
+from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
+from straightcomp_ros.analysis.map_building import build
+from straightcomp_ros.analysis.metrics import evaluate, true_error
+from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
+from straightcomp_ros.analysis.report import _error, _extremes, _number, _spectrum, _straightness
+from straightcomp_ros.analysis.stick_slip import stick_slips
+from straightcomp_ros.analysis.strokes import stroke_figures
+from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.straightness.survey import Survey
+
+
+def evaluation_of(record):
+    stamps = np.round(record.time * 1e9).astype(np.int64)
+    return BagEvaluation(
+        record=record,
+        expected_samples=len(stamps),
+        received_samples=len(stamps),
+        lost_references=0,
+        lost_commands=0,
+        latency=np.full(10, 1e-4),
+        lateness=np.zeros(10),
+        stamps=stamps,
+        amplifier_on=np.ones(len(stamps), bool),
+        parameters={},
+    )
+
+
+def one_way(deviation, y=0.0, r=0.0, truth=None):
+    """A stroke at 0.2 m/s over 0.4 m, sampled each millisecond."""
+    time = np.arange(2001) * 1e-3
+    x = 0.2 * time
+    true = {} if truth is None else {"true_x": x, "true_y": truth + 0.0 * x, "guide": deviation(x)}
+    record = StrokeRecord(time, x, y + 0.0 * x, r + 0.0 * x, 0.0 * x, "law", **true)
+    return record, find_motion(record).strokes[0]
+
+
+class Map:
+    def __init__(self, deviation):
+        self.deviations = deviation
+
+    def evaluate(self, x):
+        return -self.deviations(x), 0.0 * x, 0.0 * x
+
+
+def bow(x):
+    return 8e-6 * x * (0.4 - x) / 0.04
+
+
+def test_the_figures_of_a_stroke_over_a_bow_are_its_height_before_and_after():
+    time = np.arange(2001) * 1e-3
+    record, stroke = one_way(bow, y=-0.5 * bow(0.2 * time), r=-0.5 * bow(0.2 * time) + 1e-6 * np.sin(40.0 * time))
+    figures = stroke_figures(record, Map(bow), None, stroke)
+    assert figures.direction == "forward"
+    assert figures.travel == pytest.approx(0.4, abs=1e-3) and figures.duration == pytest.approx(2.0, abs=0.01)
+    assert figures.start == pytest.approx(0.0, abs=0.01)
+    assert figures.before_end_points == pytest.approx(8e-6, rel=1e-2)
+    assert figures.before_least_squares == pytest.approx(8e-6, rel=1e-2)
+    assert figures.after_end_points == pytest.approx(4e-6, rel=1e-2)
+    assert figures.after_least_squares == pytest.approx(4e-6, rel=1e-2)
+    assert figures.encoder_pp == pytest.approx(2e-6, rel=1e-2)
+    assert figures.encoder_rms == pytest.approx(1e-6 / math.sqrt(2.0), rel=0.05)
+    assert figures.true_pp is None and figures.true_rms is None
+
+
+def test_where_the_truth_is_known_the_figures_are_those_of_the_truth():
+    record, stroke = one_way(bow, truth=-bow(0.2 * np.arange(2001) * 1e-3))
+    straight = Map(lambda x: 0.0 * x)
+    truth = true_error(record, straight)
+    figures = stroke_figures(record, straight, truth, stroke)
+    # r is zero, and the platform moves by the bow: the workpiece is straight, the error as large as the bow.
+    assert figures.before_end_points == pytest.approx(8e-6, rel=1e-2)
+    assert figures.after_end_points == pytest.approx(0.0, abs=1e-12)
+    assert figures.true_pp == pytest.approx(8e-6, rel=1e-2)
+    assert figures.true_rms == pytest.approx(8e-6 * math.sqrt(8.0 / 15.0), rel=1e-2)
+
+
+def test_a_stroke_is_shown_in_seconds_millimetres_and_micrometres():
+    record, stroke = one_way(bow)
+    shown = replace(stroke_figures(record, Map(bow), None, stroke), travel=0.4, start=1.5, encoder_pp=2e-6).to_display()
+    assert (shown["direction"], shown["start_s"], shown["travel_mm"]) == ("forward", 1.5, 400.0)
+    assert shown["encoder_pp_um"] == 2.0 and shown["true_pp_um"] is None
+
+
+def test_a_shift_of_less_than_a_millimetre_is_no_stroke_and_a_longer_one_is():
+    time = np.arange(3000) * 1e-3
+    for length, found in ((0.9e-3, False), (1.2e-3, True), (-1.2e-3, True)):
+        x = length * np.clip((time - 1.0) / 0.2, 0.0, 1.0)
+        if found:
+            (stroke,) = motion_of(time, x).strokes
+            assert stroke.direction == ("forward" if length > 0.0 else "backward")
+            assert time[stroke.start] == pytest.approx(1.0, abs=0.003)
+            assert time[stroke.stop - 1] == pytest.approx(1.2, abs=0.003)
+        else:
+            with pytest.raises(MetricsError, match="does not move"):
+                motion_of(time, x)
+
+
+def test_the_first_of_several_faults_is_the_one_that_is_named():
+    time = np.arange(10) * 0.1
+    y = np.zeros(10)
+    y[[4, 7]] = np.nan
+    record = StrokeRecord(time, time, y, y, y, "law")
+    with pytest.raises(MetricsError, match=r"y is nan at sample 4 \(0.4 s\), one of 2"):
+        check_finite(record, ("x", "y"), slice(None))
+    with pytest.raises(MetricsError, match=r"y is nan at sample 7 \(0.7 s\), one of 1"):
+        check_finite(record, ("y",), slice(5, 10))
+    check_finite(record, ("x", "y"), slice(0, 4))
+    backwards = time.copy()
+    backwards[[3, 6]] = backwards[[2, 5]]
+    with pytest.raises(MetricsError, match=r"does not rise at sample 3: 0\.2 s"):
+        motion_of(backwards, time)
+
+
+def test_a_stick_is_told_with_the_place_and_time_at_which_it_began_either_way():
+    time = np.arange(3000) * 1e-3
+    for way in (1.0, -1.0):
+        r = way * 10e-6 * time
+        # It stands from 1.0 to 1.5 s while the reference runs 5 µm ahead, then jumps after it.
+        y = np.where((time > 1.0) & (time <= 1.5), r[1000], r)
+        (event,) = stick_slips(time, 0.1 * time, y, r)
+        assert event.time == pytest.approx(1.0, abs=0.02) and event.x == pytest.approx(0.1, abs=0.002)
+        assert event.duration == pytest.approx(0.5, abs=0.02)
+        assert event.slip == pytest.approx(5e-6, rel=0.1)
+        # One that creeps after it is none; and one that jumps the other way neither.
+        creeping = np.interp(time, [0.0, 1.0, 1.5, 2.5, 3.0], [0.0, r[1000], r[1000], r[2500], r[-1]])
+        assert stick_slips(time, 0.1 * time, creeping, r) == []
+        away = np.where(time > 1.5, r[1000] - 5e-6 * way, y)
+        assert [event for event in stick_slips(time, 0.1 * time, away, r) if event.time < 1.1] == []
+
+
+def test_a_limit_is_kept_at_both_of_its_ends_and_not_beyond():
+    for value, passed in ((1.0, True), (2.0, True), (0.999, False), (2.001, False), (math.inf, False)):
+        (verdict,) = judged([Limit("a", 1.0, 2.0)], {"a": value})
+        assert verdict.passed is passed
+    assert str(Verdict(Limit("a", 1.0, 2.0), 3.0, False)) == "a is 3; allowed: >= 1 and <= 2"
+    assert str(Verdict(Limit("a", -math.inf, 2.0), None, False)) == "a was not recorded; allowed: <= 2"
+
+
+def test_a_limit_may_be_a_number_in_exponential_form_and_a_single_value(tmp_path):
+    path = tmp_path / "limits.yaml"
+    path.write_text("a: 1e-6\nb: {min: 2, max: 2}\nc: {min: -1}\n")
+    assert read_limits(path, dict.fromkeys("abc")) == [
+        Limit("a", -math.inf, 1e-6),
+        Limit("b", 2.0, 2.0),
+        Limit("c", -1.0, math.inf),
+    ]
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path: figures.append(figure))
+    return figures
+
+
+def lines(axes):
+    return [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in axes.get_lines()]
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_map, drawn, truth):
+    record = make_record(0.4e-6, truth=truth)
+    record = replace(record, current=0.02 * np.sin(record.time))
+    motion, metrics = find_motion(record), evaluate(record, cosine_map)
+    plot.plot_run(record, cosine_map, metrics, Path("run.png"), "title")
+    both, after, error, current = drawn[0].axes
+    window, moving = motion.window, motion.samples()
+    (seconds, milliamperes), *_ = lines(current)
+    assert seconds == pytest.approx(record.time[window]) and milliamperes == pytest.approx(record.current[window] * 1e3)
+    shown = lines(error)
+    assert shown[0][1] == pytest.approx((record.r - record.y)[window] * 1e6)
+    assert len(shown) == (2 if truth else 1)
+    if truth:
+        assert shown[1][1] == pytest.approx(0.4, abs=1e-6)
+    (x_mm, before), (_, compensated) = lines(both)
+    assert x_mm == pytest.approx((record.true_x if truth else record.x)[moving] * 1e3)
+    assert np.ptp(before) == pytest.approx(metrics.uncompensated_pp * 1e6)
+    assert np.ptp(compensated) == pytest.approx(metrics.residual_pp * 1e6)
+    forward, _, backward, _ = lines(after)
+    assert len(forward[0]) == motion.samples("forward").size and len(backward[0]) == motion.samples("backward").size
+    # Means over a few millimetres lie within the values that they are of.
+    for (x, values), (centres, means) in (lines(after)[:2], lines(after)[2:]):
+        assert centres.min() >= x.min() and centres.max() <= x.max() and np.all(np.diff(centres) > 0.0)
+        assert values.min() <= means.min() and means.max() <= values.max()
+    # Strokes are shaded from their first sample to their last.
+    spans = [patch.get_extents().transformed(error.transData.inverted()) for patch in error.patches]
+    for span, stroke in zip(spans, motion.strokes, strict=True):
+        assert (span.x0, span.x1) == pytest.approx((record.time[stroke.start], record.time[stroke.stop - 1]))
+
+
+def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
+    x = np.linspace(0.0, 0.4, 41)
+    runs = tuple(
+        Run(name, way, x, 5e-6 * np.sin(10.0 * x) + shift)
+        for name, way, shift in (("1", "forward", 1e-7), ("2", "forward", -1e-7), ("1", "backward", 3e-7))
+    )
+    built = build(Survey(runs, "made up"), Path(__file__))
+    map_plot.plot_map(built, Path("map.png"))
+    upper, lower = drawn[0].axes
+    *shown, mean = lines(upper)
+    for (x_mm, um), run in zip(shown, built.survey.runs, strict=True):
+        assert x_mm == pytest.approx(run.x * 1e3) and um == pytest.approx(run.deviation * 1e6)
+    assert mean[1] == pytest.approx(built.mean * 1e6)
+    # Forward lies 0.15 µm below the mean of both directions, backward as much above.
+    means = [values for at, values in lines(lower) if len(at) == 41][-2:]
+    assert means[0] == pytest.approx(-0.15) and means[1] == pytest.approx(0.15)
+    # A single run has no standard deviation: the band is that of the two forward ones, s = 0.1 √2 µm.
+    (band,) = lower.collections
+    low, high = band.get_paths()[0].get_extents().intervaly
+    assert (low, high) == pytest.approx((-0.15 - 0.2 * math.sqrt(2.0), -0.15 + 0.2 * math.sqrt(2.0)))
+
+
+def test_a_built_map_tells_its_ends_in_millimetres_and_its_runs():
+    x = np.linspace(0.05, 0.45, 41)
+    runs = (Run("1", "forward", x, bow(x)), Run("1", "backward", x, bow(x) + 2e-7))
+    figures = build(Survey(runs, "made up"), Path(__file__)).figures()
+    assert (figures["points"], figures["first_mm"], figures["last_mm"]) == (
+        41,
+        pytest.approx(50.0),
+        pytest.approx(450.0),
+    )
+    assert (figures["forward_runs"], figures["backward_runs"], figures["rejected_runs"]) == (1, 1, 0)
+    assert figures["correction_pp_um"] == pytest.approx(np.ptp(bow(x)) * 1e6)
+    assert figures["straightness_end_points_um"] == pytest.approx(8.0, rel=0.01)
+    assert figures["reversal_max_um"] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("count", [5, 100, 5000, 60_000, 60_007])
+def test_a_thinned_curve_keeps_its_extremes_its_order_and_its_ends_pieces(count):
+    values = np.random.default_rng(count).normal(size=count)
+    values[[count // 3, count // 2]] = 99.0, -99.0
+    kept = _extremes(values)
+    assert {count // 3, count // 2} <= set(kept.tolist())
+    assert np.all(np.diff(kept) > 0) and kept[0] >= 0 and kept[-1] < count
+    # However long the record, a page carries some thousand points; a short one is shown whole.
+    assert len(kept) == count if count <= 100 else len(kept) <= 10_000
+    thinned = np.interp(np.arange(count), kept, values[kept])
+    assert np.median(np.abs(thinned)) < 5.0
+
+
+def test_the_curves_of_the_report_are_in_micrometres_over_millimetres_seconds_and_hertz(make_record, motion_profile):
+    record = make_record(1e-6 * np.sin(2 * np.pi * 50 * motion_profile[0]), quantum=1e-9)
+    found = assess(Path("bag"), evaluation_of(record))
+    before, forward, backward = _straightness(found).data
+    assert max(forward.x) == pytest.approx(1760.0, abs=1.0) and len(_straightness(found, before=False).data) == 2
+    assert np.ptp(before.y) == pytest.approx(found.metrics.uncompensated_pp * 1e6)
+    assert np.ptp(np.concatenate([forward.y, backward.y])) == pytest.approx(found.metrics.residual_pp * 1e6)
+    encoder, true = _error(found, None).data
+    assert np.ptp(encoder.y) == pytest.approx(found.metrics.encoder_pp * 1e6)
+    assert np.ptp(true.y) == pytest.approx(2.0, abs=0.01)
+    window = found.motion.window
+    assert min(encoder.x) >= record.time[window.start] and max(encoder.x) <= record.time[window.stop - 1]
+    (spectrum,) = _spectrum(found, None).data
+    peak = int(np.argmax(spectrum.y))
+    assert spectrum.x[peak] == pytest.approx(50.0, abs=1.0)
+    assert spectrum.y[peak] == pytest.approx(math.sqrt(0.5 / 1.5), rel=0.05)
+    assert min(spectrum.x) > 0.0
+
+
+def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record):
+    record = make_record(0.2e-6)
+    late = replace(record, time=record.time + 100.0)
+    found, other = (assess(Path(name), evaluation_of(one)) for name, one in (("a", record), ("b", late)))
+    *_, theirs = _error(found, other).data
+    assert min(theirs.x) == pytest.approx(record.time[found.motion.window.start], abs=0.05)
+    assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
+
+
+def test_what_is_no_number_is_a_dash_in_the_report():
+    assert [_number(value) for value in (None, math.nan, math.inf, 3, 0.123456, "a<b")] == [
+        "–",
+        "–",
+        "–",
+        "3",
+        "0.1235",
+        "a&lt;b",
+    ]
