@@ -34,11 +34,14 @@ _COUNT = re.compile(r"(\d+) (passed|failed|errors?|skipped|xfailed)")
 def environment(processor: str) -> dict[str, str]:
     """This environment as that processor's."""
     umath = np._core._multiarray_umath if hasattr(np, "_core") else np.core._multiarray_umath
+    # What is switched off already is not among those that it could use.
+    newer = os.environ.get("NPY_DISABLE_CPU_FEATURES", "").split()
+    newer += [name for name in umath.__cpu_dispatch__ if umath.__cpu_features__[name]]
     return {
         **os.environ,
         "OPENBLAS_CORETYPE": processor,
         "NUMBA_CPU_NAME": "generic",
-        "NPY_DISABLE_CPU_FEATURES": " ".join(name for name in umath.__cpu_dispatch__ if umath.__cpu_features__[name]),
+        "NPY_DISABLE_CPU_FEATURES": " ".join(newer),
     }
 
 
