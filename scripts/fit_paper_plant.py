@@ -132,7 +132,8 @@ def show_drive(stroke: Stroke, coulomb: float, slope: float) -> None:
     """Error over command delay and amplifier bandwidth, and which slope is stable."""
     print("\n## Delay and amplifier\n")
     print(
-        "| delay [samples] | amplifier [Hz] | linear | smc, no feedforward | smc, feedforward | sgn, ρ = 0.4 | limit |"
+        "| delay [samples] | amplifier [Hz] | linear | smc, no feedforward | smc, feedforward "
+        "| sgn, ρ = 0.4, feedforward | stable below ρ/ε |"
     )
     print("|---|---|---|---|---|---|---|")
     laws = [law(), law(slope), law(slope, feedforward=True), law(math.inf, rho=0.4, feedforward=True)]
