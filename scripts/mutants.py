@@ -51,6 +51,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("analysis", "bags", "control", "hardware/can", "model", "safety", "straightness", "timing")
 EQUIVALENT = ROOT / "test" / "equivalent_mutants.yaml"
 REQUIRED = 0.92
+_PYTEST = "-x -q -p no:rerunfailures -p no:cacheprovider --hypothesis-seed=1"
 _SLOW = 0.4
 """s"""
 IMPORTED_BEFORE = (
@@ -166,10 +167,8 @@ _tree = Path()
 def copy_tree(parent: str) -> None:
     global _tree
     _tree = Path(parent, f"copy-{os.getpid()}")
-    outside = shutil.ignore_patterns(
-        ".*", "__pycache__", "build", "install", "log", "site", "demo_output", "*.egg-info"
-    )
-    shutil.copytree(ROOT, _tree, ignore=outside)
+    made = ("__pycache__", "build", "install", "log", "site", "demo_output", "*.egg-info")
+    shutil.copytree(ROOT, _tree, ignore=shutil.ignore_patterns(".*", *made))
     # For the tests' own processes, too: before the package that is installed in .venv.
     os.environ |= {"PYTHONPATH": str(_tree), "XDG_CACHE_HOME": str(_tree / ".cache")}
     sys.path.insert(0, str(_tree))
@@ -198,16 +197,7 @@ def run_pytest(parts: list[list[str]], mutated: bool, cpu_limit: int) -> None:
     output = os.open("output.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(output, 1)
     os.dup2(output, 2)
-    options = [
-        "-x",
-        "-q",
-        "-p",
-        "no:rerunfailures",
-        "-p",
-        "no:cacheprovider",
-        "--hypothesis-seed=1",
-        "--basetemp=temporary",
-    ]
+    options = f"{_PYTEST} --basetemp=temporary".split()
     # A mutant may have the size and the second of the source before it: its byte code would be taken for the other's.
     sys.dont_write_bytecode = mutated
     if mutated:
@@ -285,15 +275,14 @@ def main() -> int:
             for number, mutant in chosen.items()
             if number not in equivalent
         }
-        for number, result in runs.items():
-            survived, duration = result.result()
-            print(
-                "SURVIVED" if survived else "killed  ",
-                f"{duration:4.0f} s ",
-                described(number, chosen[number]),
-                flush=True,
-            )
-            survivors += [number] * survived
+        try:
+            for number, result in runs.items():
+                survived, duration = result.result()
+                word = "SURVIVED" if survived else "killed  "
+                print(word, f"{duration:4.0f} s ", described(number, chosen[number]), flush=True)
+                survivors += [number] * survived
+        finally:
+            pool.shutdown(cancel_futures=True)
     killed = len(runs) - len(survivors)
     print(
         f"\nSeed {arguments.seed}: {killed} of {len(runs)} killed, {killed / max(len(runs), 1):.1%}; "
