@@ -40,6 +40,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import parso
+import psutil
 import pytest
 import yaml
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -212,7 +213,7 @@ def run_pytest(parts: list[list[str]], mutated: bool, cpu_limit: int) -> None:
 def run(file: str, source: str | None = None, cpu_limit: int = 3600) -> tuple[bool, float]:
     """Whether the tests pass with this source in the file, and their processor time in s.
 
-    A hang in a loop ends at the limit of processor time, which other load does not shorten; one that waits ends later.
+    They end at the limit of processor time, which other load does not shorten, or if they hardly take any in a minute.
     """
     path, before = _tree / file, resource.getrusage(resource.RUSAGE_CHILDREN)
     original, stat = path.read_bytes(), path.stat()
@@ -222,7 +223,12 @@ def run(file: str, source: str | None = None, cpu_limit: int = 3600) -> tuple[bo
     process = multiprocessing.get_context("fork").Process(target=run_pytest, args=arguments)
     process.start()
     try:
-        process.join(120.0 + 10.0 * cpu_limit)
+        taken, waiting = 0.0, False
+        while process.is_alive() and not waiting:
+            process.join(60.0)
+            with contextlib.suppress(psutil.NoSuchProcess):
+                times = psutil.Process(process.pid).cpu_times()
+                taken, waiting = sum(times[:4]), sum(times[:4]) - taken < 0.6
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
