@@ -40,6 +40,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import parso
+import psutil
 import pytest
 import yaml
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -51,6 +52,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("analysis", "bags", "control", "hardware/can", "model", "safety", "straightness", "timing")
 EQUIVALENT = ROOT / "test" / "equivalent_mutants.yaml"
 REQUIRED = 0.92
+_PYTEST = "-x -q -p no:rerunfailures -p no:cacheprovider --hypothesis-seed=1"
 _SLOW = 0.4
 """s"""
 IMPORTED_BEFORE = (
@@ -166,10 +168,8 @@ _tree = Path()
 def copy_tree(parent: str) -> None:
     global _tree
     _tree = Path(parent, f"copy-{os.getpid()}")
-    outside = shutil.ignore_patterns(
-        ".*", "__pycache__", "build", "install", "log", "site", "demo_output", "*.egg-info"
-    )
-    shutil.copytree(ROOT, _tree, ignore=outside)
+    made = ("__pycache__", "build", "install", "log", "site", "demo_output", "*.egg-info")
+    shutil.copytree(ROOT, _tree, ignore=shutil.ignore_patterns(".*", *made))
     # For the tests' own processes, too: before the package that is installed in .venv.
     os.environ |= {"PYTHONPATH": str(_tree), "XDG_CACHE_HOME": str(_tree / ".cache")}
     sys.path.insert(0, str(_tree))
@@ -198,16 +198,7 @@ def run_pytest(parts: list[list[str]], mutated: bool, cpu_limit: int) -> None:
     output = os.open("output.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(output, 1)
     os.dup2(output, 2)
-    options = [
-        "-x",
-        "-q",
-        "-p",
-        "no:rerunfailures",
-        "-p",
-        "no:cacheprovider",
-        "--hypothesis-seed=1",
-        "--basetemp=temporary",
-    ]
+    options = f"{_PYTEST} --basetemp=temporary".split()
     # A mutant may have the size and the second of the source before it: its byte code would be taken for the other's.
     sys.dont_write_bytecode = mutated
     if mutated:
@@ -222,7 +213,7 @@ def run_pytest(parts: list[list[str]], mutated: bool, cpu_limit: int) -> None:
 def run(file: str, source: str | None = None, cpu_limit: int = 3600) -> tuple[bool, float]:
     """Whether the tests pass with this source in the file, and their processor time in s.
 
-    A hang in a loop ends at the limit of processor time, which other load does not shorten; one that waits ends later.
+    They end at the limit of processor time, which other load does not shorten, or if they hardly take any in a minute.
     """
     path, before = _tree / file, resource.getrusage(resource.RUSAGE_CHILDREN)
     original, stat = path.read_bytes(), path.stat()
@@ -232,7 +223,12 @@ def run(file: str, source: str | None = None, cpu_limit: int = 3600) -> tuple[bo
     process = multiprocessing.get_context("fork").Process(target=run_pytest, args=arguments)
     process.start()
     try:
-        process.join(120.0 + 10.0 * cpu_limit)
+        taken, waiting = 0.0, False
+        while process.is_alive() and not waiting:
+            process.join(60.0)
+            with contextlib.suppress(psutil.NoSuchProcess):
+                times = psutil.Process(process.pid).cpu_times()
+                taken, waiting = sum(times[:4]), sum(times[:4]) - taken < 0.6
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -285,15 +281,14 @@ def main() -> int:
             for number, mutant in chosen.items()
             if number not in equivalent
         }
-        for number, result in runs.items():
-            survived, duration = result.result()
-            print(
-                "SURVIVED" if survived else "killed  ",
-                f"{duration:4.0f} s ",
-                described(number, chosen[number]),
-                flush=True,
-            )
-            survivors += [number] * survived
+        try:
+            for number, result in runs.items():
+                survived, duration = result.result()
+                word = "SURVIVED" if survived else "killed  "
+                print(word, f"{duration:4.0f} s ", described(number, chosen[number]), flush=True)
+                survivors += [number] * survived
+        finally:
+            pool.shutdown(cancel_futures=True)
     killed = len(runs) - len(survivors)
     print(
         f"\nSeed {arguments.seed}: {killed} of {len(runs)} killed, {killed / max(len(runs), 1):.1%}; "

@@ -253,3 +253,134 @@ def test_a_board_that_was_told_on_from_its_first_command_stays_off(world):
 def test_a_current_that_does_not_fit_is_not_sent(world, current):
     with pytest.raises(ValueError):
         world.host.write(current, world.now)
+
+
+def heard(world, taken=True):
+    """From now on the commands go into this list instead of onto the bus."""
+    commands = []
+
+    def send(identifier, payload, *, fd):
+        assert identifier == world.codec.command_id and fd is world.codec.fd
+        commands.append(world.codec.unpack_command(payload))
+        return taken
+
+    world.host._link.send = send
+    return commands
+
+
+def test_a_command_carries_the_number_of_the_sample_that_it_answers(world):
+    world.on()
+    world.run(0.4, current=0.1)
+    newest, commands = world.board._counter, heard(world)
+    for back in (0, 1, 100, 500):
+        world.host.write(0.2, world.now, world.samples[-1 - back].stamp_ns)
+    # A sample that it does not know, or none, is the newest.
+    world.host.write(0.2, world.now, 12345)
+    world.host.write(-0.2, world.now)
+    mask = 0xFFFFFFFF if world.codec.fd else 0xFF
+    assert [command.echo for command in commands] == [newest - back & mask for back in (0, 1, 100, 500, 0, 0)]
+    assert [command.current for command in commands] == [2000] * 5 + [-2000]
+    assert {(command.enable, command.reset) for command in commands} == {(Switch.YES, Switch.NO)}
+    first = commands[0].alive
+    assert [command.alive for command in commands] == [(first + number) % 15 for number in range(6)]
+
+
+def test_a_command_that_was_not_sent_neither_counts_nor_acts(world):
+    world.on()
+    world.host.write(0.1, world.now)
+    commands = heard(world, taken=False)
+    world.host.write(0.3, world.now)
+    world.host.write(0.4, world.now)
+    assert world.host.applied_current == pytest.approx(0.1)
+    assert commands[0].alive == commands[1].alive
+
+
+def test_off_and_reset_go_out_with_no_current(world):
+    world.on()
+    world.host.write(0.3, world.now)
+    commands = heard(world)
+    world.host.disable()
+    world.host.write(0.3, world.now)
+    assert {(command.enable, command.reset, command.current) for command in commands} == {(Switch.NO, Switch.NO, 0)}
+    commands.clear()
+    # Without a fault there is nothing to reset.
+    world.host.reset_fault()
+    assert commands == []
+
+
+def test_the_largest_current_that_fits_its_frame_is_sent_to_either_side(world):
+    world.on()
+    commands = heard(world)
+    for current in (3.2767, -3.2767):
+        world.host.write(current, world.now)
+    assert [command.current for command in commands] == [32767, -32767]
+    for current in (3.2768, -3.2768):
+        with pytest.raises(ValueError, match="does not fit its frame"):
+            world.host.write(current, world.now)
+
+
+def test_a_board_that_does_not_switch_on_within_its_time_is_a_fault(world):
+    world.run(0.2)
+    world.to_board = False
+    world.host.enable()
+    within = world.host._parameters.answer_timeout
+    world.run(within)
+    assert world.host.fault == ""
+    world.run(0.001)
+    assert world.host.fault == f"the board did not switch on within {within * 1e3:g} ms"
+    assert world.host.state is State.FAULT
+
+
+def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_over(world):
+    world.on()
+    world.to_board = False
+    world.run(TIMEOUT + 0.002)
+    assert world.host.state is State.FAULT
+    world.commands, commands = False, heard(world)
+    world.host.reset_fault()
+    within = world.host._parameters.answer_timeout
+    world.run(within)
+    assert {(command.enable, command.reset) for command in commands} == {(Switch.NO, Switch.YES)}
+    assert len(commands) == 1 + round(within * 2000) and world.host.fault == ""
+    world.run(0.001)
+    assert world.host.fault == "the board reports: command timeout"
+
+
+def test_an_amplifier_that_the_board_switches_off_by_itself_is_a_fault(world):
+    world.on()
+    world.board.machine.disable()
+    world.run(0.001)
+    assert world.host.fault == "the board switched the amplifier off"
+    assert world.host.heartbeat_losses == 0
+
+
+def test_waiting_ends_with_the_first_sample_and_after_three_frames_without_one(world):
+    turns = []
+
+    def wait(seconds):
+        turns.append(seconds)
+        return 1
+
+    world.host._link.wait = wait
+    world.host.wait(250_000)
+    assert turns == [250e-6] * 3
+    turns.clear()
+    world.host._receiver.samples.append(None)
+    world.host.wait(250_000)
+    assert len(turns) == 1
+    world.host._receiver.samples.clear()
+    world.host._link.wait = lambda seconds: turns.append(seconds) or 0
+    world.host.wait(250_000)
+    assert len(turns) == 2
+
+
+def test_what_is_not_ready_says_what_is_missing(world):
+    world.run(0.2)
+    world.host._receiver.node_state = 4
+    with pytest.raises(HardwareError, match="state 4, not 5"):
+        world.host.enable()
+    world.host._receiver.node_state = 5
+    world.now += 10**9
+    with pytest.raises(HardwareError, match="no heartbeat for"):
+        world.host.enable()
+    assert world.host.state is State.OFF and world.host.heartbeat_losses == 0
