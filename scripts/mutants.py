@@ -55,9 +55,7 @@ REQUIRED = 0.92
 _PYTEST = "-x -q -p no:rerunfailures -p no:cacheprovider --hypothesis-seed=1"
 _SLOW = 0.4
 """s"""
-IMPORTED_BEFORE = (
-    "can hypothesis matplotlib.figure numba plotly.graph_objects rosbags.typesys scipy.linalg scipy.signal"
-)
+IMPORTED_BEFORE = "can hypothesis matplotlib.figure numba plotly.graph_objects rosbags.typesys scipy.signal"
 LOOK = {"alpha", "capsize", "figsize", "fontsize", "height", "layout", "linewidth", "margin", "ncols", "zorder"}
 SWAPS = """
     BinaryOperator_Add_Sub BinaryOperator_Sub_Add BinaryOperator_Mul_Div BinaryOperator_Div_Mul
@@ -253,9 +251,7 @@ def main() -> int:
     parser.add_argument("-n", "--number", type=int, default=200, help="mutants to draw (default: %(default)s)")
     parser.add_argument("-s", "--seed", type=int, default=1, help="of the draw (default: %(default)s)")
     parser.add_argument("-j", "--processes", type=int, default=1, help="test runs at a time (default: %(default)s)")
-    parser.add_argument(
-        "--only", type=int, nargs="+", help="numbers of the draw to run, as a run before has printed them"
-    )
+    parser.add_argument("--only", type=int, nargs="+", help="numbers of the draw to run, as a run has printed them")
     parser.add_argument("--list", action="store_true", help="only print what would be run")
     arguments = parser.parse_args()
     named = named_equivalents()
