@@ -19,6 +19,7 @@ from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.sqlite_input import sqlite_blocks
 from straightcomp_ros.bags.summary import frames
 from straightcomp_ros.bags.topics import chosen_topics, resolved
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
 
 MESSAGE, OTHER = 5, 4
@@ -235,3 +236,9 @@ def test_an_sqlite_message_without_data_or_time_is_damage(tmp_path, bad):
     with pytest.raises(BagError, match="no data, or no time"):
         list(sqlite_blocks(path, 2))
     assert list(sqlite_blocks(path, 3)) == []
+
+
+def test_the_folders_above_a_new_bag_are_made(tmp_path):
+    with BagWriter(tmp_path / "year" / "day" / "run") as bag:
+        bag.add_topic("/encoder", ENCODER.layout.type_name)
+    assert mcap_files(tmp_path / "year" / "day" / "run")
