@@ -5,8 +5,8 @@ source is as likely as any other. Left out are:
 
 - Operators that nearly always raise TypeError, such as + to <<: they would only raise the figure. An operator becomes
   its neighbour: + and -, * and /, < and <= or >=.
-- cosmic-ray's numbers: it adds 1 to each, which nobody can notice in 1e9 and everybody does in 1e-9. Here an integer
-  changes by 1, and a float is doubled or halved.
+- cosmic-ray's numbers: it adds 1 to each, which nobody can notice in 1e9 and everybody does in 1e-9. Here a small
+  integer changes by 1, and any other number is doubled or halved.
 - Annotations, decorators, ``if TYPE_CHECKING``, texts for people (f-strings) and the look of a picture (``LOOK``).
 - Defaults and ranges of parameters: config/straightcomp.yaml and docs/reference.md repeat them, and
   test/test_parameters.py compares.
@@ -52,12 +52,9 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("analysis", "bags", "control", "hardware/can", "model", "safety", "straightness", "timing")
 EQUIVALENT = ROOT / "test" / "equivalent_mutants.yaml"
 REQUIRED = 0.92
-_PYTEST = "-x -q -p no:rerunfailures -p no:cacheprovider --hypothesis-seed=1"
-_SLOW = 0.4
-"""s"""
-IMPORTED_BEFORE = (
-    "can hypothesis matplotlib.figure numba plotly.graph_objects rosbags.typesys scipy.linalg scipy.signal"
-)
+_PYTEST = "-x -q -p no:rerunfailures -p no:cacheprovider --hypothesis-seed=1 --basetemp=temporary"
+_SLOW_S = 0.4
+IMPORTED_BEFORE = "can hypothesis matplotlib.figure numba plotly.graph_objects rosbags.typesys scipy.signal"
 LOOK = {"alpha", "capsize", "figsize", "fontsize", "height", "layout", "linewidth", "margin", "ncols", "zorder"}
 SWAPS = """
     BinaryOperator_Add_Sub BinaryOperator_Sub_Add BinaryOperator_Mul_Div BinaryOperator_Div_Mul
@@ -73,14 +70,17 @@ SWAPS = """
 
 
 class ReplaceNumber(Operator):
-    """An integer one more or less; a float twice or half as large."""
+    """An integer one more or less; a float, and an integer from 1000 on, twice or half as large."""
 
     def mutation_positions(self, node):
         return [(node.start_pos, node.end_pos)] * 2 if isinstance(node, parso.python.tree.Number) else []
 
     def mutate(self, node, index):
         value = ast.literal_eval(node.value)
-        changed = value + (1, -1)[index] if isinstance(value, int) else value * (2.0, 0.5)[index] or (1.0, -1.0)[index]
+        if isinstance(value, int):
+            changed = value + (1, -1)[index] if value < 1000 else (2 * value, value // 2)[index]
+        else:
+            changed = value * (2.0, 0.5)[index] or (1.0, -1.0)[index]
         return parso.python.tree.Number(repr(changed), node.start_pos, node.prefix)
 
     examples = classmethod(lambda cls: ())
@@ -185,7 +185,7 @@ class SlowLast:
         items.sort(key=lambda item: item.nodeid in slow)
 
     def pytest_runtest_logreport(self, report):
-        if report.duration > _SLOW and not sys.dont_write_bytecode:
+        if report.duration > _SLOW_S and not sys.dont_write_bytecode:
             with (_tree / "slow.txt").open("a") as file:
                 print(report.nodeid, file=file)
 
@@ -198,12 +198,11 @@ def run_pytest(parts: list[list[str]], mutated: bool, cpu_limit: int) -> None:
     output = os.open("output.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(output, 1)
     os.dup2(output, 2)
-    options = f"{_PYTEST} --basetemp=temporary".split()
     # A mutant may have the size and the second of the source before it: its byte code would be taken for the other's.
     sys.dont_write_bytecode = mutated
     if mutated:
         os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-    failed = any(pytest.main([*options, *tests], plugins=[SlowLast()]) != 0 for tests in parts)
+    failed = any(pytest.main([*_PYTEST.split(), *tests], plugins=[SlowLast()]) != 0 for tests in parts)
     import straightcomp_ros
 
     assert str(_tree) in straightcomp_ros.__file__
@@ -253,9 +252,7 @@ def main() -> int:
     parser.add_argument("-n", "--number", type=int, default=200, help="mutants to draw (default: %(default)s)")
     parser.add_argument("-s", "--seed", type=int, default=1, help="of the draw (default: %(default)s)")
     parser.add_argument("-j", "--processes", type=int, default=1, help="test runs at a time (default: %(default)s)")
-    parser.add_argument(
-        "--only", type=int, nargs="+", help="numbers of the draw to run, as a run before has printed them"
-    )
+    parser.add_argument("--only", type=int, nargs="+", help="numbers of the draw to run, as a run has printed them")
     parser.add_argument("--list", action="store_true", help="only print what would be run")
     arguments = parser.parse_args()
     named = named_equivalents()

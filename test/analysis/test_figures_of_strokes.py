@@ -17,7 +17,7 @@ from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
 from straightcomp_ros.analysis.map_building import build
 from straightcomp_ros.analysis.metrics import evaluate, true_error
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
-from straightcomp_ros.analysis.report import _error, _extremes, _number, _spectrum, _straightness
+from straightcomp_ros.analysis.report import _error, _extremes, _number, _spectrum, _straightness, _table
 from straightcomp_ros.analysis.stick_slip import stick_slips
 from straightcomp_ros.analysis.strokes import stroke_figures
 from straightcomp_ros.straightness.run import Run
@@ -290,3 +290,9 @@ def test_what_is_no_number_is_a_dash_in_the_report():
         "0.1235",
         "a&lt;b",
     ]
+
+
+def test_a_table_of_the_report_has_a_row_for_each_event_and_says_none_where_there_is_none():
+    assert "none" in _table([])
+    text = _table([{"time_s": 0.5, "slip_um": 2.0}, {"time_s": 1.5, "slip_um": None}])
+    assert text.count("<tr>") == 3 and "time_<wbr>s" in text and "1.5" in text and "–" in text and "none" not in text

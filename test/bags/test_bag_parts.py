@@ -19,6 +19,7 @@ from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.sqlite_input import sqlite_blocks
 from straightcomp_ros.bags.summary import frames
 from straightcomp_ros.bags.topics import chosen_topics, resolved
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
 
 MESSAGE, OTHER = 5, 4
@@ -52,7 +53,8 @@ def test_records_of_other_kinds_are_stepped_over_wherever_they_stand(size):
 
 def test_a_record_that_ends_beyond_its_chunk_is_damage():
     data = message(1, 10)
-    for wrong in (data[:-1], data + record(OTHER, bytes(5))[:-1], data + b"\0"):
+    # The last ones are too short for a channel's number, and nothing is read beyond the end.
+    for wrong in (data[:-1], data + record(OTHER, bytes(5))[:-1], data + b"\0", data + record(OTHER, b"x")):
         with pytest.raises(ValueError, match="longer than its place"):
             message_places(wrong, [])
 
@@ -235,3 +237,9 @@ def test_an_sqlite_message_without_data_or_time_is_damage(tmp_path, bad):
     with pytest.raises(BagError, match="no data, or no time"):
         list(sqlite_blocks(path, 2))
     assert list(sqlite_blocks(path, 3)) == []
+
+
+def test_the_folders_above_a_new_bag_are_made(tmp_path):
+    with BagWriter(tmp_path / "year" / "day" / "run") as bag:
+        bag.add_topic("/encoder", ENCODER.layout.type_name)
+    assert mcap_files(tmp_path / "year" / "day" / "run")

@@ -96,7 +96,7 @@ class CanHardware(Hardware):
             largest = CURRENT_LIMIT * CURRENT_COUNT
             raise ValueError(f"control current {current} A does not fit its frame; allowed: ±{largest:g} A")
         number = self._newest_number if sample_ns is None else self._numbers.get(sample_ns, self._newest_number)
-        if self._send(counts, number):
+        if self._send(number, counts):
             self._current = counts * CURRENT_COUNT
 
     def enable(self) -> None:
@@ -107,7 +107,7 @@ class CanHardware(Hardware):
             raise HardwareError(refusal)
         if not self._wanted:
             # The board switches on at an edge: it has to have seen "off" before.
-            self._send(0, self._newest_number)
+            self._send(self._newest_number)
             self._wanted, self._was_on = True, False
             self._seen = self._upsets()
             self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
@@ -115,14 +115,14 @@ class CanHardware(Hardware):
     def disable(self) -> None:
         self._wanted = self._was_on = False
         self._current = 0.0
-        self._send(0, self._newest_number)
+        self._send(self._newest_number)
 
     def reset_fault(self) -> None:
         if self._fault:
             self._fault = self._fault_name = ""
             self._resetting = True
             self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
-            self._send(0, self._newest_number)
+            self._send(self._newest_number)
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
         if not self._parameters.simulated_stage:
@@ -210,7 +210,7 @@ class CanHardware(Hardware):
             if reported is not Amplifier.FAULT or now_ns > self._deadline_ns:
                 self._resetting = False
             else:
-                self._send(0, self._newest_number)
+                self._send(self._newest_number)
                 return
         if reported is Amplifier.FAULT and not self._fault:
             self._latch(f"the board reports: {self._receiver.board_fault.name.lower().replace('_', ' ')}")
@@ -218,7 +218,7 @@ class CanHardware(Hardware):
             self._watch_running(now_ns, reported)
         elif reported is Amplifier.ON:
             # The frame that said "off" may have been lost.
-            self._send(0, self._newest_number)
+            self._send(self._newest_number)
 
     def _watch_running(self, now_ns: int, reported: Amplifier | None) -> None:
         for words, count in self._upsets().items():
@@ -259,7 +259,7 @@ class CanHardware(Hardware):
         self._fault, self._fault_name = reason, name
         self.disable()
 
-    def _send(self, counts: int, number: int) -> bool:
+    def _send(self, number: int, counts: int = 0) -> bool:
         enable = Switch.YES if self._wanted else Switch.NO
         reset = Switch.YES if self._resetting else Switch.NO
         frame = Command(self._alive, enable, reset, counts if self._wanted else 0, number % COUNTER_MODULUS)

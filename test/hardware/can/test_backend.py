@@ -384,3 +384,13 @@ def test_what_is_not_ready_says_what_is_missing(world):
     with pytest.raises(HardwareError, match="no heartbeat for"):
         world.host.enable()
     assert world.host.state is State.OFF and world.host.heartbeat_losses == 0
+
+
+def test_the_amplifier_counts_as_on_only_when_the_board_has_said_so(world):
+    world.run(0.2)
+    world.host.enable()
+    assert world.host.state is State.OFF
+    world.run(0.02)
+    assert world.host.state is State.ON
+    world.host.disable()
+    assert world.host.state is State.OFF
