@@ -6,16 +6,20 @@ from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from straightcomp_ros.parameters import parameter
 from straightcomp_ros.share import share_path
 from straightcomp_ros.straightness.mean import mean_of_directions, on_common_grid, report
 from straightcomp_ros.straightness.runout import Runout, runout
+from straightcomp_ros.straightness.spline import cubic_spline
 from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class StraightnessMap:
         x, values = on_common_grid(survey, min_points=parameters.min_points, max_gap=parameters.max_gap)
         self.report = report(survey, values)
         self.span = (float(x[0]), float(x[-1]))
-        spline = CubicSpline(x, mean_of_directions(survey, values))
+        spline = cubic_spline(x, mean_of_directions(survey, values))
         turns = spline.derivative().roots(extrapolate=False)
         extremes = np.concatenate([spline(x), spline(turns[np.isfinite(turns)])])
         self.offset = float(extremes.max() + extremes.min()) / 2.0

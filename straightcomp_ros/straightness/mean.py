@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.straightness.spline import cubic_spline
 from straightcomp_ros.straightness.survey import Survey, SurveyError
 
 
@@ -135,7 +135,7 @@ def _common_grid(survey: Survey, max_gap: float) -> NDArray[np.float64]:
 def _on_grid(run: Run, grid: NDArray[np.float64]) -> NDArray[np.float64]:
     if np.array_equal(run.x, grid):
         return run.deviation
-    return np.asarray(CubicSpline(run.x, run.deviation)(grid))
+    return np.asarray(cubic_spline(run.x, run.deviation)(grid))
 
 
 def _by_direction(survey: Survey, values: NDArray[np.float64]) -> Sequence[NDArray[np.float64]]:
