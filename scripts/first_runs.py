@@ -135,10 +135,11 @@ class Stand:
     def run(self, command: str, longest_s: float) -> tuple[int, str]:
         """Run a command as the user; returns its exit code, and what it printed."""
         words = f"cd '{self.clone}' && timeout -s KILL {longest_s:.0f} {command}"
-        shell = ["sh", "-c", words]
-        if self._user != pwd.getpwuid(os.getuid()).pw_name:
-            shell = ["su", "-", self._user, "-c", words]
-        done = subprocess.run(shell, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+        # A login of its own: ROS 2's wheels leave the path of this interpreter's libraries in the environment.
+        login = (
+            ["su", "-", self._user, "-c"] if os.getuid() == 0 else ["env", "-i", f"HOME={self._home}", "bash", "-lc"]
+        )
+        done = subprocess.run([*login, words], stdin=subprocess.DEVNULL, capture_output=True, text=True)
         return done.returncode, done.stdout + done.stderr
 
 

@@ -73,13 +73,13 @@ def test_a_cell_without_a_driver_fails_and_names_what_is_missing(single):
     assert "missing: driver, feedforward, controller, logger" in single.last_words("cell")
 
 
-def test_a_cell_whose_samples_cease_fails_with_the_silence(graph, short_cycle):
+def test_a_cell_that_the_driver_refuses_to_enable_fails_with_the_reason(single, short_cycle):
     # Without a feedforward there is no reference and no command, so the driver refuses to enable.
     for node in ("driver", "controller"):
-        graph.start(node, short_cycle[node])
+        single.start(node, short_cycle[node])
     for node in ("driver", "controller"):
-        wait_for_line(graph, node, "ready")
+        wait_for_line(single, node, "ready")
     # Long enough for a busy machine to see both nodes; the refusal comes after as long again.
-    cell = graph.start("cell", {"nodes": "driver controller", "start_timeout": 15.0})
+    cell = single.start("cell", {"nodes": "driver controller", "start_timeout": 15.0})
     assert cell.wait(timeout=120) == 1
-    assert "no fresh command" in graph.last_words("cell")
+    assert "no fresh command" in single.last_words("cell")

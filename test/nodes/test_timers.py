@@ -7,7 +7,7 @@ import pytest
 
 from straightcomp_ros.nodes.timers import TICK_S, SteadyTimers
 
-_STALL_S, _PERIOD_S, _TURN_S = 2.0, 0.1, 0.006
+_STALL_S, _PERIOD_S, _TURN_S = 1.0, 0.1, 0.006
 _THREE_PERIODS = 3 * _PERIOD_S / _TURN_S
 """Turns of a loop in this time, at most."""
 
@@ -53,13 +53,13 @@ def _longest_silence(node, add_more=lambda: None):
     executor = EventsExecutor()
     time.sleep(_STALL_S)
     executor.add_node(node)
-    for turn[0] in range(400):
-        if turn[0] == 200:
+    for turn[0] in range(260):
+        if turn[0] == 130:
             add_more()
             time.sleep(_STALL_S)
         executor.spin_once(timeout_sec=0)
         time.sleep(_TURN_S)
-    return max(later - sooner for noted in beats for sooner, later in itertools.pairwise([0, *noted, 400]))
+    return max(later - sooner for noted in beats for sooner, later in itertools.pairwise([0, *noted, 260]))
 
 
 @pytest.fixture
