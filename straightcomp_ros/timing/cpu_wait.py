@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 _OWN_THREADS = Path("/proc/self/task")
 
@@ -24,7 +25,8 @@ class CpuWait:
 
     def __init__(self, threads: Path = _OWN_THREADS) -> None:
         self._threads = threads
-        self._files: dict[str, int] = {}
+        self._files: dict[str, BinaryIO] = {}
+        """They are closed when this object goes, as with the part of a node that is released."""
         self._waited: dict[str, int] = {}
         self._longest_ns = 0
 
@@ -32,10 +34,10 @@ class CpuWait:
         """See how long each thread has waited since the last look."""
         for thread, file in list(self._files.items()):
             try:
-                waited_ns = int(os.pread(file, 100, 0).split()[1])
+                waited_ns = int(os.pread(file.fileno(), 100, 0).split()[1])
             except (OSError, IndexError, ValueError):
                 # The thread has ended.
-                os.close(self._files.pop(thread))
+                self._files.pop(thread).close()
                 continue
             before_ns = self._waited.get(thread, waited_ns)
             self._longest_ns = max(self._longest_ns, waited_ns - before_ns)
@@ -47,7 +49,7 @@ class CpuWait:
             for thread in os.listdir(self._threads):
                 if thread not in self._files:
                     with contextlib.suppress(OSError):
-                        self._files[thread] = os.open(self._threads / thread / "schedstat", os.O_RDONLY)
+                        self._files[thread] = (self._threads / thread / "schedstat").open("rb", buffering=0)
                         self._waited.pop(thread, None)
         self.look()
         longest_ns, self._longest_ns = self._longest_ns, 0
@@ -56,4 +58,4 @@ class CpuWait:
     def close(self) -> None:
         """Look no more."""
         while self._files:
-            os.close(self._files.popitem()[1])
+            self._files.popitem()[1].close()
