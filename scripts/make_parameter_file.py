@@ -14,7 +14,7 @@ FILE = Path(__file__).resolve().parent.parent / "config" / "straightcomp.yaml"
 LOOP = {"realtime.priority": 40, "realtime.cpus": "loop"}
 REST = {"realtime.priority": 40, "realtime.cpus": "rest"}
 CHANGED: dict[str, dict[str, Any]] = {
-    "driver": {"simulated.command_timeout": 0.25, **LOOP, "realtime.keep_awake": True},
+    "driver": {"simulated.command_timeout": 0.25, **LOOP, "realtime.keep_awake": True, "realtime.exclusive": True},
     "controller": LOOP,
     **dict.fromkeys(("feedforward", "logger", "cell", "opcua"), REST),
 }
@@ -27,6 +27,7 @@ HEAD = """\
 # lock stops the others. realtime.keep_awake halves the time that a CPU takes to wake up.
 # realtime.cpus puts driver and controller on one CPU, where one wakes the other in a tenth of the time that it takes
 # between two, and keeps the other nodes off it; a second stage on the same machine needs another CPU for its loop.
+# realtime.exclusive keeps other programs off that CPU for as long as the driver runs.
 # simulated.command_timeout is longer than the default of 5 ms: a desktop stalls for longer at times, and a simulated
 # machine breaks nothing.
 """

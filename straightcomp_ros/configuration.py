@@ -39,6 +39,9 @@ class RealtimeParameters:
     keep_awake: bool = parameter(
         False, "Keep all CPUs from sleeping while the node runs: faster wake-ups for more electric power"
     )
+    exclusive: bool = parameter(
+        False, "Keep other programs off the node's CPUs while it runs, as far as its user may move them"
+    )
 
 
 def _autostart() -> bool:

@@ -88,7 +88,7 @@ def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
     no other work of the host holds it up. It shares no locks with the nodes."""
     cpus = "rest" if driver.cpus == "loop" else driver.cpus
     priority = min(driver.priority + 1, _MOST_PRIORITY) if driver.priority else 0
-    return dataclasses.replace(driver, cpus=cpus, priority=priority)
+    return dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)
 
 
 def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> int:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import BinaryIO
 
 from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.nodes.exclusive import keep_others_off, kept_free
 from straightcomp_ros.nodes.threads import threads
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
@@ -25,8 +26,12 @@ _held: list[BinaryIO] = []
 """Files whose request lasts as long as they are open."""
 
 
-def apply(realtime: RealtimeParameters) -> list[str]:
+def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _: None) -> list[str]:
     """Set what the parameters ask for; call it when all threads of the node have been started.
+
+    Args:
+        realtime: what is asked for.
+        inform: gets what was done to other programs.
 
     Returns:
         A sentence for each thing that was refused, with the remedy.
@@ -46,6 +51,12 @@ def apply(realtime: RealtimeParameters) -> list[str]:
             f"keeping the CPUs awake by {_CPU_LATENCY}",
             "make it writable by a udev rule",
         ),
+        (
+            realtime.exclusive,
+            lambda _: inform(keep_others_off(os.sched_getaffinity(0))),
+            "keeping other programs off the node's CPUs",
+            "leave a CPU to them (realtime.cpus)",
+        ),
     ]
     refusals = []
     for asked, step, what, remedy in steps:
@@ -58,7 +69,7 @@ def apply(realtime: RealtimeParameters) -> list[str]:
 
 
 def _set_cpus(realtime: RealtimeParameters) -> None:
-    permitted = os.sched_getaffinity(0)
+    permitted = os.sched_getaffinity(0) | kept_free()
     loop = {max(permitted)}
     # With a single CPU the rest is on it too.
     rest = permitted - loop or loop

@@ -192,9 +192,10 @@ def _spin_managed(node: ManagedNode, executor: Executor) -> int:
 def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
     """All that is done once before the first cycle; returns what a loop is to do in its idle time."""
     executor.add_node(runnable.node)
-    for refusal in realtime.apply(runnable.realtime):
-        runnable.node.get_logger().warning(refusal)
-    runnable.node.get_logger().info("ready")
+    logger = runnable.node.get_logger()
+    for refusal in realtime.apply(runnable.realtime, logger.info):
+        logger.warning(refusal)
+    logger.info("ready")
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -1,0 +1,158 @@
+"""Other programs leave a node's CPU for as long as it lives; here these are processes of the test's own only."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from straightcomp_ros.configuration import RealtimeParameters
+from straightcomp_ros.nodes import exclusive, realtime
+
+pytestmark = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one CPU has nothing to share out")
+
+SERVER = """
+import sys
+sys.path.insert(0, {root!r})
+from pathlib import Path
+from straightcomp_ros.nodes import exclusive
+exclusive._PROCESSES, exclusive._WORK_QUEUES = Path({processes!r}), Path({queues!r})
+exclusive._NAME, exclusive._TURN_S = {name!r}, 0.2
+sys.exit(exclusive._main(sys.argv[1:]))
+"""
+NODE = """
+import sys, time
+from straightcomp_ros.nodes import exclusive
+exclusive.__file__ = {server!r}
+print(exclusive.keep_others_off({cpus!r}), flush=True)
+time.sleep(60)
+"""
+
+
+class Stand:
+    """Bystanders, and nodes that want the last CPU without them."""
+
+    def __init__(self, folder):
+        self.all = os.sched_getaffinity(0)
+        self.cpu = max(self.all)
+        self.name = f"test/{os.getpid()}/"
+        self.processes, self.queues, self.server = folder / "proc", folder / "mask", folder / "server.py"
+        self.processes.mkdir()
+        self.queues.write_text("ff\n")
+        root = str(Path(exclusive.__file__).parents[2])
+        self.server.write_text(
+            SERVER.format(root=root, processes=str(self.processes), queues=str(self.queues), name=self.name)
+        )
+        self._started = []
+
+    def bystander(self, cpus=None):
+        """A process that others can see; returns its id."""
+        process = self._start("import time; time.sleep(60)")
+        if cpus:
+            os.sched_setaffinity(process.pid, cpus)
+        self.show(process.pid)
+        return process.pid
+
+    def show(self, pid):
+        (self.processes / str(pid)).symlink_to(f"/proc/{pid}")
+
+    def node(self, cpus=None):
+        """A node that keeps others off; returns it with what it said."""
+        node = self._start(NODE.format(server=str(self.server), cpus=cpus or {self.cpu}))
+        return node, node.stdout.readline().strip() or node.stderr.read().strip().splitlines()[-1]
+
+    def _start(self, code):
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self._started.append(process)
+        return process
+
+    def back(self, pid, cpus):
+        end = time.monotonic() + 30.0
+        while os.sched_getaffinity(pid) != cpus and time.monotonic() < end:
+            time.sleep(0.01)
+        return os.sched_getaffinity(pid) == cpus
+
+    def close(self):
+        for process in self._started:
+            process.kill()
+            process.communicate()
+
+
+@pytest.fixture
+def stand(tmp_path):
+    made = Stand(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_others_leave_the_cpu_until_the_node_ends_in_whatever_way(stand, number):
+    rest = stand.all - {stand.cpu}
+    free, elsewhere, bound = stand.bystander(), stand.bystander(rest), stand.bystander({stand.cpu})
+    node, said = stand.node()
+    assert said == f"kept 1 threads of other programs off CPU {stand.cpu}"
+    assert os.sched_getaffinity(free) == os.sched_getaffinity(elsewhere) == rest
+    # It could run nowhere.
+    assert os.sched_getaffinity(bound) == {stand.cpu}
+    assert int(stand.queues.read_text(), 16) == 0xFF & ~(1 << stand.cpu)
+    child = stand.bystander(rest)
+    node.send_signal(number)
+    assert stand.back(free, stand.all) and stand.back(child, stand.all)
+    assert os.sched_getaffinity(elsewhere) == rest
+    assert stand.queues.read_text().strip() == "ff"
+
+
+def test_the_nodes_that_start_meanwhile_may_use_the_cpu_all_the_same(stand, monkeypatch):
+    monkeypatch.setattr(exclusive, "_NAME", stand.name)
+    assert exclusive.kept_free() == set()
+    node, _ = stand.node()
+    assert exclusive.kept_free() == {stand.cpu}
+    node.kill()
+    end = time.monotonic() + 30.0
+    while exclusive.kept_free() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert exclusive.kept_free() == set()
+
+
+def test_a_second_node_is_refused_the_same_cpu_and_all_cpus_are_too_many(stand):
+    stand.node()
+    assert "another node has them to itself" in stand.node()[1]
+    assert "there is no other CPU" in stand.node(stand.all)[1]
+
+
+def test_the_node_that_is_started_again_takes_over_from_the_killed_one(stand):
+    bystander = stand.bystander()
+    for _ in range(3):
+        node, said = stand.node()
+        assert said.startswith("kept 1 threads")
+        assert os.sched_getaffinity(bystander) == stand.all - {stand.cpu}
+        node.kill()
+    assert stand.back(bystander, stand.all)
+
+
+def test_what_belongs_to_other_users_stays_and_is_counted(stand, monkeypatch):
+    bystander = stand.bystander()
+    monkeypatch.setattr(exclusive, "_PROCESSES", stand.processes)
+
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setaffinity", refuse)
+    assert exclusive._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
+    assert os.sched_getaffinity(bystander) == stand.all
+
+
+def test_a_node_says_what_it_did_or_why_not(monkeypatch):
+    told = []
+    monkeypatch.setattr(realtime, "keep_others_off", lambda cpus: f"kept off {sorted(cpus)}")
+    assert realtime.apply(RealtimeParameters(exclusive=True), told.append) == []
+    assert told == [f"kept off {sorted(os.sched_getaffinity(0))}"]
+    monkeypatch.undo()
+    # Without CPUs of its own it has all of them.
+    (refusal,) = realtime.apply(RealtimeParameters(exclusive=True), told.append)
+    assert "there is no other CPU" in refusal and "realtime.cpus" in refusal
