@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -60,18 +61,21 @@ def name_of(path: Path) -> str:
     return path.relative_to(SOURCE).as_posix()
 
 
-def imports_of(path: Path, **options: bool) -> list[str]:
+@cache
+def imports_of(path: Path, *, only_at_start: bool = False) -> tuple[str, ...]:
     package = (PACKAGE, *path.relative_to(SOURCE).parent.parts)
-    return list(imported(path.read_text(encoding="utf-8"), package, **options))
+    return tuple(imported(path.read_text(encoding="utf-8"), package, only_at_start=only_at_start))
 
 
-def files_of(name: str) -> Iterator[Path]:
+@cache
+def files_of(name: str) -> tuple[Path, ...]:
     """The modules of ours that are executed when the dotted ``name`` is imported."""
     pieces = name.split(".")
-    if pieces[0] == PACKAGE:
-        for depth in range(1, len(pieces)):
-            stem = SOURCE.joinpath(*pieces[1 : depth + 1])
-            yield from (path for path in (stem.with_suffix(".py"), stem / "__init__.py") if path.is_file())
+    if pieces[0] != PACKAGE:
+        return ()
+    stems = (SOURCE.joinpath(*pieces[1 : depth + 1]) for depth in range(1, len(pieces)))
+    candidates = (path for stem in stems for path in (stem.with_suffix(".py"), stem / "__init__.py"))
+    return tuple(path for path in candidates if path.is_file())
 
 
 def reached_from(path: Path) -> set[str]:
