@@ -24,6 +24,8 @@ pytestmark = pytest.mark.live
 def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, short_cycle, law, delay):
     short_cycle["controller"].update({"control.law": law, "trigger": "sample"})
     short_cycle["driver"].update({"lockstep": True, "lockstep_delay": delay})
+    # Both directions and a turn: a difference of one bit would grow from the first sample on.
+    short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
     offline = Simulation(short_cycle).run()
     live = demonstrate(short_cycle, tmp_path).evaluation
     assert live.expected_samples == live.received_samples == len(offline.x)
