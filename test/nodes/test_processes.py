@@ -8,6 +8,8 @@ from waiting import wait_for_line
 from straightcomp_ros.bags.reader import read_attachments
 
 NODES = ("driver", "feedforward", "controller", "logger", "cell")
+UNTRACED = pytest.mark.untraced
+"""Of a parametrised test the first is traced, or the first of each node: the others go the same way."""
 
 
 def extra(node, tmp_path):
@@ -15,7 +17,7 @@ def extra(node, tmp_path):
 
 
 @pytest.mark.parametrize("node", NODES)
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=UNTRACED)])
 def test_a_node_stops_on_a_signal_within_two_seconds_and_without_a_traceback(single, tmp_path, node, number):
     process = single.start(node, extra(node, tmp_path))
     wait_for_line(single, node, "ready")
@@ -26,13 +28,15 @@ def test_a_node_stops_on_a_signal_within_two_seconds_and_without_a_traceback(sin
         assert "parameters.yaml" in read_attachments(tmp_path / "bag")
 
 
-@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("node", [NODES[0], *(pytest.param(node, marks=UNTRACED) for node in NODES[1:])])
 def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(single, tmp_path, node):
     process = single.start(node, {**extra(node, tmp_path), "realtime.priorty": 1})
     assert process.wait(timeout=120) == 2
     assert "'realtime.priorty' is unknown; did you mean 'realtime.priority'" in single.last_words(node)
 
 
+# A refusal goes the way of the unknown name above; what is refused, the tests of the core trace.
+@UNTRACED
 @pytest.mark.parametrize(
     ("node", "name", "value", "words"),
     [
@@ -53,6 +57,7 @@ def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(single, tmp
     assert words in single.last_words(node)
 
 
+@UNTRACED
 def test_an_integer_is_taken_where_a_float_is_meant(single):
     single.start("driver", {"simulated.command_timeout": 1, "simulated.hold_stiffness": 0})
     wait_for_line(single, "driver", "ready")
@@ -80,6 +85,6 @@ def test_a_cell_that_the_driver_refuses_to_enable_fails_with_the_reason(single, 
     for node in ("driver", "controller"):
         wait_for_line(single, node, "ready")
     # Long enough for a busy machine to see both nodes; the refusal comes after as long again.
-    cell = single.start("cell", {"nodes": "driver controller", "start_timeout": 15.0})
+    cell = single.start("cell", {"nodes": "driver controller", "start_timeout": 10.0})
     assert cell.wait(timeout=120) == 1
     assert "no fresh command" in single.last_words("cell")
