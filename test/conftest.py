@@ -1,5 +1,7 @@
 """For all tests."""
 
+import sys
+
 import pytest
 from hypothesis import settings
 
@@ -10,6 +12,21 @@ pytest_plugins = ["repeats", "pytester"]
 # A machine that others use too stands still for half a second now and then: an example is not wrong for being late.
 settings.register_profile("shared machine", deadline=None)
 settings.load_profile("shared machine")
+
+
+@pytest.hookimpl(hookwrapper=True, trylast=True)
+def pytest_runtest_call(item):
+    """In a worker of xdist coverage runs twice: as in any subprocess, and by pytest-cov. Where pytest-cov pauses for
+    the mark ``no_cover``, the other one would go on, and the test take three times as long."""
+    coverage = sys.modules.get("coverage")
+    paused = []
+    if coverage is not None and item.get_closest_marker("no_cover"):
+        while (running := coverage.Coverage.current()) is not None:
+            running.stop()
+            paused.append(running)
+    yield
+    for one in reversed(paused):
+        one.start()
 
 
 @pytest.fixture(autouse=True)
