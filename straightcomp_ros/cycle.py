@@ -72,7 +72,8 @@ def run_cycle(
             )
         started(ids)
         _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
-        codes = graph.stop(RECORDED)
+        # The others send what waits in their last bursts as they end.
+        codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
         if codes["logger"] != 0:
             raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
         # The bag is complete and the amplifier off by now: how the others ended does not touch the result.

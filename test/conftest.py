@@ -32,7 +32,8 @@ def pytest_runtest_call(item):
 @pytest.fixture(autouse=True)
 def only_live_tests_start_nodes(request, monkeypatch):
     """A test without the mark ``live`` runs beside others and is not repeated: nothing in it must be in time."""
-    if request.node.get_closest_marker("live") is None and "single" not in request.fixturenames:
+    unhurried = {"single", "in_lockstep"} & set(request.fixturenames)
+    if request.node.get_closest_marker("live") is None and not unhurried:
 
         def refuse(self, name, *_, **__):
             raise AssertionError(f"this test starts the node '{name}': it needs the mark 'live'")

@@ -62,15 +62,15 @@ class Law:
         self.gains = gains
         self.start = start
         self.function = step
-        self._run = run
+        self._run = None if run is None else run.dispatcher
         self._gains = np.array(flat(gains))
         self._answer = np.zeros(len(Command._fields))
         self.reset(0.0)
-        if run is not None:
+        if self._run is not None:
             # The first call compiles, or reads what was compiled: it must not happen inside a loop, nor for whole
             # numbers again.
-            run(self._gains, self._state, self._answer, 0.0, 0.0, 0.0, 0.0, math.nan)
-            run.disable_compile()
+            self._run(self._gains, self._state, self._answer, 0.0, 0.0, 0.0, 0.0, math.nan)
+            self._run.disable_compile()
             self.reset(0.0)
 
     def reset(self, y: float) -> None:

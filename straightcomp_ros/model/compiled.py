@@ -10,17 +10,16 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
-
-import numba
-from numba.extending import register_jitable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _FOLDERS = ("model", "control", "straightness", "hardware", "sweep")
 """Of this package: where functions are that may be compiled."""
+_marked: list[Callable[..., Any]] = []
+"""What compiled functions may call, until numba knows of it."""
 
 
 @cache
@@ -44,15 +43,50 @@ def cache_directory() -> Path:
 
 def compilable(function: F) -> F:
     """Mark a scalar function that runs as plain Python and may also be called from a compiled one."""
-    return cast(F, register_jitable(error_model="numpy")(function))
+    _marked.append(function)
+    return function
+
+
+class Compiled:
+    """``numba.njit`` with the machine code kept on disk; IEEE arithmetic, nothing reordered.
+
+    numba is imported by the first call, also one in the code of another compiled function: to import it is a third of a
+    node's start, and half of its memory, and most nodes compute nothing.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        update_wrapper(self, function)
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """numba's own object. A loop that calls it is spared a call of Python's."""
+        import numba
+        from numba.extending import register_jitable
+
+        while _marked:
+            register_jitable(error_model="numpy")(_marked.pop())
+        settings: Any = numba.config  # numba makes its attributes from the environment
+        previous = settings.CACHE_DIR
+        settings.CACHE_DIR = str(cache_directory())
+        try:
+            return numba.njit(cache=True, error_model="numpy")(self._function)
+        finally:
+            settings.CACHE_DIR = previous
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the machine code."""
+        return self.dispatcher(*arguments)
+
+    @property
+    def _numba_type_(self) -> Any:
+        # By this name numba asks an object that it does not know.
+        return self.dispatcher._numba_type_
+
+    def __reduce__(self) -> str:
+        return self._function.__qualname__
 
 
 def compiled(function: F) -> F:
-    """``numba.njit`` with the machine code kept on disk; IEEE arithmetic, nothing reordered."""
-    settings: Any = numba.config  # numba makes its attributes from the environment
-    previous = settings.CACHE_DIR
-    settings.CACHE_DIR = str(cache_directory())
-    try:
-        return cast(F, numba.njit(cache=True, error_model="numpy")(function))
-    finally:
-        settings.CACHE_DIR = previous
+    """Decorator: see :class:`Compiled`."""
+    return cast(F, Compiled(function))

@@ -65,3 +65,15 @@ def short_cycle():
     values["cell"].update({"motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1, "motion.start": 0.0})
     values["driver"].update(FORGIVING)
     return values
+
+
+@pytest.fixture
+def in_lockstep(short_cycle):
+    """A short cycle of a graph that waits for each answer: nothing in it can be late, so other tests may run beside."""
+    for section in short_cycle.values():
+        section["realtime.priority"] = 0
+    short_cycle["controller"]["trigger"] = "sample"
+    short_cycle["driver"].update({"lockstep": True, "lockstep_delay": 0.5, "realtime.exclusive": False})
+    # Both directions and a turn: a difference of one bit would grow from the first sample on.
+    short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
+    return short_cycle

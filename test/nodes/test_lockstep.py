@@ -10,8 +10,6 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.demonstration import demonstrate
 from straightcomp_ros.simulation import Simulation
 
-pytestmark = pytest.mark.live
-
 
 # The first reaches what there is to reach of the nodes' code; coverage doubles their start.
 @pytest.mark.parametrize(
@@ -21,13 +19,11 @@ pytestmark = pytest.mark.live
         for number, (law, delay) in enumerate(itertools.product(LAWS, (0.5, 1.3)))
     ],
 )
-def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, short_cycle, law, delay):
-    short_cycle["controller"].update({"control.law": law, "trigger": "sample"})
-    short_cycle["driver"].update({"lockstep": True, "lockstep_delay": delay})
-    # Both directions and a turn: a difference of one bit would grow from the first sample on.
-    short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
-    offline = Simulation(short_cycle).run()
-    live = demonstrate(short_cycle, tmp_path).evaluation
+def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, in_lockstep, law, delay):
+    in_lockstep["controller"]["control.law"] = law
+    in_lockstep["driver"]["lockstep_delay"] = delay
+    offline = Simulation(in_lockstep).run()
+    live = demonstrate(in_lockstep, tmp_path).evaluation
     assert live.expected_samples == live.received_samples == len(offline.x)
     for column in ("x", "y", "r", "current", "true_x", "true_y", "guide"):
         np.testing.assert_array_equal(getattr(live.record, column), getattr(offline, column), err_msg=column)
@@ -35,22 +31,20 @@ def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, s
     assert np.ptp(offline.current) > 0.005  # it did work for its result
 
 
-def test_the_graph_learns_in_lockstep_what_the_simulation_learns(tmp_path, short_cycle):
-    short_cycle["controller"].update({"control.law": "linear", "trigger": "sample", "learning.learn": True})
-    short_cycle["driver"].update({"lockstep": True, "lockstep_delay": 0.5})
-    short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
+def test_the_graph_learns_in_lockstep_what_the_simulation_learns(tmp_path, in_lockstep):
+    in_lockstep["controller"].update({"control.law": "linear", "learning.learn": True})
     here, there = tmp_path / "offline.csv", tmp_path / "live.csv"
-    short_cycle["controller"]["learning.file"] = str(here)
-    first = Simulation(short_cycle)
+    in_lockstep["controller"]["learning.file"] = str(here)
+    first = Simulation(in_lockstep)
     bare = first.run()
     first.run()
     first.save_learning()
     shutil.copy(here, there)
-    again = Simulation(short_cycle)
+    again = Simulation(in_lockstep)
     offline = again.run()
     again.save_learning()
-    short_cycle["controller"]["learning.file"] = str(there)
-    live = demonstrate(short_cycle, tmp_path).evaluation
+    in_lockstep["controller"]["learning.file"] = str(there)
+    live = demonstrate(in_lockstep, tmp_path).evaluation
     assert live.expected_samples == live.received_samples == len(offline.x)
     for column in ("y", "r", "current", "true_y"):
         np.testing.assert_array_equal(getattr(live.record, column), getattr(offline, column), err_msg=column)
