@@ -51,8 +51,8 @@ comma_separated = $(subst $(space),$(comma),$(strip $(1)))
 define TEST_ALL
 .venv/bin/python -m coverage erase
 code=0
-echo "Tests without live nodes, one process a core:"
-.venv/bin/python -m pytest -m "not live" -n logical --dist worksteal --cov --cov-report= || code=1
+echo "Tests without live nodes, one process more than there are cores, since many wait for programs that they start:"
+OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -m "not live" -n $$(( $$(nproc) + 1 )) --dist worksteal --cov --cov-report= || code=1
 echo "Tests of live nodes, one after the other:"
 .venv/bin/python -m pytest -m "live and not soak" --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
 echo "Some tests as on other processors:"

@@ -42,6 +42,8 @@ def environment(processor: str) -> dict[str, str]:
         "OPENBLAS_CORETYPE": processor,
         "NUMBA_CPU_NAME": "generic",
         "NPY_DISABLE_CPU_FEATURES": " ".join(newer),
+        # Threads that wait for each other by spinning take the CPUs from the tests beside.
+        "OPENBLAS_NUM_THREADS": "1",
     }
 
 

@@ -25,12 +25,12 @@ from straightcomp_ros.nodes.other_topics import stored
 
 pytestmark = pytest.mark.keeps_time
 
-COUNT = 20_000
+COUNT = 4_000
 
 
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory):
-    """Ten seconds of samples."""
+    """Two seconds of samples."""
     path = tmp_path_factory.mktemp("bags") / "samples"
     with BagWriter(path) as bag:
         bag.add_topic("/encoder", ENCODER.layout.type_name)
