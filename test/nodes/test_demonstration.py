@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from waiting import comes_true
 
 from straightcomp_ros import demonstration
 from straightcomp_ros.bags import BagError
@@ -72,10 +73,7 @@ def test_a_node_that_dies_in_mid_stroke_ends_the_demonstration_with_its_name(
     assert all(process.poll() is not None for _, process in graphs)
     # The shipped driver keeps other programs off its CPU, and no longer than it lives.
     assert set(map(frozenset, affinities)) == {frozenset(usable - {max(usable)} or usable)}
-    end = time.monotonic() + 10.0
-    while os.sched_getaffinity(0) != usable and time.monotonic() < end:
-        time.sleep(0.01)
-    assert os.sched_getaffinity(0) == usable
+    assert comes_true(lambda: os.sched_getaffinity(0) == usable, 10.0)
 
 
 def test_a_bag_that_is_short_fails_the_demonstration(tmp_path, short_cycle, monkeypatch):

@@ -4,10 +4,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from waiting import comes_true
 
 from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.nodes import exclusive, realtime
@@ -72,10 +72,7 @@ class Stand:
         return process
 
     def back(self, pid, cpus):
-        end = time.monotonic() + 30.0
-        while os.sched_getaffinity(pid) != cpus and time.monotonic() < end:
-            time.sleep(0.01)
-        return os.sched_getaffinity(pid) == cpus
+        return comes_true(lambda: os.sched_getaffinity(pid) == cpus)
 
     def close(self):
         for process in self._started:
@@ -113,10 +110,7 @@ def test_the_nodes_that_start_meanwhile_may_use_the_cpu_all_the_same(stand, monk
     node, _ = stand.node()
     assert exclusive.kept_free() == {stand.cpu}
     node.kill()
-    end = time.monotonic() + 30.0
-    while exclusive.kept_free() and time.monotonic() < end:
-        time.sleep(0.01)
-    assert exclusive.kept_free() == set()
+    assert comes_true(lambda: exclusive.kept_free() == set())
 
 
 def test_a_second_node_is_refused_the_same_cpu_and_all_cpus_are_too_many(stand):

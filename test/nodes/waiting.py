@@ -1,6 +1,7 @@
-"""Waiting for what a node prints."""
+"""Waiting for what a node prints or does."""
 
 import time
+from collections.abc import Callable
 
 import pytest
 
@@ -14,3 +15,10 @@ def wait_for_line(graph: Graph, node: str, text: str, seconds: float = 120.0) ->
             return
         time.sleep(0.05)
     pytest.fail(f"{node} never printed {text!r}; it printed: {graph.log(node).read_text()}")
+
+
+def comes_true(condition: Callable[[], bool], seconds: float = 30.0) -> bool:
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    return condition()
