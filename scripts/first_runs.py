@@ -17,6 +17,7 @@ import argparse
 import json
 import os
 import pwd
+import re
 import shutil
 import statistics
 import subprocess
@@ -41,7 +42,7 @@ def main() -> int:
         if options.quick:
             code, text = stand.run("make quick", _LONGEST_S)
             failed += code != 0
-            print(f"{stand.name}: make quick: exit {code}: {_last_line(text)}", flush=True)
+            print(f"{stand.name}: make quick: exit {code}: {_outcome(text)}", flush=True)
     # In turns: what disturbs the machine for a while disturbs all alike.
     for number in range(1, options.runs + 1):
         for stand in stands:
@@ -161,9 +162,10 @@ def load(each: int) -> Iterator[None]:
             process.wait()
 
 
-def _last_line(text: str) -> str:
-    lines = [line for line in text.splitlines() if line.strip()]
-    return lines[-1] if lines else "it printed nothing"
+def _outcome(text: str) -> str:
+    """What pytest counted, and the tests that failed; all of the text, if it is not pytest's."""
+    told = [line for line in text.splitlines() if line.startswith("FAILED") or re.search(r"\d+ passed", line)]
+    return "; ".join(told) or text
 
 
 if __name__ == "__main__":

@@ -111,7 +111,7 @@ class Layout:
         return unpack
 
     @property
-    def dtype(self) -> np.dtype:
+    def dtype(self) -> np.dtype[np.void]:
         """Structured dtype of a message: ``encapsulation``, ``sec``, ``nanosec``, ``constant_<i>`` (bytes)
         and one float64 field for each column; packed, so that ``itemsize == size``."""
         fields: list[tuple[str, str]] = [("encapsulation", "V4"), ("sec", "<i4"), ("nanosec", "<u4")]

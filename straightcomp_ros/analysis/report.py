@@ -202,9 +202,9 @@ def _extremes(values: NDArray[np.float64]) -> NDArray[np.intp]:
     whole = len(values) // size * size
     pieces = values[:whole].reshape(-1, size)
     starts = np.arange(0, whole, size)
-    return np.unique(
-        np.concatenate([starts + pieces.argmin(axis=1), starts + pieces.argmax(axis=1), np.arange(whole, len(values))])
-    )
+    extremes = starts + pieces.argmin(axis=1), starts + pieces.argmax(axis=1)
+    kept: NDArray[np.intp] = np.unique(np.concatenate([*extremes, np.arange(whole, len(values))]))
+    return kept
 
 
 def _mark(figure: go.Figure, intervals: Sequence[Interval], name: str, colour: str) -> None:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from straightcomp_ros.model.actuator import ActuatorParameters, stiffness_errors
 from straightcomp_ros.parameters import group, parameter
@@ -53,21 +55,21 @@ class SlidingDesign:
         return 2.0 * math.pi * self.natural_frequency
 
 
-def state_matrices(nominal: NominalPlant) -> tuple[np.ndarray, np.ndarray]:
+def state_matrices(nominal: NominalPlant) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A (3, 3) and B (3,) of (6), with the control current in A as the input instead of u (so K_a = 1)."""
     actuator = nominal.actuator
     a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, actuator.position_stiffness / nominal.mass, 0.0]])
     return a, np.array([0.0, 0.0, actuator.current_stiffness / nominal.mass])
 
 
-def feedback_gains(design: SlidingDesign, nominal: NominalPlant) -> np.ndarray:
+def feedback_gains(design: SlidingDesign, nominal: NominalPlant) -> NDArray[np.float64]:
     """K (3,) with i_c = −K x: (9) without its switching term and with r = 0, i.e. (SB)⁻¹ (SA + φS)."""
     a, b = state_matrices(nominal)
     s = np.array([design.omega_n**2, 2.0 * design.zeta * design.omega_n, 1.0])
     return np.asarray((s @ a + design.phi * s) / (s @ b))
 
 
-def closed_loop_poles(design: SlidingDesign, nominal: NominalPlant) -> np.ndarray:
+def closed_loop_poles(design: SlidingDesign, nominal: NominalPlant) -> NDArray[np.inexact[Any]]:
     """Poles (3,) in rad/s of the nominal plant under (9) without its switching term: the eigenvalues of A − B K."""
     a, b = state_matrices(nominal)
     return np.linalg.eigvals(a - np.outer(b, feedback_gains(design, nominal)))

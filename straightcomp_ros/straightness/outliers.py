@@ -71,8 +71,8 @@ def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
 
 def _longest(flagged: NDArray[np.bool_]) -> NDArray[np.int64]:
     """How many neighbours at most are true, in each row."""
-    longest = np.zeros(len(flagged), np.int64)
-    current = longest.copy()
+    longest: NDArray[np.int64] = np.zeros(len(flagged), np.int64)
+    current = longest
     for column in flagged.T:
         current = np.where(column, current + 1, 0)
         longest = np.maximum(longest, current)

@@ -105,7 +105,7 @@ def sampled(straightness: StraightnessMap, spacing: float) -> tuple[ErrorTable, 
     """
     first, last = straightness.span
     pieces = max(1, math.ceil((last - first) / spacing - 1e-9))
-    x = np.linspace(first, last, pieces + 1)
+    x = np.asarray(np.linspace(first, last, pieces + 1), np.float64)
     table = ErrorTable(x, -straightness.evaluate(x)[0])
     fine = np.linspace(first, last, 16 * pieces + 1)
     return table, float(np.abs(np.interp(fine, x, table.forward) + straightness.evaluate(fine)[0]).max())
