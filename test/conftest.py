@@ -1,6 +1,7 @@
 """For all tests."""
 
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -8,6 +9,8 @@ from hypothesis import settings
 from straightcomp_ros.launcher import Graph
 
 pytest_plugins = ["repeats", "pytester"]
+
+LIVE = Path(__file__).parent / "nodes"
 
 # A machine that others use too stands still for half a second now and then: an example is not wrong for being late.
 settings.register_profile("shared machine", deadline=None)
@@ -27,6 +30,14 @@ def pytest_runtest_call(item):
     yield
     for one in reversed(paused):
         one.start()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items):
+    """`make test` looks for live tests there only: to import all the others takes a quarter of a minute."""
+    elsewhere = [item.nodeid for item in items if item.get_closest_marker("live") and LIVE not in item.path.parents]
+    if elsewhere:
+        raise pytest.UsageError(f"tests with the mark 'live' belong into test/nodes: {', '.join(elsewhere)}")
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,7 @@ import re
 import runpy
 import sys
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -30,6 +31,7 @@ ONLY_ON_ROS = {"ros2launch"}
 """`ros2 launch` itself: nothing imports it."""
 
 
+@cache
 def foreign_imports(*folders: str) -> set[str]:
     """Top names that the Python files below import, apart from the standard library and files of ours."""
     found: set[str] = set()
@@ -47,8 +49,12 @@ def of_pypi(names: Iterable[str]) -> set[str]:
     return {name for name in names if not belongs_to_ros(name)}
 
 
-BY_THE_PACKAGE = foreign_imports(PACKAGE, "launch")
-BY_TESTS = foreign_imports("test", "benchmarks")
+def by_the_package() -> set[str]:
+    return foreign_imports(PACKAGE, "launch")
+
+
+def by_tests() -> set[str]:
+    return foreign_imports("test", "benchmarks")
 
 
 @pytest.fixture(scope="module")
@@ -84,13 +90,13 @@ def pip_line() -> set[str]:
 
 
 def test_everything_that_is_imported_is_listed() -> None:
-    assert of_pypi(BY_THE_PACKAGE | BY_TESTS) <= set(LISTED)
-    assert set(LISTED) <= BY_THE_PACKAGE | BY_TESTS | {"psutil"}, "psutil: in the text of a test's process"
+    assert of_pypi(by_the_package() | by_tests()) <= set(LISTED)
+    assert set(LISTED) <= by_the_package() | by_tests() | {"psutil"}, "psutil: in the text of a test's process"
 
 
 def test_setup_requires_what_the_package_imports_and_nothing_else(setup_arguments: dict[str, Any]) -> None:
     optional = {name for name in LISTED if "extra" in LISTED[name]}
-    assert {pip_name(name) for name in of_pypi(BY_THE_PACKAGE) - optional} == names_of(
+    assert {pip_name(name) for name in of_pypi(by_the_package()) - optional} == names_of(
         setup_arguments["install_requires"]
     )
     for name in optional:
@@ -99,23 +105,23 @@ def test_setup_requires_what_the_package_imports_and_nothing_else(setup_argument
 
 def test_the_extra_for_tests_brings_what_tests_import(setup_arguments: dict[str, Any]) -> None:
     brought = names_of([*setup_arguments["install_requires"], *setup_arguments["extras_require"]["test"]])
-    assert {pip_name(name) for name in of_pypi(BY_TESTS)} <= brought
+    assert {pip_name(name) for name in of_pypi(by_tests())} <= brought
 
 
 def test_the_extra_for_ros_brings_what_is_imported_from_it(setup_arguments: dict[str, Any]) -> None:
     extra = {name.split("[")[0] for name in names_of(setup_arguments["extras_require"]["ros"])}
-    from_ros = {name for name in BY_THE_PACKAGE if belongs_to_ros(name)}
+    from_ros = {name for name in by_the_package() if belongs_to_ros(name)}
     assert {name.removeprefix("ros-jazzy-").replace("-", "_") for name in extra} == from_ros - NO_WHEELS - WITH_RCLPY
 
 
 def test_the_manifest_names_what_is_imported_from_ros() -> None:
-    assert {name for name in BY_THE_PACKAGE if belongs_to_ros(name)} <= depends("exec")
-    assert {name for name in BY_TESTS if belongs_to_ros(name)} <= depends("exec", "test")
+    assert {name for name in by_the_package() if belongs_to_ros(name)} <= depends("exec")
+    assert {name for name in by_tests() if belongs_to_ros(name)} <= depends("exec", "test")
 
 
 def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line() -> None:
     by_key = {name for name in LISTED if "rosdep" in LISTED[name]}
-    package, tests = of_pypi(BY_THE_PACKAGE), of_pypi(BY_TESTS)
+    package, tests = of_pypi(by_the_package()), of_pypi(by_tests())
     assert {LISTED[name]["rosdep"] for name in package & by_key} <= depends("exec")
     assert {LISTED[name]["rosdep"] for name in tests & by_key} <= depends("exec", "test")
     assert {pip_name(name) for name in package - by_key} <= pip_line()
@@ -123,7 +129,7 @@ def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line() -
 
 def test_every_key_of_the_manifest_is_one_that_is_known_to_exist_and_is_imported() -> None:
     known = {entry["rosdep"] for entry in LISTED.values() if "rosdep" in entry}
-    imports_of_ros = {name for name in BY_THE_PACKAGE | BY_TESTS if belongs_to_ros(name)}
+    imports_of_ros = {name for name in by_the_package() | by_tests() if belongs_to_ros(name)}
     assert depends("exec", "test") <= known | imports_of_ros | ONLY_ON_ROS
 
 
