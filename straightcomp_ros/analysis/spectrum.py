@@ -49,17 +49,11 @@ def error_spectrum(time: NDArray[np.float64], error: NDArray[np.float64]) -> Spe
 
     Source: P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70–73.
     """
+    from scipy.signal import welch
+
     if len(time) < 16:
         return Spectrum(np.empty(0), np.empty(0))
     period = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1] + 0.5 * period, period)
     values = np.interp(grid, time, error)
-    length = min(round(SEGMENT / period), len(grid))
-    pieces = np.lib.stride_tricks.sliding_window_view(values, length)[:: max(length // 2, 1)]
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
-    transforms = np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window, axis=1)
-    density = 2.0 * period / (window @ window) * np.mean(np.abs(transforms) ** 2, axis=0)
-    density[0] *= 0.5
-    if length % 2 == 0:
-        density[-1] *= 0.5
-    return Spectrum(np.asarray(np.fft.rfftfreq(length, period), dtype=np.float64), density)
+    return Spectrum(*welch(values, 1.0 / period, nperseg=min(round(SEGMENT / period), len(grid))))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,13 +87,7 @@ def recognise(series: Series, step: float, limit: float) -> Recognised:
 
 def _by_direction(strokes: Sequence[Stroke]) -> list[list[Stroke]]:
     """Moves that follow each other one way belong to one run."""
-    groups: list[list[Stroke]] = []
-    for stroke in strokes:
-        if groups and groups[-1][-1].direction == stroke.direction:
-            groups[-1].append(stroke)
-        else:
-            groups.append([stroke])
-    return groups
+    return [list(moves) for _, moves in groupby(strokes, key=lambda stroke: stroke.direction)]
 
 
 def _passage(series: Series, moves: Sequence[Stroke], rest_end: int, name: str, step: float, limit: float) -> Passage:

@@ -18,8 +18,8 @@ TIME_COLUMN = "time_s"
 """A CSV file with this column is a recording over time; one without lists the points of runs."""
 STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
 """Where our own graph says x."""
-_LONGEST_GAP = 0.1
-"""Time in s between two samples of the stage across which its x is not interpolated."""
+_LONGEST_GAP_NS = 100_000_000
+"""Time between two samples of the stage; across a longer one its x is not interpolated."""
 
 
 @dataclass(frozen=True)
@@ -138,13 +138,9 @@ def _rising(values: FieldValues) -> FieldValues:
 
 
 def _at(known: FieldValues, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Values at other times, and where they are known: between two samples that are not far apart."""
-    origin = known.stamp[0]
-    seconds = (known.stamp - origin) * 1e-9
-    wanted = (stamps - origin) * 1e-9
-    after = np.clip(np.searchsorted(known.stamp, stamps), 1, max(len(seconds) - 1, 1))
-    if len(seconds) < 2:
-        return np.full(len(stamps), np.nan), np.zeros(len(stamps), np.bool_)
-    near = seconds[after] - seconds[after - 1] <= _LONGEST_GAP
-    inside = (wanted >= 0.0) & (wanted <= seconds[-1])
-    return np.interp(wanted, seconds, known.values), inside & near
+    """Values at other times, and where they are known: at a sample, or between two that are not far apart."""
+    first, last = known.stamp[0], known.stamp[-1]
+    place = np.searchsorted(known.stamp[:-1], stamps)
+    near = np.diff(known.stamp, prepend=first)[place] <= _LONGEST_GAP_NS
+    usable = (known.stamp[place] == stamps) | (near & (stamps > first) & (stamps < last))
+    return np.interp((stamps - first) * 1e-9, (known.stamp - first) * 1e-9, known.values), usable

@@ -49,7 +49,7 @@ class CpuWait:
             for thread in os.listdir(self._threads):
                 if thread not in self._files:
                     with contextlib.suppress(OSError):
-                        self._files[thread] = (self._threads / thread / "schedstat").open("rb", buffering=0)
+                        self._files[thread] = (self._threads / thread / "schedstat").open("rb")
                         self._waited.pop(thread, None)
         self.look()
         longest_ns, self._longest_ns = self._longest_ns, 0

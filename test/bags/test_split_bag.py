@@ -19,6 +19,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.folder import mcap_files
 from straightcomp_ros.bags.mcap_output import McapOutput
+from straightcomp_ros.bags.messages import read_messages
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
 from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
@@ -70,6 +71,7 @@ def test_other_readers_and_ours_see_all_messages_in_their_order(split):
     assert all(len(stream) == COUNT for stream in streams.values())
     assert (np.diff(streams["encoder"].stamp) == 500_000).all()
     assert len(read_field(split.directory, Field("encoder", "position[stage_x]")).stamp) == COUNT
+    assert len(read_messages(split.directory, "encoder").data) == COUNT
     assert read_metadata(split.directory)["survey"]["points"] == "177"
     assert read_attachments(split.directory)["parameters.yaml"] == b"rate: 2000\n"
 

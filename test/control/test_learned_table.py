@@ -188,6 +188,16 @@ def test_a_pass_is_judged_only_where_both_it_and_the_best_one_went():
     assert found.updates == 2 and inside(found) == pytest.approx([0.6e-6] * 4)
 
 
+def test_a_short_pass_is_judged_by_what_it_went_over():
+    found = table()
+    one_pass(found, 1e-6, wanted=0.4e-6)
+    half = np.linspace(0.0, 0.02, 201)
+    one_pass(found, 2e-6, wanted=0.9e-6, x=half)
+    assert inside(found, (0.005, 0.01)) == [0.0, 0.0] and found.caution == 0.5 and found.updates == 1
+    one_pass(found, 0.5e-6, wanted=0.3e-6, x=half)
+    assert inside(found, (0.005, 0.01)) == pytest.approx([0.3e-6] * 2) and found.updates == 2
+
+
 def test_a_restored_table_is_the_best_and_has_been_learned_long_ago():
     found = restored(np.full(12, 1e-6))
     assert np.array_equal(found.best, found.coefficients) and not found.tried

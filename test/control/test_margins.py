@@ -3,7 +3,7 @@ import pytest
 
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, closed_loop_poles
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
-from straightcomp_ros.control.margins import linearised, loop_margins, sampled_plant
+from straightcomp_ros.control.margins import StateSpace, _closed, _phase_margin, linearised, loop_margins, sampled_plant
 
 NOMINAL = NominalPlant()
 PERIOD = 5e-4
@@ -44,6 +44,31 @@ def test_beyond_its_margins_the_loop_is_unstable(name):
     assert max(abs(loop_margins(law(name), NOMINAL, **in_time).poles)) < 1.0
 
 
+@pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
+def test_a_loop_turned_by_its_phase_margin_is_on_the_border_of_stability(name):
+    margins = loop_margins(law(name), NOMINAL, **LOOP)
+    plant, controller = sampled_plant(NOMINAL, **LOOP), linearised(law(name))
+
+    def largest(degrees):
+        ways = (np.exp(1j * np.radians(sign * degrees)) for sign in (1.0, -1.0))
+        return max(abs(np.linalg.eigvals(_closed(plant, controller, way))).max() for way in ways)
+
+    assert largest(0.97 * margins.phase) < 1.0 < largest(1.03 * margins.phase)
+
+
+@pytest.mark.parametrize("delayed", [False, True])
+def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
+    """L = k/(z − 1), or k/(z (z − 1)): |L| = 1 where 2 sin(ωT/2) = k."""
+    k, one = 0.3, np.eye(1)
+    integrator = StateSpace(one, np.array([k]), np.array([1.0]), 0.0)
+    if delayed:
+        integrator = StateSpace(np.array([[1.0, k], [0.0, 0.0]]), np.array([0.0, 1.0]), np.array([1.0, 0.0]), 0.0)
+    minus_one = StateSpace(np.zeros((1, 1)), np.zeros(1), np.zeros(1), -1.0)
+    half = np.degrees(np.arcsin(k / 2.0))
+    expected = 90.0 - half - (2.0 * half if delayed else 0.0)
+    assert _phase_margin(integrator, minus_one, PERIOD) == pytest.approx(expected, abs=0.2)
+
+
 def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
     thin = law("smc", design=SlidingDesign(boundary_layer=5e-4))
     margins = loop_margins(thin, NOMINAL, **LOOP)
@@ -73,4 +98,4 @@ def test_the_sampled_plant_answers_a_constant_current_after_its_delay_as_the_con
     pole = np.sqrt(NOMINAL.actuator.position_stiffness / NOMINAL.mass)
     static = NOMINAL.actuator.current_stiffness / NOMINAL.actuator.position_stiffness
     acting = cycles * PERIOD - delay - 1.0 / (2 * np.pi * 1e5)
-    assert plant.c @ x == pytest.approx(static * (np.cosh(pole * acting) - 1.0), rel=1e-3)
+    assert plant.c @ x + plant.d == pytest.approx(static * (np.cosh(pole * acting) - 1.0), rel=1e-3)

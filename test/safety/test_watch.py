@@ -49,6 +49,15 @@ def test_lost_samples_are_no_jump():
     )
 
 
+def test_x_at_the_largest_speed_is_no_jump_over_lost_samples_either():
+    # Powers of two: no rounding between the step and its double.
+    found = SampleWatch(WatchParameters(max_speed=1.0), 2**20)
+    step = 2**20 * 1e-9
+    assert found.check(Sample(0, 0.0, 0.0, 0.0), 0.0) is None
+    assert found.check(Sample(2 * 2**20, 2.0 * step, 0.0, 0.0), 0.0) is None
+    assert found.check(Sample(4 * 2**20, 4.001 * step, 0.0, 0.0), 0.0)[0] == "x_jump"
+
+
 def test_y_that_leaves_its_limit_is_found_and_y_that_comes_back_is_not():
     found = watch()
     assert found.check(Sample(0, 0.0, 1.2e-3, 0.0), 0.0) is None

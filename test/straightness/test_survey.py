@@ -160,6 +160,13 @@ def test_an_x_that_turns_back_is_refused_with_its_line(tmp_path: Path) -> None:
     assert "line 14" in message and "turns back: 95 mm after 110 mm (line 13)" in message
 
 
+def test_a_run_that_ends_where_it_began_turns_back_where_it_turns(tmp_path: Path) -> None:
+    there = [10.0 * number for number in range(15)]
+    for way in (there + there[-2::-1], [100.0 - x for x in there + there[-2::-1]]):
+        message = _refusal(_write(tmp_path, _rows(way)))
+        assert "line 17" in message and f"turns back: {way[15]:g} mm after {way[14]:g} mm (line 16)" in message
+
+
 def test_an_x_that_repeats_is_refused_with_its_line(tmp_path: Path) -> None:
     message = _refusal(_write(tmp_path, _rows([*POSITIONS_MM[:12], 110, *POSITIONS_MM[12:]])))
     assert "line 14" in message and "repeats: 110 mm" in message

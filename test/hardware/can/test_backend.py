@@ -11,8 +11,9 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Command, Switch
-from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, Frame
+from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, REMOTE, Frame
 from straightcomp_ros.hardware.can.parameters import CanParameters
+from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
@@ -394,3 +395,54 @@ def test_the_amplifier_counts_as_on_only_when_the_board_has_said_so(world):
     assert world.host.state is State.ON
     world.host.disable()
     assert world.host.state is State.OFF
+
+
+def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason(world):
+    trajectory = Trajectory(forward_and_back(MotionParameters(stroke=0.02)))
+    world.host._link.send = lambda identifier, payload, *, fd: False
+    with pytest.raises(HardwareError, match="not sent: transmit queue full"):
+        world.host.move(trajectory, world.now)
+    world.host._link.problem = "CAN can0: no such device"
+    with pytest.raises(HardwareError, match="not sent: CAN can0: no such device"):
+        world.host.move(trajectory, world.now)
+    real = CanHardware(CanParameters(simulated_stage=False), lambda: world.now, world._link)
+    with pytest.raises(HardwareError, match=r"takes no orders over CAN; 'can\.simulated_stage' is for"):
+        real.move(trajectory, world.now)
+
+
+def test_counters_tell_of_the_bus_and_of_its_log(world):
+    world.on()
+    counters = world.host.counters()
+    assert counters["can_received"] == len(world.samples) + BLOCK - 1
+    assert counters["can_openings"] == 1 and not {"can_link", "can_logged", "can_log"} & set(counters)
+    world.host._link.problem = "gone"
+    world.host._link.log = SimpleNamespace(written=7, dropped=2, problem="disk full")
+    counters = world.host.counters()
+    assert counters["can_link"] == "gone"
+    assert (counters["can_logged"], counters["can_log_dropped"], counters["can_log"]) == (7, 2, "disk full")
+    world.host._link.log.problem = ""
+    assert "can_log" not in world.host.counters()
+
+
+def test_a_request_for_a_frame_is_no_frame(world):
+    world.run(0.2)
+    before = world.host.counters()
+    world._receive(Frame(world.now, world.codec.encoder_id, REMOTE, b""), world.now)
+    assert world.host.counters() == before
+
+
+def test_the_time_of_the_newest_sample_is_that_of_its_arrival(world):
+    world.run(0.2)
+    assert world.host.newest_arrival_ns == world.now + 100_000
+
+
+def test_samples_that_are_lost_are_counted_wherever_they_went(world):
+    world.run(0.2)
+    world.to_host = False
+    world.run(0.002)
+    world.to_host = True
+    world.run(0.02)
+    assert world.host.lost_samples == 4
+    world.host._receiver.overflowed = 10
+    world.host._receiver.sequence.unplaced = 100
+    assert world.host.lost_samples == 114

@@ -35,6 +35,13 @@ DBC = cantools.database.load_file(share_path("config/straightcomp.dbc"))
 CLASSIC, FD = Codec(1, fd=False), Codec(1, fd=True)
 
 
+@pytest.mark.parametrize(("codec", "ending"), [(CLASSIC, ""), (FD, "Fd")])
+def test_frames_have_the_identifiers_of_the_dbc(codec, ending):
+    identifiers = {message.name: message.frame_id for message in DBC.messages}
+    assert codec.encoder_id == identifiers[f"Encoder{ending}"]
+    assert codec.command_id == identifiers[f"Command{ending}"]
+
+
 def counts(limit):
     return st.one_of(st.sampled_from([-limit, -1, 0, 1, limit]), st.integers(-limit, limit))
 
@@ -112,6 +119,19 @@ def test_a_command_frame_is_what_the_dbc_says(alive, enable, reset, current, cou
         "EchoedCounter": echo,
     }
     assert codec.unpack_command(payload) == Command(alive, enable, reset, current, echo)
+
+
+@given(switch, switch, counts(CURRENT_LIMIT), counter, st.sampled_from([CLASSIC, FD]))
+def test_a_command_whose_alive_counter_is_none_is_refused(enable, reset, current, counter, codec):
+    with pytest.raises(FrameError, match="alive"):
+        codec.unpack_command(codec.pack_command(Command(ALIVE_MODULUS, enable, reset, current, counter)))
+
+
+@given(counts(CURRENT_LIMIT), counter)
+def test_a_coil_current_whose_counters_are_none_is_refused(current, counter):
+    for frame in (Current(ALIVE_MODULUS, current, counter), Current(0, current, COUNTER_MODULUS)):
+        with pytest.raises(FrameError, match="alive"):
+            CLASSIC.unpack_current(CLASSIC.pack_current(frame))
 
 
 @given(counter, st.lists(st.floats(allow_nan=False), min_size=6, max_size=6))

@@ -1,0 +1,110 @@
+"""One number of every message of a topic, by name, whatever its type and whichever file it lies in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.fields import Field, read_field
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.contract import DISPLACEMENT, ENCODER
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+T = STORE.types
+START_NS = 1_700_000_123_000_000_456
+COUNT = 5
+
+
+def header(ns):
+    return T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9), "probe")
+
+
+def written(path, type_name, make):
+    """A bag with COUNT messages on /probe, made half a second before they were sent, a millisecond apart."""
+    with BagWriter(path) as bag:
+        bag.add_topic("/probe", type_name)
+        for number in range(COUNT):
+            stamp = START_NS + 1_000_000 * number
+            data = bytes(STORE.serialize_cdr(make(number, header(stamp)), type_name))
+            bag.write("/probe", data, stamp + 600_000_000, stamp + 500_000_000)
+    return path
+
+
+def stamps(late_ns=0):
+    return [START_NS + 1_000_000 * number + late_ns for number in range(COUNT)]
+
+
+def point(number, head):
+    return T["geometry_msgs/msg/PointStamped"](head, T["geometry_msgs/msg/Point"](1.0, 2.0 * number, 3.0))
+
+
+def joints(number, head):
+    names = ["a", "stage_x", "b"]
+    return T["sensor_msgs/msg/JointState"](head, names, np.arange(3.0) + number, np.empty(0), np.array([7.0]))
+
+
+def test_a_message_with_a_header_has_its_stamp_to_the_nanosecond(tmp_path):
+    bag = written(tmp_path / "bag", "geometry_msgs/msg/PointStamped", point)
+    found = read_field(bag, Field("probe", "point.y"))
+    assert found.stamped and found.stamp.tolist() == stamps()
+    assert found.values.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
+
+
+def test_a_message_without_a_header_has_the_time_of_sending(tmp_path):
+    bag = written(tmp_path / "bag", "std_msgs/msg/Float64", lambda number, _: T["std_msgs/msg/Float64"](0.5 * number))
+    found = read_field(bag, Field("/probe", "data"))
+    assert not found.stamped and found.stamp.tolist() == stamps(500_000_000)
+    assert found.values.tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+
+
+@pytest.mark.parametrize(("path", "first"), [("position[stage_x]", 1.0), ("position[2]", 2.0), ("effort[0]", 7.0)])
+def test_an_element_is_taken_by_its_number_or_by_the_name_of_its_joint(tmp_path, path, first):
+    bag = written(tmp_path / "bag", "sensor_msgs/msg/JointState", joints)
+    assert read_field(bag, Field("probe", path)).values[0] == first
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [
+        ("position[c]", r"no element 'c' for 'position\[c\]'; its names are a, stage_x, b"),
+        ("position[3]", "no element '3'"),
+        ("effort[1]", "no element '1'"),
+        ("effort[stage_x]", "no element 'stage_x'"),
+        ("header[0]", "no element '0'"),
+        ("speed", "no field 'speed' in 'speed'; it has header, name, position, velocity, effort"),
+        ("header.stamp.minutes", "no field 'minutes' in 'header.stamp.minutes'; it has sec, nanosec"),
+        ("header.frame_id", "'header.frame_id' is no number but str"),
+        ("position", "'position' is no number but ndarray"),
+    ],
+)
+def test_a_field_that_is_not_there_is_named_with_what_there_is(tmp_path, path, words):
+    bag = written(tmp_path / "bag", "sensor_msgs/msg/JointState", joints)
+    with pytest.raises(BagError, match=f"topic '/probe', message 0.*{words}"):
+        read_field(bag, Field("probe", path))
+
+
+@pytest.mark.parametrize(("stream", "path"), [(ENCODER, "position[stage_x]"), (DISPLACEMENT, "position[displacement]")])
+def test_our_own_streams_are_read_as_columns(tmp_path, stream, path):
+    layout = stream.layout
+    place = [f"{array}[{joint}]" for array, joint in layout.places].index(path)
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic(f"/{stream.topic}", layout.type_name)
+        for number, stamp in enumerate(stamps()):
+            values = [float(10 * column + number) for column in range(len(layout.columns))]
+            bag.write(f"/{stream.topic}", layout.pack(stamp, *values), stamp, stamp)
+    found = read_field(tmp_path / "bag", Field(stream.topic, path))
+    assert found.stamped and found.stamp.tolist() == stamps()
+    assert found.values.tolist() == [10.0 * place + number for number in range(COUNT)]
+
+
+@pytest.mark.parametrize("text", ["", ":point.y", "probe:point y", "probe:position[", "probe:1x", "probe:a..b"])
+def test_what_is_no_field_is_refused_with_an_example(text):
+    with pytest.raises(ValueError, match=r"allowed: TOPIC or TOPIC:FIELD, FIELD such as point\.y"):
+        Field.parsed(text, "data")
+
+
+def test_a_field_is_read_as_it_is_written():
+    assert Field.parsed("/probe", "data") == Field("/probe", "data")
+    assert str(Field.parsed("probe:point.y", "data")) == "probe:point.y"

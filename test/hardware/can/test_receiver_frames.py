@@ -1,0 +1,192 @@
+"""What the receiver makes of single frames: what it refuses and why, and what it tells of those that it takes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.hardware.can.frames import (
+    ALIVE_MODULUS,
+    CURRENT_COUNT,
+    OPERATIONAL,
+    POSITION_COUNT,
+    Amplifier,
+    BoardFault,
+    Encoder,
+    status_bits,
+)
+from straightcomp_ros.hardware.can.parameters import CanParameters
+from straightcomp_ros.hardware.can.receiver import Receiver
+from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.can.truth_frame import truth_payload
+from straightcomp_ros.hardware.interface import Truth
+
+PERIOD = 500_000
+START = 10**18
+ON = status_bits(Amplifier.ON, BoardFault.NONE, True)
+# A step of x by 1000 counts a sample, and of y by 100.
+SPEEDS = {"x_speed": 0.2, "y_speed": 0.02}
+
+
+class Board:
+    """A receiver on CAN FD, and samples for it that stand still and come in time if nothing else is said."""
+
+    def __init__(self, **parameters):
+        self.receiver = Receiver(CanParameters(fd=True, sample_memory=10_000, **SPEEDS, **parameters))
+        self.number = 0
+
+    def sample(self, x=0, y=0, status=ON, current=0, late_ns=0, lost=0):
+        """The next sample after ``lost`` ones; returns what was delivered of it, or None."""
+        self.number += lost
+        frame = Encoder(self.number % ALIVE_MODULUS, status, x, y, current, self.number)
+        delivered = len(self.receiver.samples)
+        self.hear(self.receiver.codec.encoder_id, self.receiver.codec.pack_encoder(frame), late_ns)
+        self.number += 1
+        return self.receiver.samples[-1] if len(self.receiver.samples) > delivered else None
+
+    def hear(self, identifier, payload, late_ns=0):
+        self.receiver.receive(identifier, payload, START + self.number * PERIOD + late_ns)
+
+    def settled(self):
+        for _ in range(BLOCK):
+            self.sample()
+        assert self.receiver.clock.settled and not self.receiver.strikes
+        return self
+
+    def refused(self):
+        return {reason: count for reason, count in self.receiver.counts.items() if count}
+
+
+@pytest.fixture
+def board():
+    return Board().settled()
+
+
+@pytest.mark.parametrize("lost", [0, 1, 4])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("name", "step"), [("x", 1000), ("y", 100)])
+def test_a_step_is_as_wide_as_the_speed_allows_and_two_counts(board, name, step, sign, lost):
+    largest = 2 + step * (lost + 1)
+    index, sample, _ = board.sample(lost=lost, **{name: sign * largest})
+    assert index == BLOCK + lost and getattr(sample, name) == pytest.approx(sign * largest * POSITION_COUNT)
+    assert board.sample(lost=lost, **{name: sign * (2 * largest + 1)}) is None
+    assert board.refused() == {"implausible": 1}
+
+
+def test_a_sample_is_in_metres_and_ampere_at_the_time_of_its_number(board):
+    index, sample, truth = board.sample(x=900, y=-90, current=-1234)
+    assert (index, truth) == (BLOCK, None)
+    assert sample == (
+        START + BLOCK * PERIOD,
+        pytest.approx(900 * POSITION_COUNT),
+        pytest.approx(-90 * POSITION_COUNT),
+        pytest.approx(-1234 * CURRENT_COUNT),
+    )
+    assert board.receiver.newest_ns == START + BLOCK * PERIOD
+
+
+def test_a_frame_of_no_state_strikes_and_a_state_with_a_fault_is_told(board):
+    assert board.sample(status=1 << 5) is None
+    assert board.refused() == {"state": 1} and board.receiver.strikes == 4
+    board.sample(status=status_bits(Amplifier.FAULT, BoardFault.SUPPLY, True))
+    assert board.receiver.amplifier is Amplifier.FAULT and board.receiver.board_fault is BoardFault.SUPPLY
+    assert math.isnan(board.receiver.samples[-1][1].current)
+
+
+def test_readings_that_the_board_says_are_bad_are_counted_and_not_delivered(board):
+    received = board.receiver.received
+    assert board.sample(status=status_bits(Amplifier.ON, BoardFault.NONE, False)) is None
+    assert board.refused() == {"encoders": 1} and board.receiver.received == received + 1
+    # It was a good frame all the same: its number counts.
+    assert board.sample()[0] == BLOCK + 1 and board.receiver.sequence.lost == 0
+
+
+def test_a_bad_frame_adds_four_strikes_a_good_one_takes_one_off_and_the_limit_begins_anew():
+    board = Board(strike_limit=11).settled()
+    bad = board.receiver.codec.encoder_id, bytes(16)
+    board.hear(*bad)
+    board.hear(*bad)
+    assert board.receiver.strikes == 8 and board.refused() == {"crc": 2}
+    board.sample()
+    board.sample()
+    assert (board.receiver.strikes, board.receiver.strike_outs) == (6, 0)
+    board.hear(*bad)
+    assert (board.receiver.strikes, board.receiver.strike_outs) == (10, 0)
+    board.hear(*bad)
+    assert (board.receiver.strikes, board.receiver.strike_outs) == (0, 1)
+    assert board.receiver.amplifier is None and not board.receiver.clock.settled
+    for _ in range(20):
+        board.sample()
+    assert board.receiver.strikes == 0
+
+
+def test_a_sample_that_is_older_than_the_timeout_when_it_comes_is_stale_and_delivered():
+    board = Board(sample_timeout=0.004).settled()
+    assert board.sample(late_ns=4_000_000) and board.receiver.stale == 0
+    assert board.sample(late_ns=4_001_000) and board.receiver.stale == 1
+
+
+def test_a_frame_of_another_board_is_foreign_and_no_strike(board):
+    board.hear(0x7E5, b"\1\2")
+    assert board.refused() == {"foreign": 1} and board.receiver.strikes == 0
+
+
+def test_errors_that_the_interface_reports_are_counted_by_their_classes(board):
+    for classes, details in (
+        (0x40, bytes(8)),
+        (0x04, bytes([0, 0x10])),
+        (0x04, bytes([0, 0x20])),
+        (0x04, bytes([0, 0x04])),
+        (0x04, b"\x30"),
+        (0x02, bytes([0, 0x30])),
+    ):
+        board.receiver.receive_error_frame(classes, details)
+    assert board.refused() == {"error_frames": 6, "bus_off": 1, "error_passive": 2}
+    assert board.receiver.strikes == 0
+
+
+def test_a_heartbeat_tells_the_boards_state_and_its_time(board):
+    heartbeat = board.receiver.codec.ids.heartbeat
+    # The highest bit is CiA 301's toggle bit of node guarding.
+    for payload in (bytes([OPERATIONAL]), bytes([OPERATIONAL | 0x80])):
+        board.hear(heartbeat, payload, late_ns=7)
+        assert board.receiver.node_state == OPERATIONAL
+        assert board.receiver.heartbeat_ns == START + board.number * PERIOD + 7
+    assert board.receiver.boot_ups == 0 and board.receiver.amplifier is Amplifier.ON
+    board.hear(heartbeat, b"\5\5")
+    assert board.refused() == {"length": 1} and board.receiver.strikes == 4
+
+
+def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
+    truth = Truth(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    plain, told = Board().settled(), Board(simulated_stage=True).settled()
+    assert plain.receiver.codec.ids.truth not in plain.receiver.identifiers
+    identifier = told.receiver.codec.ids.truth
+    told.hear(identifier, truth_payload(told.number, truth))
+    assert told.sample()[2] == truth
+    told.hear(identifier, truth_payload(told.number + 1, truth))
+    assert told.sample()[2] is None
+    assert told.sample()[2] == truth
+    payload = truth_payload(told.number, truth)
+    for damaged in (payload[:-1], bytes([payload[0] ^ 1]) + payload[1:]):
+        told.hear(identifier, damaged)
+    assert told.sample()[2] is None
+    # Nobody acts on it: it is counted, and no strike.
+    assert told.refused() == {"truth": 2} and told.receiver.strikes == 0
+
+
+def test_a_classic_bus_has_the_coil_current_in_a_frame_of_its_own_and_no_truth():
+    receiver = Receiver(CanParameters(fd=False, simulated_stage=True))
+    ids = receiver.codec.ids
+    assert set(receiver.identifiers) == {ids.encoder, ids.current, ids.heartbeat}
+    fd = Receiver(CanParameters(fd=True, simulated_stage=True))
+    assert set(fd.identifiers) == {ids.encoder_fd, ids.truth, ids.heartbeat}
+
+
+def test_stamps_never_run_backwards_when_the_clock_is_set_anew(board):
+    newest = board.sample()[1].stamp_ns
+    board.receiver.restart()
+    # The host's clock seems to have gone back by ten periods: what would come before is not delivered.
+    board.number -= 10
+    stamps = [sample[1].stamp_ns for sample in (board.sample() for _ in range(2 * BLOCK)) if sample]
+    assert stamps and stamps[0] > newest and set(np.diff(stamps)) == {PERIOD}
