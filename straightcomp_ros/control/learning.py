@@ -152,7 +152,7 @@ class Learning:
         if speed < self._fade_speed:
             weight *= (speed / self._fade_speed) ** 2
         r, r_dot, r_ddot = reference
-        if self._samples > _LONGEST and len(self._pass) > 5 * _LONGEST:
+        if len(self._pass) >= 5 * _LONGEST:
             self.interrupt()
             return reference
         self._pass.extend((x, r - y, weight, correction, speed))

@@ -8,6 +8,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
+from straightcomp_ros.control import learning as learning_module
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.control.learning import Learning, LearningParameters
@@ -167,6 +168,19 @@ def test_nothing_is_learned_from_a_pass_that_was_disturbed(disturb):
     rig.cycle(lambda index: disturb(learner) if index == forward_half else None)
     assert learner.tables[True].updates == 0
     assert learner.tables[False].updates == 1
+
+
+def test_nothing_is_learned_from_a_pass_that_never_ends(monkeypatch):
+    """A stage that creeps on for minutes must not fill the memory."""
+    samples = []
+    rig = Rig(learning())
+    rig.cycle(lambda index: samples.append(len(rig.learning._pass) // 5))
+    forward = max(samples[: len(samples) // 2])
+    for longest, learned in ((forward, 1), (forward - 1, 0)):
+        monkeypatch.setattr(learning_module, "_LONGEST", longest)
+        rig = Rig(learning())
+        rig.cycle()
+        assert rig.learning.tables[True].updates == learned
 
 
 def test_what_is_done_at_the_end_of_a_pass_may_be_done_later():

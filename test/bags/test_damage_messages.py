@@ -1,0 +1,149 @@
+"""What is said of a damaged bag: where the damage is, in bytes, and what is wrong there."""
+
+from __future__ import annotations
+
+import re
+import struct
+import warnings
+
+import pytest
+from mcap.opcode import Opcode
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.contract import STREAMS
+
+LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
+MAGIC_SIZE, FRAME_SIZE = 8, 9
+# Within a chunk: two times, size, CRC, the name of the compression.
+SIZE_AT, CRC_AT, NAME_AT = 16, 24, 32
+
+
+class Bag:
+    """The bytes of a bag, to be changed in places."""
+
+    def __init__(self, file):
+        self.file, self.content = file, bytearray(file.read_bytes())
+
+    def record(self, opcode, which=0):
+        """Offset of the ``which``-th record of this kind."""
+        position, found = MAGIC_SIZE, []
+        while position < len(self.content) - MAGIC_SIZE:
+            kind, length = struct.unpack_from("<BQ", self.content, position)
+            found += [position] * (kind == opcode)
+            position += FRAME_SIZE + length
+        return found[which]
+
+    def add(self, offset, number, size=4):
+        value = int.from_bytes(self.content[offset : offset + size], "little") + number
+        self.content[offset : offset + size] = value.to_bytes(size, "little")
+
+    def without_crc_of_the_summary(self):
+        footer = self.record(Opcode.FOOTER)
+        self.content[footer + FRAME_SIZE + 16 : footer + FRAME_SIZE + 20] = bytes(4)
+        return self
+
+    def refusal(self, reader=lambda path: read_streams(path, LAYOUTS)):
+        """Where the damage is said to be, and what it is."""
+        self.file.write_bytes(self.content)
+        with warnings.catch_warnings(), pytest.raises(BagError) as refused:
+            warnings.simplefilter("error")
+            reader(self.file)
+        said = re.fullmatch(r"bag (.*) is damaged at byte (\d+): (.*); copy the bag again.*", str(refused.value))
+        assert said is not None and said[1] == str(self.file), refused.value
+        return int(said[2]), said[3]
+
+
+@pytest.fixture
+def bag(record):
+    return Bag(record(count=40, chunk_size=6000, compression="zstd").file)
+
+
+def test_a_chunk_whose_checksum_is_wrong(bag):
+    chunk = bag.record(Opcode.CHUNK, 1)
+    bag.add(chunk + FRAME_SIZE + CRC_AT, 1)
+    assert bag.refusal() == (chunk, "the checksum of a chunk is wrong")
+
+
+def test_a_chunk_without_a_checksum_is_read_as_it_is(bag):
+    chunk = bag.record(Opcode.CHUNK, 1)
+    bag.content[chunk + FRAME_SIZE + CRC_AT : chunk + FRAME_SIZE + CRC_AT + 4] = bytes(4)
+    bag.file.write_bytes(bag.content)
+    assert len(read_streams(bag.file, LAYOUTS)["encoder"]) == 40
+
+
+@pytest.mark.parametrize("compression", ["lz4", "none"])
+def test_a_chunk_of_another_length_than_it_says(record, compression):
+    bag = Bag(record(count=40, chunk_size=6000, compression=compression).file)
+    chunk = bag.record(Opcode.CHUNK, 2)
+    (size,) = struct.unpack_from("<Q", bag.content, chunk + FRAME_SIZE + SIZE_AT)
+    bag.add(chunk + FRAME_SIZE + SIZE_AT, 1)
+    assert bag.refusal() == (chunk, f"a chunk has {size} bytes, not {size + 1}")
+
+
+def test_a_chunk_of_a_compression_that_nobody_knows(bag):
+    chunk = bag.record(Opcode.CHUNK)
+    name = chunk + FRAME_SIZE + NAME_AT
+    assert bag.content[name : name + 4] == b"zstd"
+    bag.content[name : name + 4] = b"zstf"
+    place, words = bag.refusal()
+    assert place == chunk
+    assert words == "a chunk cannot be unpacked (compression is 'zstf': allowed are zstd, lz4 and none)"
+
+
+def test_a_record_that_is_longer_than_the_file(bag):
+    chunk = bag.record(Opcode.CHUNK, 2)
+    bag.add(chunk + 1, len(bag.content), 8)
+    assert bag.refusal() == (chunk, "no record starts here, or it is longer than the file")
+
+
+@pytest.mark.parametrize("opcode", [0x00, 0x10, 0x7F])
+def test_what_is_no_record(bag, opcode):
+    chunk = bag.record(Opcode.CHUNK, 2)
+    bag.content[chunk] = opcode
+    assert bag.refusal() == (chunk, "no record starts here, or it is longer than the file")
+
+
+def test_an_applications_own_records_are_passed_over(bag):
+    start = bag.record(Opcode.CHUNK, 1)
+    bag.content[start:start] = struct.pack("<BQ", 0x80, 3) + b"own"
+    # The places in the summary are behind it now, and nobody needs them.
+    footer = bag.without_crc_of_the_summary().record(Opcode.FOOTER)
+    bag.add(footer + FRAME_SIZE, FRAME_SIZE + 3, 8)
+    bag.file.write_bytes(bag.content)
+    assert len(read_streams(bag.file, LAYOUTS)["encoder"]) == 40
+
+
+def test_a_file_with_more_or_fewer_messages_than_its_statistics_say(bag):
+    count = 40 * len(STREAMS)
+    bag.add(bag.without_crc_of_the_summary().record(Opcode.STATISTICS) + FRAME_SIZE, 5, 8)
+    assert bag.refusal() == (0, f"it holds {count} messages, and its statistics say {count + 5}")
+
+
+def test_an_attachment_whose_checksum_is_wrong(bag):
+    attachment = bag.record(Opcode.ATTACHMENT)
+    (length,) = struct.unpack_from("<Q", bag.content, attachment + 1)
+    bag.content[attachment + FRAME_SIZE + length - 6] ^= 1
+    assert bag.refusal(read_attachments) == (attachment, "the checksum of an attachment is wrong")
+
+
+def test_a_data_section_whose_checksum_is_wrong(bag):
+    def check(path):
+        with McapInput(path) as file:
+            file.check_data_section()
+
+    check(bag.file)
+    end = bag.record(Opcode.DATA_END)
+    bag.content[end + FRAME_SIZE : end + FRAME_SIZE + 4] = b"\1\2\3\4"
+    assert bag.refusal(check) == (0, "the checksum of the whole file is wrong")
+
+
+def test_a_file_is_closed_when_it_is_refused(tmp_path):
+    path = tmp_path / "empty.mcap"
+    path.write_bytes(b"")
+    with warnings.catch_warnings(), pytest.raises(BagError, match="is empty: the recording was never started"):
+        warnings.simplefilter("error", ResourceWarning)
+        McapInput(path)
+    with pytest.raises(BagError, match=r"nowhere\.mcap cannot be read: No such file or directory; check the path"):
+        McapInput(tmp_path / "nowhere.mcap")
