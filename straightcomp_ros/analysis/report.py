@@ -167,7 +167,7 @@ def _timing(assessment: Assessment) -> go.Figure | None:
     highest = max(float(values.max()) for _, values, _ in shown)
     # At least 1 µs wide: in a simulated run all samples take the same time.
     width = max((highest - lowest) / _BINS, 1.0)
-    edges = lowest - width / 2 + width * np.arange(int((highest - lowest) / width) + 2)
+    edges = lowest - width / 2 + width * np.arange(math.ceil((highest - lowest) / width) + 2)
     most = 1
     for name, values, colour in shown:
         counts = np.histogram(values, edges)[0]

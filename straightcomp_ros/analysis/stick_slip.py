@@ -36,7 +36,7 @@ def stick_slips(
         ahead = r[stop - 1] - r[start]
         if abs(ahead) < STUCK:
             continue
-        until = min(int(np.searchsorted(time, time[stop - 1] + SLIP_TIME)), len(y) - 1)
+        until = int(np.searchsorted(time, time[stop - 1] + SLIP_TIME))
         way = np.sign(ahead)
         gained = way * ((y[stop - 1 : until + 1] - y[stop - 1]) - (r[stop - 1 : until + 1] - r[stop - 1]))
         if len(gained) and gained.max() >= SLIP * abs(ahead):

@@ -17,8 +17,8 @@ from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
 from straightcomp_ros.analysis.map_building import build
 from straightcomp_ros.analysis.metrics import evaluate, true_error
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
-from straightcomp_ros.analysis.report import _error, _extremes, _number, _spectrum, _straightness, _table
-from straightcomp_ros.analysis.stick_slip import stick_slips
+from straightcomp_ros.analysis.report import _error, _extremes, _number, _spectrum, _straightness, _table, _timing
+from straightcomp_ros.analysis.stick_slip import SLIP, stick_slips
 from straightcomp_ros.analysis.strokes import stroke_figures
 from straightcomp_ros.straightness.run import Run
 from straightcomp_ros.straightness.survey import Survey
@@ -141,6 +141,21 @@ def test_a_stick_is_told_with_the_place_and_time_at_which_it_began_either_way():
         assert stick_slips(time, 0.1 * time, creeping, r) == []
         away = np.where(time > 1.5, r[1000] - 5e-6 * way, y)
         assert [event for event in stick_slips(time, 0.1 * time, away, r) if event.time < 1.1] == []
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_slip_makes_good_a_part_of_the_stick_beyond_the_references_own_motion(way):
+    # The reference runs 0.1 µm a sample; the platform stands over 100 of them and then jumps within one.
+    step, samples = way * 0.1e-6, np.arange(1000)
+    r, time = step * samples, 1e-3 * samples
+    standing = samples[(samples >= 500) & (samples < 600)]
+    ahead = step * (len(standing) - 1)
+    for beyond, events in ((0.5, 1), (-0.5, 0)):
+        jump = SLIP * ahead + step + beyond * step
+        y = np.where(samples < 500, r, np.where(samples < 600, r[500], r[500] + jump))
+        found = [event for event in stick_slips(time, time, y, r) if event.time == pytest.approx(0.5)]
+        assert len(found) == events
+    assert stick_slips(time[:600], time[:600], y[:600], r[:600]) == []
 
 
 def test_a_limit_is_kept_at_both_of_its_ends_and_not_beyond():
@@ -279,6 +294,19 @@ def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record):
     *_, theirs = _error(found, other).data
     assert min(theirs.x) == pytest.approx(record.time[found.motion.window.start], abs=0.05)
     assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
+
+
+def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record):
+    record = make_record(0.2e-6)
+    latency, lateness = np.array([100e-6, 130e-6, 131e-6, 900e-6]), np.array([20e-6] * 5)
+    evaluation = replace(evaluation_of(record), latency=latency, lateness=lateness)
+    bars = _timing(assess(Path("a"), evaluation)).data
+    assert [bar.name for bar in bars] == ["sample to command", "sample to publication"]
+    for bar, values in zip(bars, (latency, lateness), strict=True):
+        assert len(bar.x) == len(bar.y) and sum(bar.y) == len(values)
+        for value in values * 1e6:
+            assert min(abs(x - value) for x, count in zip(bar.x, bar.y, strict=True) if count) <= bar.width / 2 + 1e-9
+    assert _timing(assess(Path("a"), replace(evaluation, latency=latency[:0], lateness=lateness[:0]))) is None
 
 
 def test_what_is_no_number_is_a_dash_in_the_report():

@@ -54,6 +54,17 @@ def test_a_bag_is_split_by_duration_and_metadata_lists_its_files_as_rosbag2_does
     assert found["duration"]["nanoseconds"] == max(times) - min(times)
 
 
+def test_a_bag_is_one_file_if_nothing_else_is_asked_for(tmp_path):
+    data = messages(1)[0].data
+    with BagWriter(tmp_path / "run") as bag:
+        add_streams(bag)
+        for day in range(3):
+            for message in range(200):
+                time_ns = 86_400_000_000_000 * day + message
+                bag.write("/encoder", data, time_ns, time_ns)
+    assert [file.name for file in mcap_files(tmp_path / "run")] == ["run_0.mcap"]
+
+
 def test_a_bag_is_split_by_size(record):
     recording = record(COUNT, "large", max_size=60_000, chunk_size=20_000, compression="none")
     sizes = [file.stat().st_size for file in mcap_files(recording.directory)]

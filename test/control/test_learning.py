@@ -152,6 +152,22 @@ def test_a_shorter_stroke_uses_and_improves_the_same_table():
     assert learner.tables[True].at(0.15, 0.05) == elsewhere
 
 
+def test_the_rates_of_the_corrected_reference_are_its_derivatives_on_a_stage_that_accelerates():
+    learner = learning()
+    for table in learner.tables.values():
+        coefficients = 0.5e-6 * np.sin(np.arange(1200) * 0.25e-3 / 0.004)
+        table.restore(-100, coefficients, np.ones(1200), np.ones(1200), np.zeros(1200))
+    corrected = []
+    for index in range(2400):
+        moving = max(0, index - 400) / RATE
+        corrected.append(learner.step(index * PERIOD_NS, 0.5 * 0.2 * moving**2, 0.0, (0.0, 0.0, 0.0)))
+    r, r_dot, r_ddot = np.array(corrected)[1600:].T
+    # Beyond the speed at which it fades, and after the estimates of speed and acceleration have settled.
+    for value, rate in ((r, r_dot), (r_dot, r_ddot)):
+        expected = np.gradient(value, 1.0 / RATE)
+        assert np.abs(rate - expected)[10:-10].max() < 0.05 * np.abs(expected).max()
+
+
 @pytest.mark.parametrize(
     "disturb",
     [

@@ -129,6 +129,7 @@ def test_a_format_with_one_value_gets_the_mean_of_both_directions(tmp_path: Path
         ("etalon", "[EYX]", "[EXX]", ["[EYX]", "EXX, EZX"]),
         ("etalon", "-270.0 -0.000240680764", "-270.0", ["line 7", "position and error"]),
         ("aerotech", "10.5 ", "-10.5", ["SampDistCol", "> 0"]),
+        ("aerotech", "10.5 ", "0.0 ", ["SampDistCol 0;", "> 0"]),
         ("aerotech", ":START2D    3          1           1            2", ":START2D 3 1 1 4", ["axis 2", "1, 4"]),
         ("aerotech", "0 1.5   0 2.5   0 -3", "0 1.5   0 2.5   0 -4", ["row axis"]),
         ("aerotech", "0 -3\n", "\n", ["10 values", "3 × 2"]),

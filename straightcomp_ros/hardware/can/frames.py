@@ -222,8 +222,7 @@ class Codec:
     def pack_current(self, frame: Current) -> bytes:
         """Payload of a coil current frame, 8 bytes."""
         alive, current, counter = frame
-        if not -CURRENT_LIMIT <= current <= CURRENT_LIMIT:
-            _refuse(current=(current, CURRENT_LIMIT))
+        _refuse(current=(current, CURRENT_LIMIT))
         crc = crc_of_8(_CURRENT.pack(0, alive, current, counter), self._current_start)
         return _CURRENT.pack(crc, alive, current, counter)
 

@@ -11,6 +11,7 @@ import can
 import pytest
 
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.hardware.can import frame_replay
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.frame_log import FrameLog
@@ -239,6 +240,19 @@ def test_frames_of_others_are_left_out(tmp_path):
     others = [can.Message(arbitration_id=number, is_extended_id=False) for number in (0x301, 0x382, 0x7)]
     extended = can.Message(arbitration_id=0x381, is_extended_id=True)
     assert list(of_the_board([*others, *board, extended], 1)) == board
+
+
+def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monkeypatch):
+    now, sent = [500.0], []
+    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=lambda seconds: now.__setitem__(0, now[0] + seconds))
+    monkeypatch.setattr(frame_replay, "time", clock)
+    bus = SimpleNamespace(send=lambda message, timeout: sent.append((now[0], message)))
+    frames = [can.Message(timestamp=START_S + at, arbitration_id=1, channel="can7") for at in (0.0, 0.5, 0.4, 3.0)]
+    assert play(frames, bus, 2.0) == 4
+    # One that is late goes out at once.
+    assert [at for at, _ in sent] == pytest.approx([500.0, 500.25, 500.25, 501.5], abs=1e-6)
+    assert all(message.channel is None and not message.is_rx for _, message in sent)
+    assert frames[0].channel == "can7"
 
 
 def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, channel, capsys):

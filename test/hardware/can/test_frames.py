@@ -134,6 +134,53 @@ def test_a_coil_current_whose_counters_are_none_is_refused(current, counter):
             CLASSIC.unpack_current(CLASSIC.pack_current(frame))
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_what_does_not_fit_its_frame_is_refused_by_name(sign):
+    encoder = Encoder(0, 33, sign * X_LIMIT, sign * Y_LIMIT, sign * CURRENT_LIMIT, 0)
+    command = Command(0, Switch.NO, Switch.NO, sign * CURRENT_LIMIT, 0)
+    for pack, frame, names in (
+        (CLASSIC.pack_encoder, encoder, ("x", "y")),
+        (FD.pack_encoder, encoder, ("x", "y", "current")),
+        (CLASSIC.pack_current, Current(0, sign * CURRENT_LIMIT, 0), ("current",)),
+        (CLASSIC.pack_command, command, ("current",)),
+        (FD.pack_command, command, ("current",)),
+    ):
+        pack(frame)
+        for name in names:
+            limit = abs(getattr(frame, name))
+            beyond = frame._replace(**{name: sign * (limit + 1)})
+            with pytest.raises(ValueError, match=f"{name} of {sign * (limit + 1)} counts.*allowed: ±{limit}"):
+                pack(beyond)
+
+
+@pytest.mark.parametrize("codec", [CLASSIC, FD], ids=["classic", "fd"])
+def test_a_frame_of_another_length_is_refused(codec):
+    frames = [
+        (codec.unpack_encoder, codec.pack_encoder(Encoder(0, 33, 1, 2, 3, 0))),
+        (codec.unpack_current, codec.pack_current(Current(0, 1, 0))),
+        (codec.unpack_command, codec.pack_command(Command(0, Switch.NO, Switch.NO, 1, 0))),
+    ]
+    for unpack, payload in frames:
+        unpack(payload)
+        for wrong in (payload[:-1], payload + b"\0", b""):
+            with pytest.raises(FrameError, match="length"):
+                unpack(wrong)
+
+
+def test_a_stage_trajectory_is_in_the_units_of_the_dbc():
+    motion, time = DBC.get_message_by_name("StageMotion"), DBC.get_message_by_name("StageTime")
+    points = forward_and_back(MotionParameters(stroke=1.2, speed=0.25))
+    frames = stage_payloads(CLASSIC.ids, points)[:-1]
+    for number, point in enumerate(points):
+        (first, at), (second, where) = frames[2 * number : 2 * number + 2]
+        assert (first, second) == (time.frame_id, motion.frame_id)
+        assert time.decode(at) == {"TimeNumber": number, "TimeFromStart": point.time_ns}
+        told = motion.decode(where)
+        assert told["MotionNumber"] == number
+        assert told["Position"] == pytest.approx(point.position, abs=1e-8)
+        assert told["Velocity"] == pytest.approx(point.velocity, abs=1e-5)
+
+
 @given(counter, st.lists(st.floats(allow_nan=False), min_size=6, max_size=6))
 def test_a_truth_frame_is_what_the_dbc_says_to_the_last_bit(counter, numbers):
     payload = truth_payload(counter, Truth(*numbers))
