@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis import map_plot, plot
-from straightcomp_ros.analysis.assessment import assess
+from straightcomp_ros.analysis.assessment import Interval, assess
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
 from straightcomp_ros.analysis.map_building import build
 from straightcomp_ros.analysis.metrics import evaluate, true_error
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
-from straightcomp_ros.analysis.report import _error, _extremes, _number, _spectrum, _straightness, _table, _timing
-from straightcomp_ros.analysis.stick_slip import SLIP, stick_slips
+from straightcomp_ros.analysis.report import (
+    _error,
+    _events,
+    _extremes,
+    _number,
+    _spectrum,
+    _straightness,
+    _table,
+    _timing,
+)
+from straightcomp_ros.analysis.stick_slip import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.strokes import stroke_figures
 from straightcomp_ros.straightness.run import Run
 from straightcomp_ros.straightness.survey import Survey
@@ -307,6 +318,21 @@ def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record):
         for value in values * 1e6:
             assert min(abs(x - value) for x, count in zip(bar.x, bar.y, strict=True) if count) <= bar.width / 2 + 1e-9
     assert _timing(assess(Path("a"), replace(evaluation, latency=latency[:0], lateness=lateness[:0]))) is None
+
+
+def test_events_are_in_the_report_in_the_units_of_their_columns_and_forty_at_most():
+    def told(**events):
+        none = {"gaps": [], "saturated": [], "amplifier_off": [], "stick_slips": []}
+        return _events(SimpleNamespace(**none | events))
+
+    slips = [StickSlip(1.5, 0.2, 0.25, 7e-6)] * 41
+    text = told(stick_slips=slips)
+    assert "Stick-slip: 41" in text and "and 1 more" in text and text.count("<tr>") == 41
+    heads = re.findall(r"<th>(.*?)</th>", text.replace("<wbr>", ""))
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", text)[:4]
+    assert dict(zip(heads, cells, strict=True)) == {"time_s": "1.5", "x_mm": "200", "stuck_ms": "250", "slip_um": "7"}
+    assert "more" not in told(stick_slips=slips[:40]) and told() == ""
+    assert "Amplifier off while the stage moved: 1" in told(amplifier_off=[Interval(0.5, 0.75, 500)])
 
 
 def test_what_is_no_number_is_a_dash_in_the_report():

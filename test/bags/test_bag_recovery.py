@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Reader
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
-from straightcomp_ros.bags.recovery import RECOVERY_METADATA, recover
+from straightcomp_ros.bags.recovery import RECOVERY_METADATA, Recovery, recover
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER
@@ -46,6 +46,22 @@ def damaged(bag, tmp_path: Path, content: bytes) -> Path:
 def chunk_offsets(content: bytes) -> list[int]:
     summary = make_reader(io.BytesIO(content)).get_summary()
     return [index.chunk_start_offset for index in summary.chunk_indexes]
+
+
+@pytest.mark.parametrize(
+    ("found", "whole"),
+    [
+        ({}, True),
+        ({"lost": {"/encoder": 0, "/command": 0}}, True),
+        ({"lost": {"/encoder": 0, "/command": 1}}, False),
+        ({"lost": None}, False),
+        ({"gaps": [("run_0.mcap", 10, 5, "damaged")]}, False),
+        ({"unfinished": ["run_0.mcap"]}, False),
+        ({"gaps": [("run_0.mcap", 10, 5, "damaged")], "lost": None}, False),
+    ],
+)
+def test_a_bag_is_whole_if_nothing_was_wrong_with_it(tmp_path, found, whole):
+    assert Recovery(tmp_path, **found).whole is whole
 
 
 def test_a_sound_bag_comes_back_whole_with_attachments_and_metadata(record, tmp_path):

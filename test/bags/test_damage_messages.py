@@ -6,6 +6,7 @@ import re
 import struct
 import warnings
 
+import numpy as np
 import pytest
 from mcap.opcode import Opcode
 
@@ -113,6 +114,24 @@ def test_an_applications_own_records_are_passed_over(bag):
     bag.add(footer + FRAME_SIZE, FRAME_SIZE + 3, 8)
     bag.file.write_bytes(bag.content)
     assert len(read_streams(bag.file, LAYOUTS)["encoder"]) == 40
+
+
+def test_messages_beside_the_chunks_are_read_in_their_place(record):
+    bag = Bag(record(count=40, chunk_size=6000, compression="none").file)
+    whole = read_streams(bag.file, LAYOUTS)
+    for which in (0, 2):
+        chunk = bag.record(Opcode.CHUNK, which)
+        (length,) = struct.unpack_from("<Q", bag.content, chunk + 1)
+        # The name of no compression is empty, and the length of the records follows.
+        inside = bag.content[chunk + FRAME_SIZE + NAME_AT + 8 : chunk + FRAME_SIZE + length]
+        bag.content[chunk : chunk + FRAME_SIZE + length] = inside
+        footer = bag.without_crc_of_the_summary().record(Opcode.FOOTER)
+        bag.add(footer + FRAME_SIZE, len(inside) - FRAME_SIZE - length, 8)
+    bag.file.write_bytes(bag.content)
+    found = read_streams(bag.file, LAYOUTS)
+    assert found.keys() == whole.keys()
+    for topic, stream in found.items():
+        assert np.array_equal(stream.log_time, whole[topic].log_time)
 
 
 def test_a_file_with_more_or_fewer_messages_than_its_statistics_say(bag):

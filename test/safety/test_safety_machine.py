@@ -51,5 +51,14 @@ def test_a_machine_that_refuses_to_switch_on_leaves_the_condition_as_it_was():
     assert safety.condition is Condition.OFF
 
 
+def test_a_latched_fault_is_told_by_its_name_and_its_reason():
+    safety, _ = machine()
+    assert safety.reason == ""
+    safety.trip("x_jump", "x went away", 5)
+    assert safety.fault == ("x_jump", "x went away", 5) and safety.reason == "x_jump: x went away"
+    safety.trip("tripped", "somebody", 6)
+    assert safety.reason == "x_jump: x went away" and safety.trips == 2
+
+
 def test_the_documented_table_is_the_code_s():
     assert table() in DOCUMENT.read_text(), "put the output of straightcomp_ros.safety.faults.table() there"
