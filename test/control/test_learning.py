@@ -14,6 +14,7 @@ from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.parameters import ParameterError
 from straightcomp_ros.simulation import Simulation
 from straightcomp_ros.sweep.uncertainty import UncertaintyParameters, draw, streams
 
@@ -150,6 +151,12 @@ def test_a_shorter_stroke_uses_and_improves_the_same_table():
         after = rig.cycle()
     assert after[True] < 0.6 * before[True]
     assert learner.tables[True].at(0.15, 0.05) == elsewhere
+
+
+def test_the_cut_off_lies_well_below_half_of_the_rate():
+    assert Learning(LearningParameters(learn=True, cutoff=40.0), "smc", 100.0)
+    with pytest.raises(ParameterError, match=r"'learning\.cutoff': 40\.1 Hz; allowed: <= 40 Hz at this rate"):
+        Learning(LearningParameters(learn=True, cutoff=40.1), "smc", 100.0)
 
 
 def test_the_rates_of_the_corrected_reference_are_its_derivatives_on_a_stage_that_accelerates():

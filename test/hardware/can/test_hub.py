@@ -6,6 +6,7 @@ import time
 import can
 import pytest
 
+from straightcomp_ros.hardware.can import hub_bus
 from straightcomp_ros.hardware.can.board_line import HubLine
 from straightcomp_ros.hardware.can.faults import KINDS, Faults
 from straightcomp_ros.hardware.can.hub import Hub
@@ -99,6 +100,48 @@ def test_a_node_that_does_not_fetch_loses_frames_and_holds_nobody_up(hub):
             for _ in range(50):
                 assert attentive.recv(10) is not None
         assert hub.hub.dropped > 0
+
+
+def test_a_node_whose_frames_nobody_takes_is_told_so_and_goes_on_when_they_are_taken(tmp_path):
+    hub = Hub(tmp_path / "bus")
+    bus = can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True)
+    hub.run(lambda: len(hub._nodes) == 1)
+    message = can.Message(arbitration_id=1, is_extended_id=False, is_fd=True, data=bytes(64))
+    sent = 0
+    with pytest.raises(can.CanOperationError, match="transmit buffer full"):
+        while sent < 1_000_000:
+            bus.send(message)
+            sent += 1
+    with pytest.raises(can.CanOperationError, match="transmit buffer full"):
+        bus.send(message, timeout=0.01)
+    taking = threading.Thread(target=hub.run, args=(lambda: hub.passed > sent,))
+    taking.start()
+    bus.send(message, timeout=60)
+    taking.join()
+    assert hub.passed == sent + 1
+    hub.close()
+    with pytest.raises(can.CanOperationError, match="hub: "):
+        bus.send(message)
+    with pytest.raises(can.CanOperationError, match="hub"):
+        bus.recv(1.0)
+    bus.shutdown()
+
+
+@pytest.mark.parametrize("selectable", [True, False], ids=["select", "poll"])
+def test_a_node_waits_for_a_frame_as_long_as_it_is_told(hub, monkeypatch, selectable):
+    if not selectable:
+        # Programs with more than a thousand open files have such descriptors.
+        monkeypatch.setattr(hub_bus, "_SELECTABLE", 0)
+    with hub.bus() as sender, hub.bus() as receiver:
+        until(lambda: len(hub.hub._nodes) == 2)
+        begin = time.monotonic()
+        assert receiver.recv_frame(0.05) is None and receiver.recv(0.05) is None
+        assert time.monotonic() - begin >= 0.1
+        assert receiver.recv_frame(0.0) is None
+        threading.Timer(0.02, sender.send_frame, (0x181, 0, b"\1")).start()
+        assert receiver.recv_frame(60.0).identifier == 0x181
+        threading.Timer(0.02, sender.send_frame, (0x182, 0, b"\1")).start()
+        assert receiver.recv(None).arbitration_id == 0x182
 
 
 def test_of_the_frames_that_wait_the_lowest_identifier_goes_first_and_each_node_keeps_its_order(tmp_path):
