@@ -151,6 +151,13 @@ def test_nodes_passed_at_another_speed_start_anew_and_the_others_stay():
     assert found.at(0.01, 0.2)[0] == 0.0
 
 
+def test_nodes_whose_speed_is_unknown_are_judged_at_any_speed():
+    found = restored(np.full(120, 0.4e-6), first=-10, speed=0.0)
+    # A hundred times worse than the best, and worse than without a correction.
+    one_pass(found, 1e-6, wanted=0.1e-6)
+    assert found.updates == 0 and found.coefficients.size == 0
+
+
 def test_a_pass_over_another_stretch_makes_the_table_longer_and_keeps_what_it_knows():
     found = table()
     one_pass(found, 1e-6, wanted=0.4e-6, x=np.linspace(0.03, 0.05, 201))

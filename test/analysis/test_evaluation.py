@@ -1,0 +1,116 @@
+"""A bag's streams put together by their stamps: the run, its counts, its delays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
+
+START_NS, PERIOD_NS = 1_700_000_000_000_000_000, 500_000
+COUNT = 40
+
+
+def sample(number):
+    """What each stream says of the sample ``number``; every number tells which it is."""
+    on = number >= 10
+    return {
+        ENCODER: (0.01 * number, 1e-6 * number, math.nan, 0.1 * number if on else math.nan),
+        REFERENCE: (2e-6 * number, 0.0, 0.0),
+        COMMAND: (0.2 * number,),
+        DRIVER_STATE: (1e-4 * number if number % 2 else math.nan, 1e-5 * number, 0.0, float(on)),
+        TRUTH: (0.01 * number + 1e-9, 1e-6 * number + 1e-9, 0.0, 0.0, 0.0, 3e-6 * number),
+    }
+
+
+def recorded(path, without=(), left_out=None, drift=0.0, again=(), order=range(COUNT)):
+    """A bag of COUNT samples; ``left_out`` gives for a stream the samples that it lacks."""
+    left_out = left_out or {}
+    with BagWriter(path) as bag:
+        streams = [stream for stream in sample(0) if stream not in without]
+        for stream in streams:
+            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+        for number in [*order, *again]:
+            stamp = START_NS + round(number * PERIOD_NS * (1.0 + drift))
+            for stream in streams:
+                if number not in left_out.get(stream, ()):
+                    data = stream.layout.pack(stamp, *sample(number)[stream])
+                    bag.write(f"/{stream.topic}", data, stamp, stamp)
+    return path
+
+
+def test_the_run_begins_when_the_amplifier_is_switched_on_and_has_every_stream(tmp_path):
+    found = evaluate_bag(recorded(tmp_path / "bag"))
+    numbers = np.arange(10, COUNT)
+    record = found.record
+    assert record.time == pytest.approx((numbers - 10) * 5e-4, abs=1e-12)
+    assert record.x == pytest.approx(0.01 * numbers) and record.y == pytest.approx(1e-6 * numbers)
+    assert record.r == pytest.approx(2e-6 * numbers) and record.current == pytest.approx(0.2 * numbers)
+    assert record.true_x == pytest.approx(0.01 * numbers + 1e-9, abs=1e-12)
+    assert record.true_y == pytest.approx(1e-6 * numbers + 1e-9, abs=1e-12)
+    assert record.guide == pytest.approx(3e-6 * numbers) and record.law == "unknown"
+    assert (found.expected_samples, found.received_samples, found.lost_samples) == (30, 30, 0)
+    assert (found.lost_references, found.lost_commands) == (0, 0)
+    assert found.amplifier_on.all() and len(found.stamps) == 30 and found.parameters == {}
+
+
+def test_a_real_machine_tells_no_truth_and_an_older_driver_no_delays(tmp_path):
+    found = evaluate_bag(recorded(tmp_path / "bag", without=(TRUTH, DRIVER_STATE)))
+    assert found.record.true_x is found.record.true_y is found.record.guide is None
+    assert len(found.record.x) == 30
+    assert len(found.latency) == len(found.lateness) == 0 and math.isnan(found.latency_us(50))
+
+
+def test_a_bag_in_which_the_amplifier_is_never_on_is_a_run_as_a_whole(tmp_path):
+    found = evaluate_bag(recorded(tmp_path / "bag", order=range(10)))
+    assert len(found.record.x) == 10 and not found.amplifier_on.any()
+
+
+def test_delays_are_those_that_were_recorded(tmp_path):
+    found = evaluate_bag(recorded(tmp_path / "bag"))
+    odd = np.arange(1, COUNT, 2)
+    assert found.latency == pytest.approx(1e-4 * odd) and found.lateness == pytest.approx(1e-5 * np.arange(COUNT))
+    assert found.latency_us(100) == pytest.approx(3900.0) and found.latency_us(0) == pytest.approx(100.0)
+
+
+def test_what_is_missing_of_each_stream_is_counted_up_to_its_last(tmp_path):
+    left_out = {REFERENCE: {12, 20, 38, 39}, COMMAND: {12, 15, 16, 39}, ENCODER: {25, 30}, TRUTH: {33}}
+    found = evaluate_bag(recorded(tmp_path / "bag", left_out=left_out))
+    assert (found.expected_samples, found.received_samples, found.lost_samples) == (30, 28, 2)
+    # After the last reference, or command, the recording simply ended.
+    assert (found.lost_references, found.lost_commands) == (2, 3)
+    assert len(found.record.x) == 30 - len({12, 20, 38, 39, 15, 16, 25, 30, 33})
+    assert len(found.stamps) == 28
+
+
+@pytest.mark.parametrize("drift", [-100e-6, 0.0, 100e-6])
+def test_samples_are_counted_by_the_boards_own_clock(tmp_path, drift):
+    left_out = {stream: set(range(14, 37, 3)) for stream in sample(0)}
+    found = evaluate_bag(recorded(tmp_path / "bag", left_out=left_out, drift=drift))
+    assert (found.expected_samples, found.lost_samples) == (30, 8)
+
+
+def test_samples_that_come_twice_or_in_disorder_count_once(tmp_path):
+    shuffled = np.random.default_rng(1).permutation(COUNT).tolist()
+    found = evaluate_bag(recorded(tmp_path / "bag", order=shuffled, again=(20, 21)))
+    assert (found.expected_samples, found.received_samples) == (30, 30)
+    assert found.record.x == pytest.approx(0.01 * np.arange(10, COUNT))
+
+
+@pytest.mark.parametrize("stream", [ENCODER, REFERENCE, COMMAND])
+def test_a_bag_that_lacks_a_stream_is_refused_with_its_name(tmp_path, stream):
+    with pytest.raises(BagError, match=f"no messages on '{stream.topic}'; was the whole graph running"):
+        evaluate_bag(recorded(tmp_path / "none", without=(stream,)))
+    with pytest.raises(BagError, match=f"no messages on '{stream.topic}'"):
+        evaluate_bag(recorded(tmp_path / "one", left_out={stream: set(range(COUNT - 1))}))
+
+
+def test_streams_that_belong_to_different_runs_are_refused(tmp_path):
+    left_out = {COMMAND: set(range(20)), REFERENCE: set(range(21, COUNT))}
+    with pytest.raises(BagError, match="no common stamps"):
+        evaluate_bag(recorded(tmp_path / "bag", left_out=left_out))
