@@ -12,7 +12,7 @@ PYTHON ?=
 
 # A graph of ours talks to this machine only, and tests to no other graph on it.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-# Nine processes import the same tests: what the first has compiled serves the others.
+# Several processes import the same tests: bytecode that one has made serves the others.
 test processors: export PYTHONDONTWRITEBYTECODE :=
 # Above 101 the ports of DDS collide with those that Linux hands out.
 test quick soak processors: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))

@@ -37,7 +37,7 @@ def pytest_collection_modifyitems(items):
     """`make test` looks for live tests there only: to import all the others takes a quarter of a minute."""
     elsewhere = [item.nodeid for item in items if item.get_closest_marker("live") and LIVE not in item.path.parents]
     if elsewhere:
-        raise pytest.UsageError(f"tests with the mark 'live' belong into test/nodes: {', '.join(elsewhere)}")
+        raise pytest.UsageError(f"tests with the mark 'live' belong in test/nodes: {', '.join(elsewhere)}")
 
 
 @pytest.fixture(autouse=True)

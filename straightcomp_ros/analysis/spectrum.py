@@ -49,10 +49,11 @@ def error_spectrum(time: NDArray[np.float64], error: NDArray[np.float64]) -> Spe
 
     Source: P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70–73.
     """
-    from scipy.signal import welch
-
     if len(time) < 16:
         return Spectrum(np.empty(0), np.empty(0))
+    # Its import takes half a second: only who makes a spectrum pays for it.
+    from scipy.signal import welch
+
     period = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1] + 0.5 * period, period)
     values = np.interp(grid, time, error)

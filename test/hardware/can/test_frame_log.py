@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import can
 import pytest
+from waiting import comes_true
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.can import frame_replay
@@ -34,11 +35,8 @@ START_S = 1_700_000_000.0
 SAMPLES = 1000
 
 
-def until(condition, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.005)
-    assert condition()
+def until(condition):
+    assert comes_true(condition, 30.0)
 
 
 @contextlib.contextmanager

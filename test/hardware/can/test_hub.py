@@ -5,6 +5,7 @@ import time
 
 import can
 import pytest
+from waiting import comes_true
 
 from straightcomp_ros.hardware.can import hub_bus
 from straightcomp_ros.hardware.can.board_line import HubLine
@@ -41,11 +42,8 @@ def hub(tmp_path):
     hub.close()
 
 
-def until(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.005)
-    assert condition()
+def until(condition):
+    assert comes_true(condition, 20.0)
 
 
 def test_python_can_finds_the_interface_by_its_entry_point():
