@@ -7,12 +7,13 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
 
 from straightcomp_ros.doctor.finding import Finding
+from straightcomp_ros.nodes.exclusive import left_behind
 
 _PRIORITY = 40
 """What docs/realtime.md recommends: above all normal processes, below the kernel's interrupt threads."""
@@ -119,9 +120,18 @@ def preemption(
     )
 
 
-def cores(count: int | None = None) -> Finding:
-    """Whether there is a CPU for each node that must not wait."""
+def cores(count: int | None = None, lost: Collection[int] | None = None) -> Finding:
+    """Whether there is a CPU for each node that must not wait, and for other programs too."""
     usable = len(os.sched_getaffinity(0)) if count is None else count
+    lost = left_behind() if lost is None else lost
+    if lost:
+        return Finding(
+            "cores",
+            "warn",
+            f"{usable}; other programs are kept off CPU {', '.join(map(str, sorted(lost)))} by a driver that was killed "
+            "with all that belonged to it",
+            "Run straightcomp demo once more as the same user: when it ends, all programs may use all CPUs again.",
+        )
     if usable >= _CORES:
         return Finding("cores", "ok", f"{usable}")
     return Finding(

@@ -2,16 +2,19 @@
 
 A kernel that finishes its own work first lets no thread of whatever priority in while it writes another program's data:
 only another CPU for that program helps. This file also runs as a process of its own, which needs nothing but Python and
-ends when its standard input does: a killed node leaves nothing behind either.
+ends when its standard input does: a killed node leaves nothing behind either. Where that process is killed with the
+node (a service or a container that is killed whole), its note of what was before stays, and the next one goes by it.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
@@ -19,6 +22,8 @@ from pathlib import Path
 
 _NAME = "straightcomp_ros/exclusive/"
 """Of an abstract socket for each CPU that is kept free: it is gone with the process that has it."""
+_NOTES = Path(tempfile.gettempdir())
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
 _PROCESSES = Path("/proc")
 _SOCKETS = Path("/proc/net/unix")
 _WORK_QUEUES = Path("/sys/devices/virtual/workqueue/cpumask")
@@ -64,6 +69,53 @@ def kept_free() -> set[int]:
     return {int(name.rpartition("/")[2]) for name in names if name.startswith("@" + _NAME)}
 
 
+def left_behind() -> set[int]:
+    """The CPUs from which other programs were kept off by a process that was killed, and still are. The next node of
+    the same user with :func:`keep_others_off` for them gives them back when it ends."""
+    noted: set[int] = set()
+    for note in _NOTES.glob(_note_name("*", "*")):
+        # Others may write in that folder too.
+        with suppress(OSError, ValueError):
+            if note.lstat().st_uid in (0, os.getuid()):
+                noted |= set(map(int, note.stem.rpartition("_")[2].split("-")))
+    return noted & set(range(os.cpu_count() or 1)) - kept_free()
+
+
+def _note_name(user: object, cpus: str) -> str:
+    boot = ""
+    with suppress(OSError):
+        # After another boot every program may run everywhere again.
+        boot = _BOOT.read_text().strip()
+    return f"straightcomp_exclusive_{boot}_{user}_{cpus}.json"
+
+
+class _Note:
+    """What was before others were kept off these CPUs, in a file of this user that outlasts a kill."""
+
+    def __init__(self, cpus: set[int]) -> None:
+        self._file = _NOTES / _note_name(os.getuid(), "-".join(map(str, sorted(cpus))))
+
+    def read(self) -> tuple[set[int], str] | None:
+        """Threads that did not use the CPUs, and the mask of the kernel's work queues; None without a note."""
+        with suppress(OSError, ValueError, TypeError):
+            if self._file.lstat().st_uid == os.getuid():
+                threads, queues = json.loads(self._file.read_text())
+                return set(map(int, threads)), str(queues)
+        return None
+
+    def write(self, threads: Collection[int], queues: str) -> None:
+        """Keep both until :meth:`remove`."""
+        with suppress(OSError):
+            self.remove()
+            with open(self._file, "x", opener=lambda path, flags: os.open(path, flags, 0o600)) as file:
+                json.dump([sorted(threads), queues], file)
+
+    def remove(self) -> None:
+        """All is as it was."""
+        with suppress(OSError):
+            self._file.unlink()
+
+
 def _serve(cpus: set[int]) -> str:
     """Keep others off until standard input ends; returns why that is not possible, or nothing."""
     # The node that started this may use no other; the system leaves out what is not there or not permitted.
@@ -75,8 +127,13 @@ def _serve(cpus: set[int]) -> str:
     claims = [_claim(cpu) for cpu in sorted(cpus)]
     if not all(claims):
         return "another node has them to itself"
-    affinities = dict(_others())
-    queues = _keep_queues_off(cpus)
+    note = _Note(cpus)
+    kept_before, queues = note.read() or (
+        {thread for thread, affinity in _others() if not affinity & cpus},
+        _queues(),
+    )
+    note.write(kept_before, queues)
+    _keep_queues_off(cpus)
     moved, refused = _move(lambda affinity: affinity - cpus)
     names = ", ".join(map(str, sorted(cpus)))
     left = f"; {refused} threads belong to other users and stay" if refused else ""
@@ -86,11 +143,11 @@ def _serve(cpus: set[int]) -> str:
     with suppress(KeyboardInterrupt):
         while os.read(sys.stdin.fileno(), 1):
             pass
-    if queues:
+    with suppress(OSError):
         _WORK_QUEUES.write_text(queues)
-    kept_before = {thread for thread, affinity in affinities.items() if not affinity & cpus}
     # Those that began meanwhile have inherited it.
     _move(lambda affinity: affinity | cpus, without=kept_before)
+    note.remove()
     return ""
 
 
@@ -144,15 +201,20 @@ def _move(to: Callable[[set[int]], set[int]], without: Collection[int] = ()) -> 
             return len(moved), len(refused)
 
 
-def _keep_queues_off(cpus: set[int]) -> str:
-    """Let the kernel do its own writing on the other CPUs; returns the mask before, or nothing if it may not be set."""
+def _queues() -> str:
+    """The mask of the CPUs for the kernel's own work; empty where it cannot be read."""
+    try:
+        return _WORK_QUEUES.read_text().strip()
+    except OSError:
+        return ""
+
+
+def _keep_queues_off(cpus: set[int]) -> None:
+    """Let the kernel do its own writing on the other CPUs, if this user may say so."""
     with suppress(OSError, ValueError):
-        before = _WORK_QUEUES.read_text().strip()
-        mask = int(before.replace(",", ""), 16) & ~sum(1 << cpu for cpu in cpus)
+        mask = int(_queues().replace(",", ""), 16) & ~sum(1 << cpu for cpu in cpus)
         if mask:
             _WORK_QUEUES.write_text(f"{mask:x}")
-            return before
-    return ""
 
 
 def _main(words: list[str]) -> int:

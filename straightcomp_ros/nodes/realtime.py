@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import BinaryIO
 
 from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes.exclusive import keep_others_off, kept_free
+from straightcomp_ros.nodes.exclusive import keep_others_off, kept_free, left_behind
 from straightcomp_ros.nodes.threads import threads
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
@@ -69,7 +69,7 @@ def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _
 
 
 def _set_cpus(realtime: RealtimeParameters) -> None:
-    permitted = os.sched_getaffinity(0) | kept_free()
+    permitted = os.sched_getaffinity(0) | kept_free() | left_behind()
     loop = {max(permitted)}
     # With a single CPU the rest is on it too.
     rest = permitted - loop or loop

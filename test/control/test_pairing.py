@@ -62,13 +62,13 @@ def test_in_real_time_the_newest_reference_serves_until_it_is_too_old():
     pairing = Pairing(2 * PERIOD, wait=False)
     pairing.add_reference(at(0), quadratic(at(0)))
     served = []
-    for k in range(100):
+    for k in range(200):
         pairing.add_sample(at(k), (k,))
         served += pairing.take()
-    assert [stamp for stamp, *_ in served] == [at(k) for k in range(41)]  # 20 ms
-    assert served[-1][2] == pytest.approx(quadratic(at(40)), rel=1e-12)
-    pairing.add_reference(at(99), quadratic(at(99)))
-    assert [stamp for stamp, *_ in pairing.take()][-1] == at(99)
+    assert [stamp for stamp, *_ in served] == [at(k) for k in range(101)]  # 50 ms
+    assert served[-1][2] == pytest.approx(quadratic(at(100)), rel=1e-12)
+    pairing.add_reference(at(199), quadratic(at(199)))
+    assert [stamp for stamp, *_ in pairing.take()][-1] == at(199)
 
 
 def test_after_a_gap_old_references_serve_no_more():

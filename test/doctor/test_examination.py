@@ -174,7 +174,9 @@ def test_what_the_kernel_says_of_real_time(tmp_path: Path) -> None:
     assert scheduling.kernel(tmp_path / "missing").state == "warn"
     assert scheduling.wake_up_latency(tmp_path / "missing").state == "warn"
     assert scheduling.wake_up_latency(_file(tmp_path, "latency", "")).state == "ok"
-    assert [scheduling.cores(count).state for count in (2, 4)] == ["warn", "ok"]
+    assert [scheduling.cores(count, ()).state for count in (2, 4)] == ["warn", "ok"]
+    lost = scheduling.cores(4, {1})
+    assert lost.state == "warn" and "kept off CPU 1" in lost.detail and "straightcomp demo" in lost.remedy
 
 
 def test_a_slow_governor_and_a_slow_or_wrong_clock(tmp_path: Path) -> None:

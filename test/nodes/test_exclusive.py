@@ -20,6 +20,7 @@ sys.path.insert(0, {root!r})
 from pathlib import Path
 from straightcomp_ros.nodes import exclusive
 exclusive._PROCESSES, exclusive._WORK_QUEUES = Path({processes!r}), Path({queues!r})
+exclusive._NOTES = Path({notes!r})
 exclusive._NAME, exclusive._TURN_S = {name!r}, 0.2
 sys.exit(exclusive._main(sys.argv[1:]))
 """
@@ -40,11 +41,19 @@ class Stand:
         self.cpu = max(self.all)
         self.name = f"test/{os.getpid()}/"
         self.processes, self.queues, self.server = folder / "proc", folder / "mask", folder / "server.py"
+        self.notes = folder / "notes"
         self.processes.mkdir()
+        self.notes.mkdir()
         self.queues.write_text("ff\n")
         root = str(Path(exclusive.__file__).parents[2])
         self.server.write_text(
-            SERVER.format(root=root, processes=str(self.processes), queues=str(self.queues), name=self.name)
+            SERVER.format(
+                root=root,
+                processes=str(self.processes),
+                queues=str(self.queues),
+                notes=str(self.notes),
+                name=self.name,
+            )
         )
         self._started = []
 
@@ -102,6 +111,50 @@ def test_others_leave_the_cpu_until_the_node_ends_in_whatever_way(stand, number)
     assert stand.back(free, stand.all) and stand.back(child, stand.all)
     assert os.sched_getaffinity(elsewhere) == rest
     assert stand.queues.read_text().strip() == "ff"
+
+
+def test_what_a_killed_guard_left_behind_is_seen_and_mended_by_the_next_node(stand, monkeypatch):
+    monkeypatch.setattr(exclusive, "_NAME", stand.name)
+    monkeypatch.setattr(exclusive, "_NOTES", stand.notes)
+    rest = stand.all - {stand.cpu}
+    free, elsewhere = stand.bystander(), stand.bystander(rest)
+    node, _ = stand.node()
+    assert exclusive.left_behind() == set()  # it lives
+    (guard,) = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
+    os.kill(int(guard), signal.SIGKILL)
+    node.kill()
+    assert comes_true(lambda: exclusive.left_behind() == {stand.cpu})
+    assert os.sched_getaffinity(free) == rest and stand.queues.read_text().strip() != "ff"
+
+    node, said = stand.node()
+    assert said.startswith("kept 0 threads")
+    assert exclusive.left_behind() == set()
+    node.kill()
+    assert stand.back(free, stand.all)
+    assert comes_true(lambda: stand.queues.read_text().strip() == "ff")
+    assert os.sched_getaffinity(elsewhere) == rest
+    assert comes_true(lambda: not list(stand.notes.iterdir()))
+    assert exclusive.left_behind() == set()
+
+
+def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypatch):
+    monkeypatch.setattr(exclusive, "_NOTES", stand.notes)
+    note = exclusive._Note({stand.cpu})
+    note.write([4, 2], "ff")
+    assert note.read() == ({2, 4}, "ff") and exclusive.left_behind() == {stand.cpu}
+    file = next(stand.notes.iterdir())
+    assert file.stat().st_mode & 0o777 == 0o600
+    for text in ("", "[]", '["a", "b"]', "7"):
+        file.write_text(text)
+        assert note.read() is None
+    file.rename(file.with_name(file.name.replace(f"_{stand.cpu}.", "_9999.")))
+    (stand.notes / exclusive._note_name(os.getuid(), "x")).touch()
+    assert exclusive.left_behind() == set()
+    note.write([], "ff")
+    boot = stand.notes / "boot"
+    boot.write_text("another\n")
+    monkeypatch.setattr(exclusive, "_BOOT", boot)
+    assert exclusive.left_behind() == set()
 
 
 def test_the_nodes_that_start_meanwhile_may_use_the_cpu_all_the_same(stand, monkeypatch):
