@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.survey_runs import Passage, recognise
 from straightcomp_ros.analysis.survey_series import Series
 from straightcomp_ros.bags.origin import origin
-from straightcomp_ros.straightness.columns import DEVIATION, Column, SurveyError, X
+from straightcomp_ros.straightness.columns import DEVIATION, SurveyError, X
 from straightcomp_ros.straightness.map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.mean import mean_of_directions, on_common_grid
 from straightcomp_ros.straightness.outliers import disagreement
@@ -36,8 +36,8 @@ class Choices:
         parameters: what the finished map must fulfil.
     """
 
-    step: float = 10e-3
-    limit: float = 6.0
+    step: float
+    limit: float
     level: bool = False
     parameters: MapParameters = MapParameters()
 
@@ -100,7 +100,7 @@ class BuiltMap:
         write_survey(path, self.survey, [f"{name}: {text}" for name, text in self.provenance.items()])
 
 
-def build_from_series(series: Series, source: Path, choices: Choices = Choices()) -> BuiltMap:
+def build_from_series(series: Series, source: Path, choices: Choices) -> BuiltMap:
     """Recognise the runs of a recording and build.
 
     Raises:
@@ -115,17 +115,15 @@ def build_from_series(series: Series, source: Path, choices: Choices = Choices()
                 f"{where}: {run.x.size} points; allowed: >= {choices.parameters.min_points} (min_points): "
                 f"a smaller step than {choices.step * 1e3:g} mm gives more"
             )
-        Column(X, "m", 0).check_extent(where, float(run.x[-1] - run.x[0]))
-        Column(DEVIATION, "m", 0).check_extent(where, float(np.ptp(run.deviation)))
+        X.check_extent(where, float(run.x[-1] - run.x[0]))
+        DEVIATION.check_extent(where, float(np.ptp(run.deviation)))
         check_gaps(where, run, choices.parameters.max_gap)
     survey = Survey(tuple(p.run for p in found.passages), series.source)
     built = build(survey, source, choices, series.inputs)
     return replace(built, passages=found.passages, partial=found.partial, unusable=series.unusable)
 
 
-def build(
-    survey: Survey, source: Path, choices: Choices = Choices(), inputs: Mapping[str, str] | None = None
-) -> BuiltMap:
+def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, str] | None = None) -> BuiltMap:
     """Reject what does not agree, and build.
 
     Args:

@@ -128,8 +128,8 @@ def cores(count: int | None = None, lost: Collection[int] | None = None) -> Find
         return Finding(
             "cores",
             "warn",
-            f"{usable}; other programs are kept off CPU {', '.join(map(str, sorted(lost)))} by a driver that was killed "
-            "with all that belonged to it",
+            f"{usable}; other programs are kept off CPU {', '.join(map(str, sorted(lost)))} by a driver that was "
+            "killed with all that belonged to it",
             "Run straightcomp demo once more as the same user: when it ends, all programs may use all CPUs again.",
         )
     if usable >= _CORES:

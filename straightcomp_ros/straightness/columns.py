@@ -31,6 +31,25 @@ class Quantity:
         """The accepted column names in words."""
         return ", ".join(f"{self.name}_{unit}" for unit in self.per_metre)
 
+    def check_extent(self, where: str, extent: float, unit: str = "m") -> None:
+        """Refuse a run whose ``extent`` in m, given in ``unit``, is not that of a guide; ``where`` opens the message.
+
+        Raises:
+            SurveyError: with the unit that would fit, if one does.
+        """
+        if self.smallest <= extent <= self.largest:
+            return
+        fitting = [
+            f"{self.name}_{other}"
+            for other, per_metre in self.per_metre.items()
+            if self.smallest <= extent * self.per_metre[unit] / per_metre <= self.largest
+        ]
+        hint = f"; is the unit wrong? It would fit as {' or '.join(fitting)}" if fitting else ""
+        raise SurveyError(
+            f"{where}: {self.name}_{unit} extends over {extent:.6g} m; "
+            f"allowed: {self.smallest:g} m to {self.largest:g} m{hint}"
+        )
+
 
 X = Quantity("x", {"m": 1.0, "mm": 1e3, "um": 1e6}, smallest=0.01, largest=20.0)
 DEVIATION = Quantity("deviation", {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9}, smallest=1e-8, largest=5e-3)
@@ -47,26 +66,6 @@ class Column:
     def metres(self, number: float) -> float:
         """``number`` in this column's unit as m; divides, so that a decimal number stays the nearest float."""
         return number / self.quantity.per_metre[self.unit]
-
-    def check_extent(self, where: str, extent: float) -> None:
-        """Refuse a run whose ``extent`` in m is not that of a guide; ``where`` opens the message.
-
-        Raises:
-            SurveyError: with the unit that would fit, if one does.
-        """
-        quantity = self.quantity
-        if quantity.smallest <= extent <= quantity.largest:
-            return
-        fitting = [
-            f"{quantity.name}_{unit}"
-            for unit, per_metre in quantity.per_metre.items()
-            if quantity.smallest <= extent * quantity.per_metre[self.unit] / per_metre <= quantity.largest
-        ]
-        hint = f"; is the unit wrong? It would fit as {' or '.join(fitting)}" if fitting else ""
-        raise SurveyError(
-            f"{where}: {quantity.name}_{self.unit} extends over {extent:.6g} m; "
-            f"allowed: {quantity.smallest:g} m to {quantity.largest:g} m{hint}"
-        )
 
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}

@@ -96,8 +96,8 @@ def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05
             raise SurveyError(f"{where}: {len(group.x)} points; allowed: >= {min_points} (min_points)")
         run = orient(where, name, direction, group.lines, group.x, group.deviation)
         # Units before gaps: x in the wrong unit would else be called a gap of metres.
-        x_column.check_extent(where, float(run.x[-1] - run.x[0]))
-        deviation_column.check_extent(where, float(np.ptp(run.deviation)))
+        X.check_extent(where, float(run.x[-1] - run.x[0]), x_column.unit)
+        DEVIATION.check_extent(where, float(np.ptp(run.deviation)), deviation_column.unit)
         check_gaps(where, run, max_gap)
         runs.append(run)
     return Survey(tuple(runs), str(path))

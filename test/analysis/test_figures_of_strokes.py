@@ -16,7 +16,7 @@ from straightcomp_ros.analysis import map_plot, plot
 from straightcomp_ros.analysis.assessment import Interval, assess
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
-from straightcomp_ros.analysis.map_building import build
+from straightcomp_ros.analysis.map_building import Choices, build
 from straightcomp_ros.analysis.metrics import evaluate, true_error
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
 from straightcomp_ros.analysis.report import (
@@ -224,6 +224,10 @@ def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_
         assert centres.min() >= x.min() and centres.max() <= x.max() and np.all(np.diff(centres) > 0.0)
         assert values.min() <= means.min() and means.max() <= values.max()
     # Strokes are shaded from their first sample to their last.
+    shades = [patch.get_facecolor() for patch in error.patches]
+    for shade, stroke in zip(shades, motion.strokes, strict=True):
+        # Blue is forward and red is backward, as in all pictures.
+        assert (shade[2] > shade[0]) == (stroke.direction == "forward")
     spans = [patch.get_extents().transformed(error.transData.inverted()) for patch in error.patches]
     for span, stroke in zip(spans, motion.strokes, strict=True):
         assert (span.x0, span.x1) == pytest.approx((record.time[stroke.start], record.time[stroke.stop - 1]))
@@ -235,13 +239,16 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
         Run(name, way, x, 5e-6 * np.sin(10.0 * x) + shift)
         for name, way, shift in (("1", "forward", 1e-7), ("2", "forward", -1e-7), ("1", "backward", 3e-7))
     )
-    built = build(Survey(runs, "made up"), Path(__file__))
+    built = build(Survey(runs, "made up"), Path(__file__), Choices(step=10e-3, limit=6.0, level=False))
     map_plot.plot_map(built, Path("map.png"))
     upper, lower = drawn[0].axes
     *shown, mean = lines(upper)
     for (x_mm, um), run in zip(shown, built.survey.runs, strict=True):
         assert x_mm == pytest.approx(run.x * 1e3) and um == pytest.approx(run.deviation * 1e6)
     assert mean[1] == pytest.approx(built.mean * 1e6)
+    points = [values for at, values in lines(lower) if len(at) == 41][:-2]
+    for run, values in zip(built.survey.runs, points, strict=True):
+        assert values == pytest.approx((run.deviation - built.mean) * 1e6)
     # Forward lies 0.15 µm below the mean of both directions, backward as much above.
     means = [values for at, values in lines(lower) if len(at) == 41][-2:]
     assert means[0] == pytest.approx(-0.15) and means[1] == pytest.approx(0.15)
@@ -254,7 +261,7 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
 def test_a_built_map_tells_its_ends_in_millimetres_and_its_runs():
     x = np.linspace(0.05, 0.45, 41)
     runs = (Run("1", "forward", x, bow(x)), Run("1", "backward", x, bow(x) + 2e-7))
-    figures = build(Survey(runs, "made up"), Path(__file__)).figures()
+    figures = build(Survey(runs, "made up"), Path(__file__), Choices(step=10e-3, limit=6.0, level=False)).figures()
     assert (figures["points"], figures["first_mm"], figures["last_mm"]) == (
         41,
         pytest.approx(50.0),

@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from straightcomp_ros.straightness.repeatability import repeatability
 from straightcomp_ros.straightness.run import Run
 from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey
 
+CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 SAMPLE = Path(__file__).resolve().parents[2] / "bags" / "survey"
 LENGTH = 0.4
 
@@ -131,9 +133,9 @@ def test_stops_make_points_of_their_second_halves():
 def test_level_takes_the_slope_of_the_straight_edge_out():
     x = np.linspace(0.0, LENGTH, 81)
     survey = Survey((Run("1", "forward", x, guide(x) + 1e-5 * x + 1e-3),), "made up")
-    level = build(survey, SAMPLE, Choices(level=True))
+    level = build(survey, SAMPLE, replace(CHOICES, level=True))
     assert np.polyfit(level.repeatability.x, level.mean, 1)[0] == pytest.approx(0.0, abs=1e-9)
-    tilted = build(survey, SAMPLE)
+    tilted = build(survey, SAMPLE, CHOICES)
     assert tilted.mean.mean() == pytest.approx(0.0, abs=1e-12)
     assert tilted.figures()["straightness_least_squares_um"] == pytest.approx(
         level.figures()["straightness_least_squares_um"]
@@ -143,7 +145,7 @@ def test_level_takes_the_slope_of_the_straight_edge_out():
 def test_a_stage_that_never_moved_is_refused():
     time = np.arange(100) * 0.01
     with pytest.raises(SurveyError, match=r"made up.*does not move"):
-        build_from_series(series(time, np.zeros(100), np.zeros(100)), SAMPLE)
+        build_from_series(series(time, np.zeros(100), np.zeros(100)), SAMPLE, CHOICES)
 
 
 def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys):

@@ -11,8 +11,9 @@ import pytest
 from mcap.opcode import Opcode
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.mcap_input import McapInput, Record
 from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.salvage import _checked
 from straightcomp_ros.contract import STREAMS
 
 LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
@@ -166,3 +167,11 @@ def test_a_file_is_closed_when_it_is_refused(tmp_path):
         McapInput(path)
     with pytest.raises(BagError, match=r"nowhere\.mcap cannot be read: No such file or directory; check the path"):
         McapInput(tmp_path / "nowhere.mcap")
+
+
+def test_the_shortest_message_is_one_without_data():
+    # Channel, number and two times make 22 bytes.
+    for length in (22, 23):
+        assert _checked(None, Record(Opcode.MESSAGE, 0, bytes(length))) == bytes(length)
+    with pytest.raises(ValueError, match="too short"):
+        _checked(None, Record(Opcode.MESSAGE, 0, bytes(21)))

@@ -54,6 +54,29 @@ def test_a_bag_is_split_by_duration_and_metadata_lists_its_files_as_rosbag2_does
     assert found["duration"]["nanoseconds"] == max(times) - min(times)
 
 
+def test_a_topic_of_one_file_only_is_counted_right_in_the_whole(tmp_path):
+    with BagWriter(tmp_path / "run", max_duration=1.0) as bag:
+        for topic in ("/always", "/late"):
+            bag.add_topic(topic, ENCODER.layout.type_name, TopicQos("best_effort"))
+        for second in range(3):
+            bag.write("/always", ENCODER.layout.pack(second, 0.0, 0.0, 0.0, 0.0), second * 10**9, second * 10**9)
+        bag.write("/late", ENCODER.layout.pack(2, 0.0, 0.0, 0.0, 0.0), 2 * 10**9, 2 * 10**9)
+    found = information(tmp_path / "run")
+    counts = {each["topic_metadata"]["name"]: each["message_count"] for each in found["topics_with_message_count"]}
+    assert len(found["files"]) == 3 and counts == {"/always": 3, "/late": 1}
+
+
+def test_a_chunk_is_of_half_a_mebibyte(tmp_path):
+    with BagWriter(tmp_path / "run") as bag:
+        bag.add_topic("/encoder", ENCODER.layout.type_name, TopicQos("best_effort"))
+        data = bytes(64 * 1024 - 31)  # with the head of its record 64 KiB
+        for stamp in range(33):
+            bag.write("/encoder", data, stamp, stamp)
+    with open(mcap_files(tmp_path / "run")[0], "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert [index.uncompressed_size >> 16 for index in summary.chunk_indexes][:4] == [8, 8, 8, 8]
+
+
 def test_a_bag_is_one_file_if_nothing_else_is_asked_for(tmp_path):
     data = messages(1)[0].data
     with BagWriter(tmp_path / "run") as bag:

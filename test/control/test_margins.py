@@ -3,7 +3,15 @@ import pytest
 
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, closed_loop_poles
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
-from straightcomp_ros.control.margins import StateSpace, _closed, _phase_margin, linearised, loop_margins, sampled_plant
+from straightcomp_ros.control.margins import (
+    StateSpace,
+    _closed,
+    _last_stable,
+    _phase_margin,
+    linearised,
+    loop_margins,
+    sampled_plant,
+)
 
 NOMINAL = NominalPlant()
 PERIOD = 5e-4
@@ -99,3 +107,10 @@ def test_the_sampled_plant_answers_a_constant_current_after_its_delay_as_the_con
     static = NOMINAL.actuator.current_stiffness / NOMINAL.actuator.position_stiffness
     acting = cycles * PERIOD - delay - 1.0 / (2 * np.pi * 1e5)
     assert plant.c @ x + plant.d == pytest.approx(static * (np.cosh(pole * acting) - 1.0), rel=1e-3)
+
+
+def test_the_border_of_stability_is_the_one_next_to_the_stable_value():
+    # From 0 to 99 in steps of 1, the first of them too; beyond the gap it is stable again.
+    assert _last_stable(lambda value: not 0.75 < value < 1.5, 0.0, 99.0) == pytest.approx(0.75, abs=1e-9)
+    assert _last_stable(lambda value: value < 98.25, 0.0, 99.0) == pytest.approx(98.25, abs=1e-9)
+    assert _last_stable(lambda value: True, 0.0, 99.0) == 99.0

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.straightness.run import Run, orient
 from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey, write_survey
 
 POSITIONS_MM = [10 * k for k in range(30)]
@@ -70,6 +70,14 @@ def test_without_run_and_direction_the_trend_of_x_tells_the_direction(tmp_path: 
     survey = read_survey(_write(tmp_path, _rows(POSITIONS_MM[::-1], ""), "x_mm,deviation_um"))
     assert [run.direction for run in survey.runs] == ["backward"]
     assert (np.diff(survey.runs[0].x) > 0).all()
+
+
+def test_two_points_are_enough_to_tell_a_direction() -> None:
+    deviation = [1e-6, 2e-6]
+    for x, direction in (([0.1, 0.2], "forward"), ([0.2, 0.1], "backward")):
+        run = orient("survey made up", "1", None, [2, 3], x, deviation)
+        assert run.direction == direction and run.x.tolist() == [0.1, 0.2]
+        assert run.deviation.tolist() == (deviation if direction == "forward" else deviation[::-1])
 
 
 def test_a_backward_run_may_be_listed_as_driven_or_sorted(tmp_path: Path) -> None:

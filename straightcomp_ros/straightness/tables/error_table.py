@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.columns import DEVIATION, Column, SurveyError, X
+from straightcomp_ros.straightness.columns import DEVIATION, SurveyError, X
 from straightcomp_ros.straightness.map import StraightnessMap
 from straightcomp_ros.straightness.run import Direction, Run
 from straightcomp_ros.straightness.survey import Survey
@@ -63,14 +63,14 @@ class ErrorTable:
             SurveyError: lengths that no guide has; the unit is wrong then, more likely than the machine odd.
         """
         where = f"survey {source}"
-        Column(X, "m", 0).check_extent(where, float(self.x[-1] - self.x[0]))
+        X.check_extent(where, float(self.x[-1] - self.x[0]))
         sides: tuple[tuple[Direction, NDArray[np.float64] | None], ...] = (
             ("forward", self.forward),
             ("backward", self.backward),
         )
         runs = [Run("1", direction, self.x, deviation) for direction, deviation in sides if deviation is not None]
         for run in runs:
-            Column(DEVIATION, "m", 1).check_extent(where, float(np.ptp(run.deviation)))
+            DEVIATION.check_extent(where, float(np.ptp(run.deviation)))
         return Survey(tuple(runs), source)
 
 
