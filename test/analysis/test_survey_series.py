@@ -128,3 +128,11 @@ def test_a_list_of_points_is_no_recording(tmp_path):
     path = tmp_path / "points.csv"
     path.write_text("x_mm,deviation_um\n1,10\n")
     assert not is_series(path)
+
+
+def test_where_the_platforms_y_was_not_recorded_a_reading_on_it_says_nothing(tmp_path):
+    hole = [t for t in np.arange(0.0, 1.0001, 0.001) if not 0.4 < t < 0.6]
+    bag = survey_bag(tmp_path / "bag", hole, SECOND, lambda t: 2e-6, lambda t: 1e-6)
+    found = series_of_bag(bag, sensor=Sensor(on_platform=True))
+    assert found.unusable == 19 and found.deviation == pytest.approx(1e-6)
+    assert not np.any((found.x > 0.41 * SPEED) & (found.x < 0.59 * SPEED))

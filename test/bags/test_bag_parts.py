@@ -13,7 +13,7 @@ from straightcomp_ros.bags.disk import DiskGuard
 from straightcomp_ros.bags.folder import mcap_files, missing_files, split_number
 from straightcomp_ros.bags.intake import BREAK, Intake
 from straightcomp_ros.bags.losses import Losses
-from straightcomp_ros.bags.parameters import recorded_parameters
+from straightcomp_ros.bags.parameters import recorded_parameters, unpacked_map
 from straightcomp_ros.bags.places import message_places
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.sqlite_input import sqlite_blocks
@@ -187,6 +187,12 @@ def test_a_bag_begins_where_its_first_number_is(tmp_path):
     for number in (3, 4):
         (tmp_path / f"run_{number}.mcap").write_bytes(b"x")
     assert missing_files(tmp_path, mcap_files(tmp_path)) == []
+
+
+def test_the_attached_map_is_unpacked_where_there_is_one(tmp_path):
+    assert unpacked_map({}, tmp_path) is None and not list(tmp_path.iterdir())
+    file = unpacked_map({"map.csv": b"x_mm", "parameters.yaml": b""}, tmp_path)
+    assert list(tmp_path.iterdir()) == [file] and file.read_bytes() == b"x_mm"
 
 
 def test_parameters_of_ros_itself_are_not_those_of_a_node():

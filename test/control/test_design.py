@@ -7,6 +7,7 @@ from straightcomp_ros.control.design import (
     reaching_bound,
 )
 from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.model.actuator import stiffness_errors
 from straightcomp_ros.parameters import ParameterError
 
 DESIGN, NOMINAL = SlidingDesign(), NominalPlant()
@@ -24,6 +25,18 @@ def test_the_reaching_bound_is_friction_over_mass_plus_margin_near_the_centre():
     bound = reaching_bound(DESIGN, NOMINAL)
     assert friction < bound < 1.02 * friction
     assert reaching_bound(DESIGN, NominalPlant(friction=1.8)) > bound
+
+
+def test_the_reaching_bound_is_that_of_equation_11_where_the_stiffness_errors_count():
+    nominal = NominalPlant(travel=0.3 * NOMINAL.actuator.air_gap)
+    position = nominal.actuator.position_stiffness / nominal.mass * nominal.travel
+    friction = nominal.friction / nominal.mass
+    hold = (position + friction) * nominal.mass / nominal.actuator.current_stiffness / nominal.actuator.bias_current
+    m_y, m_i = stiffness_errors(0.3, hold)
+    expected = (m_i * position + m_y * position + friction + DESIGN.gamma) / (1.0 - m_i)
+    assert reaching_bound(DESIGN, nominal) == pytest.approx(expected, rel=1e-12)
+    # Each part is one that shows.
+    assert min(m_i * position, m_y * position, friction, DESIGN.gamma) > 0.01 * expected
 
 
 def test_where_the_gain_error_reaches_one_no_rho_suffices():

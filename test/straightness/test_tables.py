@@ -74,6 +74,12 @@ def test_an_example_is_read_in_metres_as_the_deviation(
     assert (table.backward is not None) == (name == "linuxcnc")
 
 
+def test_a_table_in_inches_is_read_in_metres(tmp_path: Path) -> None:
+    table = _read(tmp_path, "linuxcnc", EXAMPLES["linuxcnc"], Conventions("inch"))
+    np.testing.assert_allclose(table.x, [0.0, 0.254, 0.508], rtol=1e-12)
+    np.testing.assert_allclose(table.forward, np.array([0.0, 4.0, -2.0]) * 25.4e-6, rtol=1e-9, atol=1e-15)
+
+
 def test_linuxcnc_trims_are_the_negative_of_the_deviation(tmp_path: Path) -> None:
     """LinuxCNC: trim = nominal - position, so both types of the file say the same."""
     trims = _read(tmp_path, "linuxcnc", "0 0 0\n10 -0.004 -0.006\n20 0.002 0\n")
