@@ -4,26 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import MetricsError, Motion, StrokeRecord, check_finite, find_motion
+from straightcomp_ros.analysis.record import MetricsError, Motion, ReferenceMap, StrokeRecord, check_finite, find_motion
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
 from straightcomp_ros.straightness.run import Direction
 
 __all__ = ["Metrics", "MetricsError", "evaluate", "residual_over"]
-
-
-class ReferenceMap(Protocol):
-    """What the figures need of a map: a `StraightnessMap`, or the reference as it was recorded."""
-
-    def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64], ...]:
-        """r in m (and more) at x in m."""
-
-    def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
-        """δ in m at x in m."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +85,7 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
     truth = true_error(record, straightness)
     steps = np.diff(record.current[window])
     residual_encoder = residual_over(record.x, straightness.deviations(record.x) + record.y, record, motion)
-    if record.true_x is not None and record.true_y is not None and record.guide is not None:
-        residual = residual_over(record.true_x, record.guide + record.true_y, record, motion)
-        uncompensated = residual_over(record.true_x, record.guide, record, motion)
-    else:
-        residual = residual_encoder
-        uncompensated = residual_over(record.x, straightness.deviations(record.x), record, motion)
+    known = record.best_known(straightness)
     return Metrics(
         encoder_pp=peak_to_peak(error[window]),
         encoder_rms=_rms(error[window]),
@@ -111,9 +95,9 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
         true_rms=None if truth is None else _rms(truth[window]),
         true_pp_forward=None if truth is None else _stroke_pp(truth, motion, "forward"),
         true_pp_backward=None if truth is None else _stroke_pp(truth, motion, "backward"),
-        residual_pp=peak_to_peak(residual),
+        residual_pp=peak_to_peak(residual_over(known.x, known.guide + known.y, record, motion)),
         residual_encoder_pp=peak_to_peak(residual_encoder),
-        uncompensated_pp=peak_to_peak(uncompensated),
+        uncompensated_pp=peak_to_peak(residual_over(known.x, known.guide, record, motion)),
         control_activity=float(np.abs(steps).sum()),
         control_rms_step=_rms(steps),
         samples=window.stop - window.start,

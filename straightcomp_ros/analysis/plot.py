@@ -70,10 +70,8 @@ def _straightness(
     metrics: Metrics,
     motion: Motion,
 ) -> None:
-    if record.true_x is not None and record.true_y is not None and record.guide is not None:
-        x, y, guide, seen = record.true_x, record.true_y, record.guide, "true"
-    else:
-        x, y, guide, seen = record.x, record.y, straightness.deviations(record.x), "map + encoder"
+    x, y, guide, true = record.best_known(straightness)
+    seen = "true" if true else "map + encoder"
     moving = motion.samples()
     x_mm = x[moving] * 1e3
     before_um = residual_over(x, guide, record, motion) * 1e6

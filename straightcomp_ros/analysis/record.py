@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from straightcomp_ros.straightness.run import Direction
 
@@ -23,6 +24,25 @@ SHORTEST_STROKE = 1e-3
 
 class MetricsError(ValueError):
     """A record cannot be evaluated; the message says which part of it, and where."""
+
+
+class ReferenceMap(Protocol):
+    """What the figures need of a map: a `StraightnessMap`, or the reference as it was recorded."""
+
+    def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64], ...]:
+        """r in m (and more) at x in m."""
+
+    def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
+        """δ in m at x in m."""
+
+
+class BestKnown(NamedTuple):
+    """Slider x, platform y and the guide's deviation there, (n,) each in m, and whether they are the true ones."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    guide: NDArray[np.float64]
+    true: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +79,12 @@ class StrokeRecord:
         truth = [name for name in ("true_x", "true_y", "guide") if getattr(self, name) is not None]
         if len(truth) not in (0, 3):
             raise MetricsError(f"record: of the truth it has {', '.join(truth)} only; allowed: all three, or none")
+
+    def best_known(self, straightness: ReferenceMap) -> BestKnown:
+        """The truth; on real hardware what the encoders and the map say of it."""
+        if self.true_x is None or self.true_y is None or self.guide is None:
+            return BestKnown(self.x, self.y, straightness.deviations(self.x), False)
+        return BestKnown(self.true_x, self.true_y, self.guide, True)
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """All arrays by name, without those that are None."""

@@ -88,10 +88,8 @@ def report_html(assessment: Assessment, other: Assessment | None = None, verdict
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     record, motion = assessment.evaluation.record, assessment.motion
-    if record.true_x is not None and record.true_y is not None and record.guide is not None:
-        x, y, guide, seen = record.true_x, record.true_y, record.guide, "true"
-    else:
-        x, y, guide, seen = record.x, record.y, assessment.reference.deviations(record.x), "map and encoder"
+    x, y, guide, true = record.best_known(assessment.reference)
+    seen = "true" if true else "map and encoder"
     moving = motion.samples()
     of_guide, after = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
     figure = _figure("slider position x / mm", f"deviation / µm ({seen})")

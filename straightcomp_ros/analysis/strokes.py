@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.metrics import ReferenceMap
-from straightcomp_ros.analysis.record import Stroke, StrokeRecord
+from straightcomp_ros.analysis.record import ReferenceMap, Stroke, StrokeRecord
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
 
 
@@ -69,11 +68,8 @@ def stroke_figures(
     """
     part = slice(stroke.start, stroke.stop)
     error = (record.r - record.y)[part]
-    if record.true_x is not None and record.true_y is not None and record.guide is not None:
-        x, guide, after = record.true_x[part], record.guide[part], (record.guide + record.true_y)[part]
-    else:
-        x, guide = record.x[part], reference.deviations(record.x[part])
-        after = guide + record.y[part]
+    known = record.best_known(reference)
+    x, guide, after = known.x[part], known.guide[part], (known.guide + known.y)[part]
     # In time the stage lingers where it starts and stops; each piece of the guide counts by its length.
     weights = np.abs(np.gradient(x, record.time[part]))
     of_truth = None if truth is None else truth[part]

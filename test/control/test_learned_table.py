@@ -104,6 +104,8 @@ def test_an_update_that_makes_things_worse_is_taken_back_and_the_next_one_is_hal
     # That one was good: the gain may grow again.
     one_pass(found, 0.5e-6, wanted=0.3e-6, asked=asked)
     assert found.caution == 1.0 and asked[-1] == 1.0
+    one_pass(found, 0.25e-6, wanted=0.3e-6, asked=asked)
+    assert found.caution == 1.0 and asked[-1] == 1.0
 
 
 def test_an_error_within_the_margin_is_chance_and_no_reason_to_take_back():
