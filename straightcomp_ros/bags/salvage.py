@@ -22,7 +22,6 @@ from straightcomp_ros.bags.summary import FRAME, UNREADABLE
 
 _PARSED = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
 _SHORTEST_MESSAGE = 22
-_SHORTEST_CHUNK = 40
 
 
 class Gap(NamedTuple):
@@ -110,7 +109,7 @@ def _next_chunk(file: McapInput, position: int) -> int:
         place = block.find(Opcode.CHUNK)
         while 0 <= place < step:
             length = int.from_bytes(block[place + 1 : place + 9], "little")
-            if _SHORTEST_CHUNK <= length <= file.size - position - place - FRAME.size:
+            if length <= file.size - position - place - FRAME.size:
                 try:
                     _sound(file, position + place)
                 except _Unsound:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, fields
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
@@ -86,7 +86,8 @@ def test_a_field_that_is_not_there_is_named_with_what_there_is(tmp_path, path, w
 
 
 @pytest.mark.parametrize(("stream", "path"), [(ENCODER, "position[stage_x]"), (DISPLACEMENT, "position[displacement]")])
-def test_our_own_streams_are_read_as_columns(tmp_path, stream, path):
+def test_our_own_streams_are_read_as_columns(tmp_path, stream, path, monkeypatch):
+    monkeypatch.setattr(fields, "_decoder", None)  # not message by message
     layout = stream.layout
     place = [f"{array}[{joint}]" for array, joint in layout.places].index(path)
     with BagWriter(tmp_path / "bag") as bag:

@@ -106,6 +106,11 @@ def test_an_update_that_makes_things_worse_is_taken_back_and_the_next_one_is_hal
     assert found.caution == 1.0 and asked[-1] == 1.0
     one_pass(found, 0.25e-6, wanted=0.3e-6, asked=asked)
     assert found.caution == 1.0 and asked[-1] == 1.0
+    found.caution = 0.25
+    one_pass(found, 0.1e-6, wanted=0.3e-6, asked=asked)
+    assert found.caution == 0.5
+    found.clear()
+    assert found.caution == 1.0 and not found.tried
 
 
 def test_an_error_within_the_margin_is_chance_and_no_reason_to_take_back():

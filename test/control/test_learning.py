@@ -172,7 +172,7 @@ def test_the_rates_of_the_corrected_reference_are_its_derivatives_on_a_stage_tha
     # Beyond the speed at which it fades, and after the estimates of speed and acceleration have settled.
     for value, rate in ((r, r_dot), (r_dot, r_ddot)):
         expected = np.gradient(value, 1.0 / RATE)
-        assert np.abs(rate - expected)[10:-10].max() < 0.05 * np.abs(expected).max()
+        assert np.abs(rate - expected)[10:-10].max() < 0.005 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize(

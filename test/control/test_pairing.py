@@ -29,6 +29,16 @@ def test_the_reference_of_an_earlier_sample_serves_at_the_sample_s_own_time():
         assert reference == pytest.approx(quadratic(at(k)), rel=1e-12)
 
 
+def test_a_sample_that_is_sent_again_gets_the_same_reference_again():
+    pairing = Pairing(8 * PERIOD, wait=True)
+    for k in range(20):
+        pairing.add_sample(at(k), (k,))
+        pairing.add_reference(at(k), (float(k), 0.0, 0.0))
+        (first,) = pairing.take()
+        pairing.add_sample(at(k), (k,))
+        assert list(pairing.take()) == [first]
+
+
 def test_the_numbers_do_not_depend_on_who_was_faster():
     def served(order):
         pairing = Pairing(4 * PERIOD, wait=True)
