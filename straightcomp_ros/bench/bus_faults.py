@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from straightcomp_ros.hardware.can.fault_trial import run_trial
+from straightcomp_ros.bench.can_fault_trial import run_trial
+from straightcomp_ros.bench.can_servo_trial import run_servo_trial
 from straightcomp_ros.hardware.can.faults import KINDS
-from straightcomp_ros.hardware.can.servo_trial import run_servo_trial
 from straightcomp_ros.straightness.map import StraightnessMap
 
 _RATE = 0.02

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.doctor.finding import Finding
-from straightcomp_ros.nodes.exclusive import left_behind
+from straightcomp_ros.timing.exclusive import left_behind
 
 _PRIORITY = 40
 """What docs/realtime.md recommends: above all normal processes, below the kernel's interrupt threads."""

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import BinaryIO
 
 from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes.exclusive import keep_others_off, kept_free, left_behind
 from straightcomp_ros.nodes.threads import threads
+from straightcomp_ros.timing.exclusive import keep_others_off, kept_free, left_behind
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CPU_LATENCY = "/dev/cpu_dma_latency"

@@ -5,7 +5,8 @@ import struct
 
 import pytest
 
-from straightcomp_ros.hardware.can.fault_trial import position, run_trial
+from straightcomp_ros.bench.can_fault_trial import position, run_trial
+from straightcomp_ros.bench.can_servo_trial import _START_NS, _TRANSIT_NS, _Trial
 from straightcomp_ros.hardware.can.faults import Faults
 from straightcomp_ros.hardware.can.frames import Identifiers
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
@@ -22,7 +23,6 @@ from straightcomp_ros.hardware.can.hub_packet import (
 )
 from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
-from straightcomp_ros.hardware.can.servo_trial import _START_NS, _TRANSIT_NS, _Trial
 from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payloads
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.model.stage import Waypoint

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from straightcomp_ros.hardware.can.fault_trial import position, run_trial
+from straightcomp_ros.bench.can_fault_trial import position, run_trial
 from straightcomp_ros.hardware.can.frames import (
     COUNTER_MODULUS,
     Amplifier,

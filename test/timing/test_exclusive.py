@@ -10,7 +10,8 @@ import pytest
 from waiting import comes_true
 
 from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes import exclusive, realtime
+from straightcomp_ros.nodes import realtime
+from straightcomp_ros.timing import exclusive
 
 pytestmark = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one CPU has nothing to share out")
 
@@ -18,7 +19,7 @@ SERVER = """
 import sys
 sys.path.insert(0, {root!r})
 from pathlib import Path
-from straightcomp_ros.nodes import exclusive
+from straightcomp_ros.timing import exclusive
 exclusive._PROCESSES, exclusive._WORK_QUEUES = Path({processes!r}), Path({queues!r})
 exclusive._NOTES = Path({notes!r})
 exclusive._NAME, exclusive._TURN_S = {name!r}, 0.2
@@ -26,7 +27,7 @@ sys.exit(exclusive._main(sys.argv[1:]))
 """
 NODE = """
 import sys, time
-from straightcomp_ros.nodes import exclusive
+from straightcomp_ros.timing import exclusive
 exclusive.__file__ = {server!r}
 print(exclusive.keep_others_off({cpus!r}), flush=True)
 time.sleep(60)

@@ -1,6 +1,6 @@
 """The closed loop over a bad bus, in simulated time: host and emulated board whole, the bus between them spoilt.
 
-:mod:`straightcomp_ros.hardware.can.fault_trial` shows that each single fault is found; here is what the machine does
+:mod:`straightcomp_ros.bench.can_fault_trial` shows that each single fault is found; here is what the machine does
 about it: it runs on, or it stands in the latched safe state until it is reset, and then runs again.
 """
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from straightcomp_ros.bench.can_servo_trial import run_servo_trial
 from straightcomp_ros.hardware.can.faults import KINDS
-from straightcomp_ros.hardware.can.servo_trial import run_servo_trial
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.straightness.map import MapParameters, load_map
 
