@@ -10,6 +10,7 @@ source is as likely as any other. Left out are:
 - Annotations, decorators, ``if TYPE_CHECKING``, texts for people (f-strings) and the look of a picture (``LOOK``).
 - Defaults and ranges of parameters: config/straightcomp.yaml and docs/reference.md repeat them, and
   test/test_parameters.py compares.
+- How long something is waited for that answers at once, and the line that a warning names (``UNSEEN``).
 - Renamed exceptions and variables: mypy and ruff find them.
 
 Each mutant stands in a temporary copy of the tree, with numba's cache beside it; the working tree is never touched. A
@@ -55,7 +56,8 @@ REQUIRED = 0.92
 _PYTEST = "-x -q -p no:rerunfailures -p no:cacheprovider --hypothesis-seed=1 --basetemp=temporary"
 _SLOW_S = 0.4
 IMPORTED_BEFORE = "can hypothesis matplotlib.figure numba plotly.graph_objects rosbags.typesys scipy.signal"
-LOOK = {"alpha", "capsize", "figsize", "fontsize", "height", "layout", "linewidth", "margin", "ncols", "zorder"}
+LOOK = {"alpha", "capsize", "dpi", "figsize", "fontsize", "height", "layout", "linewidth", "margin", "ncols", "zorder"}
+UNSEEN = {"stacklevel", "timeout"}
 SWAPS = """
     BinaryOperator_Add_Sub BinaryOperator_Sub_Add BinaryOperator_Mul_Div BinaryOperator_Div_Mul
     BinaryOperator_FloorDiv_Mul BinaryOperator_Mod_Mul BinaryOperator_Pow_Mul
@@ -110,7 +112,7 @@ def left_out(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
             parts.append(node)
         if isinstance(node, ast.Call):
             parts += [node] * (ast.unparse(node.func) == "parameter")
-            parts += [keyword.value for keyword in node.keywords if keyword.arg in LOOK]
+            parts += [keyword.value for keyword in node.keywords if keyword.arg in LOOK | UNSEEN]
         spans += [((part.lineno, part.col_offset), (part.end_lineno, part.end_col_offset)) for part in parts if part]
     return spans
 
@@ -122,6 +124,8 @@ def draw(seed: int) -> Iterator[Mutant]:
         file, source = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
         lines, spans, same = source.splitlines(), left_out(source), Counter()
         nodes = [node for node in ast_nodes(get_ast(source)) if node.type not in ("name", "newline", "string")]
+        # A bare * in a signature multiplies nothing.
+        nodes = [node for node in nodes if node.type != "operator" or node.parent.type not in ("parameters", "param")]
         choices = defaultdict(list)
         for operator in OPERATORS:
             positions = (position for node in nodes for position in operator.mutation_positions(node))

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis import map_plot, plot
@@ -20,9 +21,11 @@ from straightcomp_ros.analysis.map_building import Choices, build
 from straightcomp_ros.analysis.metrics import evaluate, true_error
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
 from straightcomp_ros.analysis.report import (
+    _BINS,
     _error,
     _events,
     _extremes,
+    _figures,
     _number,
     _spectrum,
     _straightness,
@@ -246,6 +249,10 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
     for (x_mm, um), run in zip(shown, built.survey.runs, strict=True):
         assert x_mm == pytest.approx(run.x * 1e3) and um == pytest.approx(run.deviation * 1e6)
     assert mean[1] == pytest.approx(built.mean * 1e6)
+    for axes in (upper, lower):
+        for line, run in zip(axes.get_lines(), built.survey.runs, strict=False):
+            red, _, blue = to_rgb(line.get_color())
+            assert (blue > red) == (run.direction == "forward")
     points = [values for at, values in lines(lower) if len(at) == 41][:-2]
     for run, values in zip(built.survey.runs, points, strict=True):
         assert values == pytest.approx((run.deviation - built.mean) * 1e6)
@@ -309,6 +316,8 @@ def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record):
     record = make_record(0.2e-6)
     late = replace(record, time=record.time + 100.0)
     found, other = (assess(Path(name), evaluation_of(one)) for name, one in (("a", record), ("b", late)))
+    assert _figures(found, other).count("<td class=n>") == 2 * len(found.figures())
+    assert _figures(found, None).count("<td class=n>") == len(found.figures())
     *_, theirs = _error(found, other).data
     assert min(theirs.x) == pytest.approx(record.time[found.motion.window.start], abs=0.05)
     assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
@@ -320,6 +329,8 @@ def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record):
     evaluation = replace(evaluation_of(record), latency=latency, lateness=lateness)
     bars = _timing(assess(Path("a"), evaluation)).data
     assert [bar.name for bar in bars] == ["sample to command", "sample to publication"]
+    # From 20 to 900 µs.
+    assert [bar.width for bar in bars] == pytest.approx([880.0 / _BINS] * 2)
     for bar, values in zip(bars, (latency, lateness), strict=True):
         assert len(bar.x) == len(bar.y) and sum(bar.y) == len(values)
         for value in values * 1e6:

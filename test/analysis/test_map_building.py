@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
-from straightcomp_ros.analysis.survey_runs import recognise
+from straightcomp_ros.analysis.survey_runs import _course, recognise
 from straightcomp_ros.analysis.survey_series import Sensor, Series, series_of_bag
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
@@ -113,6 +113,12 @@ def test_a_spike_does_not_reach_the_points_even_where_a_point_has_one_reading():
     (passage,) = recognise(series(time, x, deviation), 4e-3, 6.0).passages
     assert passage.spikes >= len(bad)
     assert np.abs(passage.run.deviation - guide(passage.run.x)).max() < 1e-7
+
+
+@pytest.mark.parametrize("count", [3, 5, 8, 9, 30])
+def test_on_a_slope_the_neighbours_say_what_each_reading_says(count):
+    slope = np.linspace(1e-6, 9e-6, count)
+    assert _course(slope) == pytest.approx(slope, abs=1e-18)
 
 
 def test_stops_make_points_of_their_second_halves():

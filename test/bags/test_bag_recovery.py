@@ -110,6 +110,23 @@ def test_a_damaged_chunk_costs_its_own_messages_only_and_their_number_is_told(re
     assert 0 < len(bag.messages) - len(saved) < 2.2 * len(bag.messages) / len(offsets)
 
 
+def test_a_topic_whose_messages_are_all_lost_is_still_announced(tmp_path):
+    with BagWriter(tmp_path / "bag", chunk_size=1) as bag:
+        for topic in ("/once", "/often"):
+            bag.add_topic(topic, ENCODER.layout.type_name)
+        for stamp, topic in enumerate(("/once", "/often", "/often")):
+            bag.write(topic, ENCODER.layout.pack(stamp, 0.0, 0.0, 0.0, 0.0), stamp, stamp)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    content = bytearray(file.read_bytes())
+    content[chunk_offsets(bytes(content))[0] + 60] ^= 0xFF
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(content)
+    result = recover(path, tmp_path / "new")
+    assert result.lost["/once"] == 1 and not result.lost["/often"]
+    with Reader(tmp_path / "new") as reader:
+        assert {name: topic.msgcount for name, topic in reader.topics.items()} == {"/once": 0, "/often": 2}
+
+
 @pytest.mark.no_cover  # the others reach the same, and it takes three times as long under coverage
 @pytest.mark.parametrize("compression", ["zstd", "none"])
 def test_flipped_bytes_never_bring_a_message_that_was_not_recorded(record, tmp_path, compression):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import random
 import re
+import subprocess
 
 import pytest
 from recording import START_NS
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import origin as origin_module
 from straightcomp_ros.bags.disk import DiskGuard
 from straightcomp_ros.bags.intake import BREAK, Intake
 from straightcomp_ros.bags.losses import Losses
@@ -73,6 +75,23 @@ def test_the_recording_stops_before_the_disk_is_full(tmp_path):
     DiskGuard(tmp_path, 0).check()
     with pytest.raises(BagError, match=r"bytes are free on its disk; allowed: >= 10{30} \(min_free_bytes\)"):
         DiskGuard(tmp_path, 10**30).check()
+
+
+def test_the_revision_is_that_of_the_repository_that_has_this_file(tmp_path, monkeypatch):
+    def git(*words):
+        identity = ("-c", "user.name=a", "-c", "user.email=a@b")
+        return subprocess.run(["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True, text=True)
+
+    ours, others = tmp_path / "ours.py", tmp_path / "others.py"
+    for file in (ours, others):
+        file.touch()
+    git("init", "-q")
+    git("add", "ours.py")
+    git("commit", "-q", "-m", "one")
+    monkeypatch.setattr(origin_module, "__file__", str(ours))
+    assert origin()["revision"] == git("rev-parse", "--short=12", "HEAD").stdout.strip()
+    monkeypatch.setattr(origin_module, "__file__", str(others))
+    assert origin()["revision"] == "unknown"
 
 
 def test_the_origin_names_package_version_and_revision():

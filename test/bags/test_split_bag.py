@@ -66,6 +66,12 @@ def test_a_topic_of_one_file_only_is_counted_right_in_the_whole(tmp_path):
     assert len(found["files"]) == 3 and counts == {"/always": 3, "/late": 1}
 
 
+def test_a_bag_without_messages_begins_when_rosbag2_says_that_nothing_began(tmp_path):
+    with BagWriter(tmp_path / "run"):
+        pass
+    assert information(tmp_path / "run")["starting_time"]["nanoseconds_since_epoch"] == 2**63 - 1
+
+
 def test_a_chunk_is_of_half_a_mebibyte(tmp_path):
     with BagWriter(tmp_path / "run") as bag:
         bag.add_topic("/encoder", ENCODER.layout.type_name, TopicQos("best_effort"))

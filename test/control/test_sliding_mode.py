@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, state_matrices
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.sliding_mode import switching_function
@@ -111,3 +112,21 @@ def test_the_surface_is_reached_in_the_time_of_its_closed_form():
         y, v, t = y + period * v + 0.5 * period**2 * acceleration, v + period * acceleration, t + period
     closed = lambda s: math.log(1 + design.phi * s / design.rho) / design.phi  # noqa: E731
     assert t == pytest.approx(closed(sigma_0) - closed(0.01 * sigma_0), rel=0.02)
+
+
+def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it():
+    gains = sliding_mode.gains(
+        DESIGN,
+        NOMINAL,
+        switching=False,
+        feedforward=False,
+        period=T,
+        velocity_bandwidth=1e3,
+        current_limit=0.05,
+    )
+    for sign in (1.0, -1.0):
+        wound = sliding_mode.State(-1e-4 * sign, 0.0, 0.0)
+        for error, held in ((1e-6, False), (-1e-6, True)):
+            after, answer = sliding_mode.step(gains, wound, sign * error, 0.0, 0.0, 0.0, 0.0)
+            assert answer.current == sign * 0.05
+            assert after.integral == pytest.approx(wound.integral + (0.0 if held else sign * error * T), rel=1e-12)

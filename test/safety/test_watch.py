@@ -291,3 +291,13 @@ def test_following_takes_no_more_than_half_a_step_at_once():
     found.follow()
     clocks.offset += 30_000_000
     assert clocks.seen_by(found)[0] == "clock_jump"
+
+
+def test_following_takes_what_is_less_than_half_a_step():
+    clocks = Clocks()
+    clocks.reading_ns = 0
+    found = clocks.watch()
+    clocks.offset += 24_000_000
+    found.follow()
+    clocks.offset += 40_000_000
+    assert clocks.seen_by(found) is None

@@ -38,6 +38,8 @@ def test_the_bidirectional_figure_adds_the_spreads_of_both_directions_and_the_re
     found = found_of([[1, 0, 0, 0], [3, 0, 0, 0]], [[0, 0, 0, 0], [4, 0, 0, 0]])
     # s: √2 and 2√2 µm, no reversal.
     assert found.bidirectional == pytest.approx(max(6.0 * math.sqrt(2.0), 8.0 * math.sqrt(2.0)) * 1e-6)
+    turned = found_of([[0, 0, 0, 0], [4, 0, 0, 0]], [[2, 0, 0, 0], [2, 0, 0, 0]])
+    assert turned.bidirectional == pytest.approx(8.0 * math.sqrt(2.0) * 1e-6)
     apart = found_of([[11, 0, 0, 0], [13, 0, 0, 0]], [[0, 0, 0, 0], [4, 0, 0, 0]])
     assert apart.bidirectional == pytest.approx((6.0 * math.sqrt(2.0) + 10.0) * 1e-6)
 

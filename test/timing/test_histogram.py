@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import NOTHING, Distribution, Histogram
-from straightcomp_ros.timing.report import Report, amplifier_on, summarise, written
+from straightcomp_ros.timing.report import CPU_WAIT, Report, amplifier_on, summarise, written
 
 PERIOD = 500_000
 
@@ -137,6 +137,19 @@ def test_a_window_holds_the_reports_at_both_of_its_ends():
     assert summarise(reports, 10**9, 3 * 10**9).overruns == 2
     assert summarise(reports, 10**9 + 1, 3 * 10**9).overruns == 1
     assert summarise(reports, 10**9, 3 * 10**9 - 1).overruns == 1
+
+
+def test_what_a_first_report_does_not_count_yet_began_at_zero():
+    (first, *_, last), _ = reports_of(4)
+    del first.values["overruns"]
+    assert summarise([first, last]).overruns == 3
+
+
+def test_who_was_held_up_before_the_window_was_not_held_up_in_it():
+    reports, _ = reports_of(4)
+    for report, waited in zip(reports, ("900", "20", "50", "10"), strict=True):
+        report.values[CPU_WAIT] = report.values["timer_error_max_us"] = waited
+    assert summarise(reports).held_up.no_cpu_us == 50.0
 
 
 def test_two_reports_of_the_same_time_have_no_rate():

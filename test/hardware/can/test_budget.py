@@ -55,8 +55,13 @@ def test_can_fd_halves_load_and_latency():
     assert fd_time(64, 10**9, 1) == pytest.approx(680)
     assert load(traffic(fd=True), FD_1M_5M) == pytest.approx(0.26, abs=0.01)
     assert round_trip(traffic(fd=True), FD_1M_5M) < 270e-6
-    with pytest.raises(ValueError, match="14 bytes"):
-        fd_time(14, 10**6, 5 * 10**6)
+    sizes = {*range(9), 12, 16, 20, 24, 32, 48, 64}  # ISO 11898-1, DLC
+    for size in range(66):
+        if size in sizes:
+            assert fd_time(size, 10**6, 5 * 10**6) > 0.0
+        else:
+            with pytest.raises(ValueError, match=f" {size} bytes"):
+                fd_time(size, 10**6, 5 * 10**6)
 
 
 def test_the_document_shows_what_the_code_computes():

@@ -156,6 +156,27 @@ def test_of_the_frames_that_wait_the_lowest_identifier_goes_first_and_each_node_
     hub.close()
 
 
+def test_a_hub_that_has_frames_to_pass_on_does_not_wait_for_more(tmp_path):
+    hub = Hub(tmp_path / "bus")
+    waits = []
+
+    class Readable:
+        def poll(self, timeout_ms):
+            waits.append(timeout_ms)
+            return []
+
+    hub._readable = Readable()
+    hub.serve(100)
+    node = object()
+    hub._pass_on = lambda sender, packet: None
+    hub._fetch = lambda sender: None
+    hub._waiting[node] = b"frame"
+    hub.serve(100)
+    hub.serve(100)
+    assert waits == [100, 0, 100]
+    hub._listener.close()
+
+
 def test_identifiers_win_the_bus_as_their_bits_go_out():
     def packet(identifier, flags):
         return to_packet(Frame(0, identifier, flags, b""))
