@@ -216,7 +216,8 @@ def run_pytest(parts: list[list[str]], mutated: bool, cpu_limit: int) -> None:
 def run(file: str, source: str | None = None, cpu_limit: int = 3600) -> tuple[bool, float]:
     """Whether the tests pass with this source in the file, and their processor time in s.
 
-    They end at the limit of processor time, which other load does not shorten, or if they hardly take any in a minute.
+    They end at the limit of processor time, which other load does not shorten, or if they take less than six seconds of
+    it in a minute: they wait for what does not come.
     """
     path, before = _tree / file, resource.getrusage(resource.RUSAGE_CHILDREN)
     original, stat = path.read_bytes(), path.stat()
@@ -231,7 +232,7 @@ def run(file: str, source: str | None = None, cpu_limit: int = 3600) -> tuple[bo
             process.join(60.0)
             with contextlib.suppress(psutil.NoSuchProcess):
                 times = psutil.Process(process.pid).cpu_times()
-                taken, waiting = sum(times[:4]), sum(times[:4]) - taken < 0.6
+                taken, waiting = sum(times[:4]), sum(times[:4]) - taken < 6.0
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
