@@ -66,7 +66,8 @@ echo "Branch coverage of all:"
 .venv/bin/python -m coverage report --fail-under=85
 endef
 # What sums, solves and fits the most.
-PROCESSOR_DEPENDENT := model straightness analysis bench/test_measuring.py control/test_observer.py control/test_design.py
+PROCESSOR_DEPENDENT := model straightness $(addprefix analysis/test_,assessment.py figures_of_strokes.py metrics.py survey_series.py) \
+  bench/test_measuring.py control/test_observer.py control/test_design.py
 test: setup
 	@mkdir -p .coverage_data
 	$(if $(ARGS),exec .venv/bin/python -m pytest $(ARGS),$(TEST_ALL))

@@ -17,6 +17,9 @@ from straightcomp_ros.sweep.run import run_trials
 from straightcomp_ros.sweep.scenario import make_scenario
 from straightcomp_ros.sweep.starts import Spread, metrics_of_starts, spreads
 
+# The code is reached by other tests, and whole strokes take three times as long under it.
+pytestmark = pytest.mark.no_cover
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 TUNING = (REPOSITORY / "docs" / "tuning.md").read_text(encoding="utf-8")

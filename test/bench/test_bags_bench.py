@@ -29,6 +29,7 @@ def bag(tmp_path_factory):
     return path
 
 
+@pytest.mark.no_cover  # its loops take three times as long under it
 def test_without_ros_all_but_the_live_figures_are_measured(bag, monkeypatch, capsys):
     monkeypatch.setattr(bags, "ros_available", lambda: False)
     assert main(["bench", "bags", "--bag", str(bag), "--json"]) == 0

@@ -13,6 +13,7 @@ SHORT = ["--frames", "1000", "--seconds", "0.5", "--cuts", "1"]
 NORMAL = ["--set", "driver.realtime.priority=0"]
 
 
+@pytest.mark.no_cover  # its loops take three times as long under it
 def test_costs_round_trip_and_faults_are_measured_and_each_fault_is_found(capsys):
     assert main(["bench", "can", "--json", *SHORT, *NORMAL]) == 0
     figures = json.loads(capsys.readouterr().out)
