@@ -32,7 +32,7 @@ help:
 	make test              all tests, with branch coverage: below 95 % of the core or 85 % of all it fails
 	make test ARGS="..."   some of them, without coverage, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
-	make soak              two long tests of live nodes, which make test leaves out
+	make soak              the longest tests, which make test leaves out: README says which
 	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
 	make mutants           200 random changes of the core: tests of the changed folder must notice 92 % of them
 	make mutants ARGS="..."  with options, e.g. ARGS="--seed 2 --processes 4"; ARGS=--help lists them
@@ -54,7 +54,7 @@ define TEST_ALL
 .venv/bin/python -m coverage erase
 code=0
 echo "Tests without live nodes, one process more than there are cores, since many wait for programs that they start:"
-OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -m "not live" -n $$(( $$(nproc) + 1 )) --dist worksteal --cov --cov-report= || code=1
+OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -m "not live and not soak" -n $$(( $$(nproc) + 1 )) --dist worksteal --cov --cov-report= || code=1
 echo "Tests of live nodes, one after the other:"
 .venv/bin/python -m pytest test/nodes -m "live and not soak" --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
 echo "Some tests as on other processors:"

@@ -201,7 +201,7 @@ def test_the_bag_is_finished_when_an_exception_ends_the_block(tmp_path, error):
         assert reader.message_count == len(written)
 
 
-@pytest.mark.no_cover
+@pytest.mark.soak
 def test_an_interrupt_at_any_call_while_writing_leaves_a_whole_bag(tmp_path):
     written = [message for message in messages(1) if message.topic in ("/encoder", "/command")]
 

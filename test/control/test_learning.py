@@ -258,7 +258,7 @@ def cycles_of(values: dict, learn: bool) -> list[Metrics]:
     return [evaluate(simulation.run(), simulation.map) for _ in range(12)]
 
 
-@pytest.mark.no_cover  # whole strokes, which take three times as long under it
+@pytest.mark.soak
 @pytest.mark.parametrize("law, seed, gained", [("smc_observer", 4, 1.0), ("smc", 3, 0.97), ("linear", 5, 0.7)])
 def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning(law, seed, gained):
     ratios = []

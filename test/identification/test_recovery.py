@@ -46,6 +46,7 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
             assert found["value"] == pytest.approx(truth[name], rel=WITHIN[name]), name
 
 
+@pytest.mark.soak
 def test_another_plant_under_another_law_is_found_too(soft_bag: Path) -> None:
     estimate = estimate_from_bag(soft_bag, START, ["actuator.turns"])
     truth = truth_of(SOFT)
@@ -58,6 +59,7 @@ def test_another_plant_under_another_law_is_found_too(soft_bag: Path) -> None:
     assert "simulated.plant.mass: 4." in parameter_file(estimate)
 
 
+@pytest.mark.soak
 def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag: Path) -> None:
     estimate = estimate_from_bag(guide_bag, START, ["actuator.turns"])
     truth, found = truth_of(STIFF), estimate.parameters
