@@ -52,6 +52,7 @@ def plot_map(built: BuiltMap, path: Path) -> None:
     for axes in (upper, lower):
         axes.set_ylabel("deviation / µm")
         axes.grid(color="#D8D8D8", linewidth=0.5)
+        axes.set_axisbelow(True)
         axes.margins(x=0.01)
         axes.legend(fontsize=8, ncols=2)
     figure.savefig(path)

@@ -250,6 +250,7 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
         assert x_mm == pytest.approx(run.x * 1e3) and um == pytest.approx(run.deviation * 1e6)
     assert mean[1] == pytest.approx(built.mean * 1e6)
     for axes in (upper, lower):
+        assert axes.get_axisbelow() is True
         for line, run in zip(axes.get_lines(), built.survey.runs, strict=False):
             red, _, blue = to_rgb(line.get_color())
             assert (blue > red) == (run.direction == "forward")
