@@ -14,7 +14,7 @@ from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters
 from straightcomp_ros.opcua.parameters import OpcuaParameters
-from straightcomp_ros.parameters import ParameterError, from_mapping, group, parameter
+from straightcomp_ros.parameters import ParameterError, RefusedParameter, from_mapping, group, parameter
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.map import MapParameters
@@ -87,11 +87,13 @@ class DriverNodeParameters:
         if self.hardware != "can":
             return
         if self.lockstep:
-            raise ParameterError("parameter 'lockstep': True needs a simulated machine; allowed with 'can': false")
+            raise RefusedParameter(
+                "lockstep", "True needs a simulated machine; allowed: false ('{group}hardware' is 'can')"
+            )
         largest = CURRENT_LIMIT * CURRENT_COUNT
         if self.current_limit > largest:
-            raise ParameterError(
-                f"parameter 'current_limit': {self.current_limit!r} A is too large for CAN; allowed: <= {largest:g} A"
+            raise RefusedParameter(
+                "current_limit", f"{self.current_limit!r} A is too large for CAN; allowed: <= {largest:g} A"
             )
 
     @property

@@ -22,6 +22,28 @@ class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or out of its range; the message names all three."""
 
 
+_GROUP = "{group}"
+
+
+class RefusedParameter(ParameterError):
+    """A parameter that a set refuses beside its others, for its ``__post_init__``.
+
+    The set does not know under which name it is a group of a node; :func:`from_mapping` names the parameter in full.
+
+    Args:
+        name: within the set.
+        text: value, reason and what is allowed; other parameters of the set are written ``{group}name`` in it.
+    """
+
+    def __init__(self, name: str, text: str, group: str = "") -> None:
+        super().__init__(f"parameter '{group}{name}': {text.replace(_GROUP, group)}")
+        self._name, self._text = name, text
+
+    def within(self, group: str) -> RefusedParameter:
+        """The same of a set that is the group ``group``, which ends with a dot."""
+        return RefusedParameter(self._name, self._text, group)
+
+
 @dataclasses.dataclass(frozen=True)
 class Declaration:
     """What is known of one parameter; ``name`` is the dotted name, ``kind`` one of bool, int, float, str."""
@@ -150,7 +172,10 @@ def _build(parameter_set: type[T], checked: Mapping[str, Any], prefix: str) -> T
             arguments[field.name] = _build(typing.cast(type, kind), checked, f"{prefix}{field.name}.")
         else:
             arguments[field.name] = checked[prefix + field.name]
-    return parameter_set(**arguments)
+    try:
+        return parameter_set(**arguments)
+    except RefusedParameter as error:
+        raise error.within(prefix) from None
 
 
 def to_mapping(parameters: Any, prefix: str = "") -> dict[str, Any]:

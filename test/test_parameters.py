@@ -1,4 +1,7 @@
-from dataclasses import dataclass
+import inspect
+import re
+from dataclasses import dataclass, fields, is_dataclass
+from typing import get_type_hints
 
 import pytest
 import yaml
@@ -15,6 +18,7 @@ from straightcomp_ros.parameters import (
     to_mapping,
 )
 from straightcomp_ros.share import share_path
+from straightcomp_ros.sweep.uncertainty import UncertaintyParameters
 
 
 @dataclass(frozen=True)
@@ -115,3 +119,60 @@ def test_a_parameter_file_with_namespaces_is_read_by_node(tmp_path):
     path = tmp_path / "p.yaml"
     path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"rate": 4000}}}}))
     assert read_parameter_file(path)["driver"] == {"simulated.rate": 4000}
+
+
+CAN = {"hardware": "can"}
+ENCRYPTED = {"opcua.security": "encrypted", "opcua.users": "users", "opcua.certificates": "folder"}
+TOGETHER = [
+    ("driver", {**CAN, "lockstep": True}, "lockstep", {"hardware"}),
+    ("driver", {**CAN, "current_limit": 50.0}, "current_limit", set()),
+    ("driver", {"can.log": "frames.txt"}, "can.log", set()),
+    ("driver", {"can.options": "bitrate"}, "can.options", set()),
+    ("driver", {"simulated.plant.stop": 2e-3}, "simulated.plant.stop", {"simulated.plant.actuator.air_gap"}),
+    (
+        "driver",
+        {"simulated.plant.friction.static": 0.1},
+        "simulated.plant.friction.static",
+        {"simulated.plant.friction.coulomb"},
+    ),
+    (
+        "controller",
+        {"control.law": "smc", "control.design.rho": 0.2},
+        "control.design.rho",
+        {"control.design.enforce_reaching"},
+    ),
+    ("opcua", {"opcua.security": "none", "opcua.host": "0.0.0.0"}, "opcua.security", {"opcua.host"}),
+    ("opcua", {**ENCRYPTED, "opcua.users": ""}, "opcua.users", set()),
+    ("opcua", {"opcua.trusted": "folder"}, "opcua.trusted", {"opcua.security"}),
+    ("uncertainty", {"longest_delay": 0.1, "shortest_delay": 0.2}, "longest_delay", {"shortest_delay"}),
+]
+"""Values that are refused beside others: node, values, the name that the message begins with, others that it names."""
+SETS = {**NODE_PARAMETERS, "uncertainty": UncertaintyParameters}
+
+
+@pytest.mark.parametrize(("node", "values", "name", "others"), TOGETHER)
+def test_what_is_refused_beside_other_parameters_is_named_as_it_is_set(node, values, name, others):
+    with pytest.raises(ParameterError) as refused:
+        from_mapping(SETS[node], values)
+    message = str(refused.value)
+    assert (message.startswith(f"parameter '{name}': ") and "allowed" in message) or "must" in message
+    known = {declaration.name for declaration in declarations(SETS[node])}
+    assert set(re.findall(r"'([\w.]+)'", message)) & known == {name} | others
+    # Nor is one of them written without its group.
+    assert not {full.rpartition(".")[2] for full in others} & set(re.findall(r"'(\w+)'", message)) - known
+
+
+def checking(parameter_set):
+    """The set and its groups that judge parameters beside others."""
+    found = {parameter_set} if "__post_init__" in vars(parameter_set) else set()
+    kinds = get_type_hints(parameter_set)
+    return found.union(
+        *(checking(kinds[each.name]) for each in fields(parameter_set) if is_dataclass(kinds[each.name]))
+    )
+
+
+def test_each_refusal_beside_other_parameters_is_among_those():
+    judges = set().union(*map(checking, SETS.values()))
+    written = sum(len(re.findall(r"\braise \w+\(", inspect.getsource(judge))) for judge in judges)
+    assert written == len(TOGETHER)
+    assert not any("raise ParameterError" in inspect.getsource(judge) for judge in judges)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting, tracking
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.parameters import ParameterError, group, parameter
+from straightcomp_ros.parameters import RefusedParameter, group, parameter
 
 LAWS = ("linear", "smc", "super_twisting", "smc_observer")
 
@@ -70,9 +70,10 @@ class ControlParameters:
     def __post_init__(self) -> None:
         bound = reaching_bound(self.design, self.nominal)
         if self.law == "smc" and self.design.enforce_reaching and self.design.rho <= bound:
-            raise ParameterError(
-                f"parameter 'design.rho': {self.design.rho!r} m/s² does not fulfil the reaching condition (11); "
-                f"allowed: > {bound:.4g} m/s² (or set design.enforce_reaching to false)"
+            raise RefusedParameter(
+                "design.rho",
+                f"{self.design.rho!r} m/s² does not fulfil the reaching condition (11); "
+                f"allowed: > {bound:.4g} m/s², or any with '{{group}}design.enforce_reaching' false",
             )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from straightcomp_ros.hardware.interface import Hardware, Sample, State, Truth
 from straightcomp_ros.model.stage import Trajectory
+from straightcomp_ros.safety.faults import Fault
 
 _JUMP = 5e-3
 _RUN_AWAY = 1.5
@@ -113,8 +114,8 @@ class FaultyHardware(Hardware):
         return self._fault or self._inner.fault
 
     @property
-    def fault_name(self) -> str:
-        return BOARD if self._fault else self._inner.fault_name
+    def fault_kind(self) -> Fault | None:
+        return Fault.BOARD if self._fault else self._inner.fault_kind
 
     @property
     def lost_samples(self) -> int:

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from straightcomp_ros.model.stage import Trajectory
+from straightcomp_ros.safety.faults import Fault
 
 
 class Sample(NamedTuple):
@@ -112,8 +113,8 @@ class Hardware(ABC):
 
     @property
     @abstractmethod
-    def fault_name(self) -> str:
-        """The name of that fault among those of :mod:`straightcomp_ros.safety.faults`; empty without one."""
+    def fault_kind(self) -> Fault | None:
+        """Which fault that is; None without one."""
 
     @property
     @abstractmethod

@@ -27,6 +27,7 @@ from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 from straightcomp_ros.model.stage import Trajectory, Waypoint
 from straightcomp_ros.parameters import group, parameter
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.straightness.map import StraightnessMap
 
 NEVER = 2**62
@@ -228,8 +229,8 @@ class SimulatedHardware(Hardware):
         return self._fault
 
     @property
-    def fault_name(self) -> str:
-        return "command_timeout" if self._fault else ""
+    def fault_kind(self) -> Fault | None:
+        return Fault.COMMAND_TIMEOUT if self._fault else None
 
     @property
     def lost_samples(self) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.parameters import ParameterError, parameter
+from straightcomp_ros.parameters import RefusedParameter, parameter
 
 
 class LuGre(NamedTuple):
@@ -39,8 +39,9 @@ class FrictionParameters:
 
     def __post_init__(self) -> None:
         if self.static < self.coulomb:
-            raise ParameterError(
-                f"parameter 'static': {self.static!r} N is below Coulomb friction; allowed: >= {self.coulomb!r} N"
+            raise RefusedParameter(
+                "static",
+                f"{self.static!r} N is below Coulomb friction; allowed: >= {self.coulomb!r} N ('{{group}}coulomb')",
             )
 
     def constants(self) -> LuGre:

@@ -19,7 +19,7 @@ from straightcomp_ros.model.actuator import Actuator, ActuatorParameters, magnet
 from straightcomp_ros.model.compiled import compilable, compiled
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.friction import FrictionParameters, LuGre, bristle_after, friction_force
-from straightcomp_ros.parameters import ParameterError, group, parameter
+from straightcomp_ros.parameters import RefusedParameter, group, parameter
 
 SUBSTEP_NS = 25_000
 """Longest substep: 20 in a control cycle at 2 kHz."""
@@ -60,8 +60,10 @@ class PlantParameters:
 
     def __post_init__(self) -> None:
         if self.stop >= self.actuator.air_gap:
-            raise ParameterError(
-                f"parameter 'stop': {self.stop!r} m is not inside the air gap; allowed: < {self.actuator.air_gap!r} m"
+            raise RefusedParameter(
+                "stop",
+                f"{self.stop!r} m is not inside the air gap; allowed: < {self.actuator.air_gap!r} m "
+                "('{group}actuator.air_gap')",
             )
 
     def constants(self) -> Plant:

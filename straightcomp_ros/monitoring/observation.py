@@ -20,6 +20,7 @@ class Observation:
     Attributes:
         nodes: state of each node of the graph: ``absent``, ``plain``, ``silent``, or its lifecycle state in lower case.
         faults: by node, what is wrong; empty where all is well.
+        fault_code: number of the fault that the driver has latched; 0 without one.
         unrecorded: topics that the logger, where there is one, is not connected to.
         fresh: samples are coming in.
         amplifier_on: samples come in, and the driver says that the amplifier is on.
@@ -35,6 +36,7 @@ class Observation:
 
     nodes: Mapping[str, str] = field(default_factory=dict)
     faults: Mapping[str, str] = field(default_factory=dict)
+    fault_code: int = 0
     unrecorded: tuple[str, ...] = ()
     fresh: bool = False
     amplifier_on: bool = False

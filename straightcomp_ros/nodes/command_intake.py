@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 from straightcomp_ros.hardware.interface import Hardware
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import CommandWatch
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.report import LATENCY, written
@@ -18,7 +19,7 @@ class CommandIntake:
         hardware: the machine.
         timeout_ns: age in ns beyond which a command is stale.
         current_limit: largest current in A.
-        trip: gets the name of a fault and the reason in words.
+        trip: gets a fault and the reason in words.
 
     Attributes:
         current_limit: may be changed.
@@ -26,7 +27,7 @@ class CommandIntake:
     """
 
     def __init__(
-        self, hardware: Hardware, timeout_ns: int, current_limit: float, trip: Callable[[str, str], None]
+        self, hardware: Hardware, timeout_ns: int, current_limit: float, trip: Callable[[Fault, str], None]
     ) -> None:
         self._hardware, self._timeout_ns, self._trip = hardware, timeout_ns, trip
         self.current_limit = current_limit
@@ -63,8 +64,8 @@ class CommandIntake:
         limit = self.current_limit
         if -limit <= current <= limit:
             return True
-        name = "command_out_of_range" if math.isfinite(current) else "command_not_finite"
-        self._trip(name, f"command of {current} A is outside ±{limit:g} A")
+        fault = Fault.COMMAND_OUT_OF_RANGE if math.isfinite(current) else Fault.COMMAND_NOT_FINITE
+        self._trip(fault, f"command of {current} A is outside ±{limit:g} A")
         return False
 
     def take_latency(self) -> float:

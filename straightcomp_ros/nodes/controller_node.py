@@ -26,6 +26,7 @@ from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.streams import Inbox, subscribe, unspun_node
 from straightcomp_ros.nodes.trip import tripper
 from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES
 
@@ -156,7 +157,9 @@ class ControllerPart:
         self._seen = self._samples_seen
         self._silent = self._silent + 1 if silent else 0
         if self._silent == self._silence_looks:
-            self._trip("sample_timeout", f"the controller has had no sample for {self._parameters.sample_timeout:g} s")
+            self._trip(
+                Fault.SAMPLE_TIMEOUT, f"the controller has had no sample for {self._parameters.sample_timeout:g} s"
+            )
 
     def _counters(self) -> dict[str, object]:
         return {

@@ -36,6 +36,7 @@ from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.safety_panel import SafetyPanel
 from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
 from straightcomp_ros.nodes.streams import Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
 from straightcomp_ros.straightness.map import load_map
@@ -169,8 +170,8 @@ class DriverPart:
             self._record(sample, truth, lateness)
         if self._unanswered:
             self._fetch_commands(now_ns(), self._system_ns())
-        if self._hardware.fault and self._safety.fault is None:
-            self._trip(self._hardware.fault_name, self._hardware.fault)
+        if self._hardware.fault_kind is not None and self._safety.fault is None:
+            self._trip(self._hardware.fault_kind, self._hardware.fault)
         return len(samples)
 
     @property
@@ -215,8 +216,8 @@ class DriverPart:
     def _accept(self, stamp_ns: int, current: float, arrival_ns: int) -> None:
         self._commands.accept(stamp_ns, current, arrival_ns)
 
-    def _trip(self, name: str, reason: str) -> None:
-        self._safety.trip(name, reason, now_ns())
+    def _trip(self, fault: Fault, reason: str) -> None:
+        self._safety.trip(fault, reason, now_ns())
         self._panel.report()
 
     def _watch_slowly(self) -> None:

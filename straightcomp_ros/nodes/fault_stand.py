@@ -30,6 +30,7 @@ from straightcomp_ros.nodes.nursery_client import Nursery
 from straightcomp_ros.nodes.safety_panel import LATCHED
 from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints, trajectory_from_message
 from straightcomp_ros.nodes.streams import Inbox, publisher, unspun_node
+from straightcomp_ros.safety.faults import LABELLED, Fault
 
 _START_S = 90.0
 """A busy machine takes its time to start a node, and the middleware to connect it."""
@@ -39,7 +40,7 @@ _REPLY_S = 1.0
 _SETTLE_S = 0.1
 _REFUSALS = 2
 _SENDS = 3
-_AT_THE_STOP = ("y_out_of_range", "y_frozen")
+_AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
 _STROKE, _SPEED, ACCELERATION = 0.1, 0.1, 0.4
 MOTION_STROKES, STROKE_S = 600, _STROKE / _SPEED + _SPEED / ACCELERATION
 """How many strokes a motion has, and how long each takes in s: forward and backward in turn, without a rest."""
@@ -47,9 +48,9 @@ _STOP_S = 30.0
 
 
 class Seen(NamedTuple):
-    """A fault: its name, and when it was latched, ns since the epoch."""
+    """A fault, and when it was latched, ns since the epoch."""
 
-    name: str
+    fault: Fault
     time_ns: int
 
 
@@ -215,7 +216,7 @@ class Stand:
                 self._sends -= 1
                 self.move()
             refusals += 1
-            if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.name in _AT_THE_STOP:
+            if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.fault in _AT_THE_STOP:
                 # The platform may have been driven to its stop, where no law gets it off.
                 self.inject(NEW_MACHINE)
                 self._sends = _SENDS
@@ -257,10 +258,10 @@ class Stand:
         values = {value.key: value.value for value in message.values}
         self.condition = values["condition"]
         if message.name:
-            self.fault = Seen(message.name, int(values["time_ns"]))
+            self.fault = Seen(LABELLED[message.name], int(values["time_ns"]))
 
     def _on_trip(self, message: DiagnosticStatus) -> None:
-        self.tripped = Seen(message.name, time.time_ns())
+        self.tripped = Seen(LABELLED[message.name], time.time_ns())
 
     def _on_injected(self, message: DiagnosticStatus) -> None:
         self.injected_ns = int(message.values[0].value)

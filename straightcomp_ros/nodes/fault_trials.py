@@ -17,7 +17,7 @@ from straightcomp_ros.bench.faults import Row
 from straightcomp_ros.cycle import RECORDED
 from straightcomp_ros.nodes.fault_stand import Stand
 from straightcomp_ros.nodes.faulty_driver import CLOCK_STEP, LATE_COMMANDS
-from straightcomp_ros.safety.faults import ALLOWANCE_MS, FAULTS, HELD_UP
+from straightcomp_ros.safety.faults import ALLOWANCE_MS, HELD_UP, Fault
 
 COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
 """s, in the trials."""
@@ -26,7 +26,10 @@ _ANSWER_S, _REQUESTS = 1.0, 8
 """A node that has just come up may lose a request, or its answer."""
 _AGAIN = 3
 """Injections in the place of one in whose time the machine stood still, so that another fault came first."""
-_OTHERS = {"command_timeout": COMMAND_TIMEOUT * 1e3 - 5.0, "sample_timeout": SAMPLE_TIMEOUT * 1e3 - 1000.0}
+_OTHERS = {
+    Fault.COMMAND_TIMEOUT: COMMAND_TIMEOUT * 1e3 - 5.0,
+    Fault.SAMPLE_TIMEOUT: SAMPLE_TIMEOUT * 1e3 - 1000.0,
+}
 """What these trials' parameters add to the faults' own times, which are those of the defaults."""
 _LOCK_MS = 1000.0
 """Until Fast DDS gives up a lock in shared memory that a dead or stopped process holds: so long its peers wait."""
@@ -45,7 +48,7 @@ class Trial(NamedTuple):
 
     Attributes:
         name: of the row.
-        fault: name of the fault that must be found.
+        fault: that must be found.
         make: makes it; returns when, ns since the epoch, or None where the driver tells.
         judge: waits until it is found; returns when, or None. Then it looks at what must follow, adding what does not
             to the list, and leaves the graph so that it can be switched on again.
@@ -53,7 +56,7 @@ class Trial(NamedTuple):
     """
 
     name: str
-    fault: str
+    fault: Fault
     make: Callable[[Stand], int | None]
     judge: Callable[[Stand, Trial, list[str]], int | None]
     held_up_ms: float = 0.0
@@ -61,7 +64,7 @@ class Trial(NamedTuple):
 
 def _latched(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
     """The driver has latched it."""
-    if not stand.until(lambda: stand.fault is not None, _PATIENCE_S) or stand.fault.name != trial.fault:
+    if not stand.until(lambda: stand.fault is not None, _PATIENCE_S) or stand.fault.fault is not trial.fault:
         return None
     found = stand.fault.time_ns
     _check_refusal(stand, failures)
@@ -92,7 +95,7 @@ def _latched_and_restarted(killed: str) -> Callable[[Stand, Trial, list[str]], i
 
 def _driver_missed(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
     """The controller misses the samples."""
-    if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S) or stand.tripped.name != trial.fault:
+    if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S) or stand.tripped.fault is not trial.fault:
         return None
     return stand.tripped.time_ns
 
@@ -131,7 +134,7 @@ def _logger_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str])
 def _logger_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
     """The same, or the loop was held up by a lock that the dead logger took along: then that is latched."""
     found = _logger_missed(stand)
-    if stand.fault is None or stand.fault.name not in HELD_UP:
+    if stand.fault is None or stand.fault.fault not in HELD_UP:
         _check_going_on(stand, failures)
     failures += stand.restart("logger")
     return found
@@ -151,7 +154,7 @@ def _recording_ended(stand: Stand, trial: Trial, failures: list[str]) -> int | N
 
 def _check_going_on(stand: Stand, failures: list[str]) -> None:
     if stand.condition != "on":
-        reason = stand.fault.name if stand.fault else "no fault"
+        reason = stand.fault.fault.label if stand.fault else "no fault"
         failures.append(f"without a logger the amplifier is '{stand.condition}': {reason}")
 
 
@@ -207,33 +210,33 @@ def _answered_or_ended(stand: Stand, answered: Callable[[], bool]) -> bool:
 
 _STOP, _KILL = signal.SIGSTOP, signal.SIGKILL
 TRIALS = (
-    Trial("sample NaN", "sample_not_finite", _injected("sample_nan"), _latched),
-    Trial("sample infinite", "sample_not_finite", _injected("sample_infinite"), _latched),
-    Trial("y out of range", "y_out_of_range", _injected("y_out_of_range"), _latched),
-    Trial("encoder y frozen", "y_frozen", _injected("y_frozen"), _latched),
-    Trial("encoder x frozen", "x_frozen", _injected("x_frozen"), _latched),
-    Trial("jump in x", "x_jump", _injected("x_jump"), _latched),
-    Trial("map missing for this x", "map_missing", _injected("x_beyond_map"), _latched),
-    Trial("board reports a fault", "board", _injected("board"), _latched),
-    Trial("clock jump", "clock_jump", _injected(CLOCK_STEP), _latched),
-    Trial("command NaN", "command_not_finite", _commanded(math.nan), _latched),
-    Trial("command infinite", "command_not_finite", _commanded(-math.inf), _latched),
-    Trial("command out of range", "command_out_of_range", _commanded(5.0), _latched),
-    Trial("late commands", "command_timeout", _injected(LATE_COMMANDS), _latched),
-    Trial("two controllers on one topic", "two_controllers", _echoed, _latched_and_silent),
+    Trial("sample NaN", Fault.SAMPLE_NOT_FINITE, _injected("sample_nan"), _latched),
+    Trial("sample infinite", Fault.SAMPLE_NOT_FINITE, _injected("sample_infinite"), _latched),
+    Trial("y out of range", Fault.Y_OUT_OF_RANGE, _injected("y_out_of_range"), _latched),
+    Trial("encoder y frozen", Fault.Y_FROZEN, _injected("y_frozen"), _latched),
+    Trial("encoder x frozen", Fault.X_FROZEN, _injected("x_frozen"), _latched),
+    Trial("jump in x", Fault.X_JUMP, _injected("x_jump"), _latched),
+    Trial("map missing for this x", Fault.MAP_MISSING, _injected("x_beyond_map"), _latched),
+    Trial("board reports a fault", Fault.BOARD, _injected("board"), _latched),
+    Trial("clock jump", Fault.CLOCK_JUMP, _injected(CLOCK_STEP), _latched),
+    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _commanded(math.nan), _latched),
+    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _commanded(-math.inf), _latched),
+    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0), _latched),
+    Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS), _latched),
+    Trial("two controllers on one topic", Fault.TWO_CONTROLLERS, _echoed, _latched_and_silent),
     *(
-        Trial(f"{name} SIGSTOP", "command_timeout", _signalled(name, _STOP), _latched_and_going_on(name), _LOCK_MS)
+        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), _latched_and_going_on(name), _LOCK_MS)
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGSTOP", "sample_timeout", _signalled("driver", _STOP), _driver_missed_and_going_on, _LOCK_MS),
-    Trial("logger SIGSTOP", "heartbeat_lost", _signalled("logger", _STOP), _logger_missed_and_going_on, _LOCK_MS),
+    Trial("driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), _driver_missed_and_going_on, _LOCK_MS),
+    Trial("logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), _logger_missed_and_going_on, _LOCK_MS),
     *(
-        Trial(f"{name} SIGKILL", "command_timeout", _signalled(name, _KILL), _latched_and_restarted(name), _LOCK_MS)
+        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), _latched_and_restarted(name), _LOCK_MS)
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGKILL", "sample_timeout", _signalled("driver", _KILL), _driver_missed_and_restarted, _LOCK_MS),
-    Trial("logger SIGKILL", "heartbeat_lost", _signalled("logger", _KILL), _logger_missed_and_restarted, _LOCK_MS),
-    Trial("disk full under the logger", "recording_stopped", _disk_full, _recording_ended),
+    Trial("driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), _driver_missed_and_restarted, _LOCK_MS),
+    Trial("logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), _logger_missed_and_restarted, _LOCK_MS),
+    Trial("disk full under the logger", Fault.RECORDING_STOPPED, _disk_full, _recording_ended),
 )
 """All that is tried, in this order."""
 
@@ -260,8 +263,8 @@ def run_trials(
     rows = []
     with Stand(folder, values) as stand:
         for place, trial in enumerate(trials):
-            fault = FAULTS[trial.fault]
-            limit = fault.within_ms + _OTHERS.get(fault.name, 0.0) + trial.held_up_ms + ALLOWANCE_MS
+            fault = trial.fault.value
+            limit = fault.within_ms + _OTHERS.get(trial.fault, 0.0) + trial.held_up_ms + ALLOWANCE_MS
             row = Row(trial.name, limit, fault.reaction, fault.reset)
             rows.append(row)
             for repeat in range(repeats):

@@ -21,6 +21,7 @@ from straightcomp_ros.nodes.runner import run_managed
 from straightcomp_ros.nodes.streams import Inbox, unspun_node
 from straightcomp_ros.nodes.trip import tripper
 from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.straightness.crossfade import FADE_TIME
 from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.map import MapParameters, StraightnessMap, load_map
@@ -129,7 +130,7 @@ class FeedforwardPart:
         runout = self._parameters.map.runout
         if self._node.active and not low - runout <= self._x <= high + runout and math.isfinite(self._x):
             self._trip(
-                "map_missing",
+                Fault.MAP_MISSING,
                 f"x = {self._x * 1e3:.1f} mm; the map {self._parameters.map.file} covers "
                 f"{low * 1e3:.1f} to {high * 1e3:.1f} mm",
             )

@@ -99,6 +99,7 @@ class GraphWatch:
         return Observation(
             nodes=dict(states),
             faults=self._faults(states, reports),
+            fault_code=self._safety.code if self._driver_speaks(states) else 0,
             unrecorded=self._unrecorded(states, reports),
             fresh=fresh,
             amplifier_on=fresh and self._safety.amplifier_on,
@@ -116,9 +117,13 @@ class GraphWatch:
     def _faults(self, states: Mapping[str, str], reports: Mapping[str, object]) -> dict[str, str]:
         """By node. The driver's are in its safety state at once, a second before they are in its diagnostics."""
         faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
-        if self._safety.fault and states.get(_DRIVER) not in (ABSENT, SILENT):
+        if self._safety.fault and self._driver_speaks(states):
             faults[_DRIVER] = self._safety.fault
         return faults
+
+    @staticmethod
+    def _driver_speaks(states: Mapping[str, str]) -> bool:
+        return states.get(_DRIVER) not in (ABSENT, SILENT)
 
     def _unrecorded(self, states: Mapping[str, str], reports: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
         if "logger" not in states:

@@ -12,12 +12,12 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
 from straightcomp_ros.nodes.clock import now_ns
 from straightcomp_ros.nodes.managed import ManagedNode
-from straightcomp_ros.safety.faults import FAULTS
+from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.machine import Condition, Latched, SafetyMachine
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Who comes later gets the last message too."""
-_CONDITION = "condition"
+_CONDITION, _CODE = "condition", "code"
 
 
 class SafetyState(NamedTuple):
@@ -26,17 +26,21 @@ class SafetyState(NamedTuple):
     Attributes:
         condition: of the driver's safety state machine.
         fault: its name and reason; empty without one.
+        code: its number; 0 without one.
     """
 
     condition: Condition = Condition.OFF
     fault: str = ""
+    code: int = 0
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> SafetyState:
         """Read a message. One that says no condition counts as a fault."""
-        said = next((value.value for value in message.values if value.key == _CONDITION), "")
-        condition = {known.value: known for known in Condition}.get(said, Condition.FAULT)
-        return cls(condition, f"{message.name}: {message.message}" if message.name else "")
+        said = {value.key: value.value for value in message.values}
+        condition = {known.value: known for known in Condition}.get(said.get(_CONDITION, ""), Condition.FAULT)
+        code = said.get(_CODE, "")
+        fault = f"{message.name}: {message.message}" if message.name else ""
+        return cls(condition, fault, int(code) if code.isdecimal() else 0)
 
     @property
     def amplifier_on(self) -> bool:
@@ -46,10 +50,14 @@ class SafetyState(NamedTuple):
 
 def safety_status(condition: Condition, fault: Latched | None, hardware_id: str) -> DiagnosticStatus:
     """The message on `safety_state`."""
-    values = {_CONDITION: condition.value, "time_ns": str(fault.time_ns if fault else now_ns())}
+    values = {
+        _CONDITION: condition.value,
+        _CODE: str(fault.fault.code if fault else 0),
+        "time_ns": str(fault.time_ns if fault else now_ns()),
+    }
     return DiagnosticStatus(
         level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
-        name=fault.name if fault else "",
+        name=fault.fault.label if fault else "",
         message=fault.reason if fault else f"amplifier {condition.value}",
         hardware_id=hardware_id,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
@@ -119,6 +127,6 @@ class SafetyPanel:
     def _on_trip(self, message: DiagnosticStatus) -> None:
         # Off it is anyway while the driver is not active; what happened then is not to be reset by anybody.
         if self._node.active:
-            name = message.name if message.name in FAULTS else "tripped"
-            self._safety.trip(name, message.message or "no reason given", now_ns())
+            fault = LABELLED.get(message.name, Fault.TRIPPED)
+            self._safety.trip(fault, message.message or "no reason given", now_ns())
             self.report()

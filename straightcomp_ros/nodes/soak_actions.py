@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.cycle import RECORDED
 from straightcomp_ros.nodes.soak_scene import Scene
-from straightcomp_ros.safety.faults import HELD_UP
+from straightcomp_ros.safety.faults import HELD_UP, Fault
 
 ENABLE_LIMIT_S = 2.0
 """From asking for the amplifier to 'on', with no fault latched and fresh commands."""
@@ -276,8 +276,9 @@ def _must_trip(scene: Scene, failures: list[str]) -> None:
     stand = scene.stand
     if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S):
         failures.append(f"the controller has not asked for the amplifier to be switched off within {_PATIENCE_S:g} s")
-    elif stand.tripped.name != "sample_timeout":
-        failures.append(f"the controller tripped with '{stand.tripped.name}'; allowed: sample_timeout")
+    elif stand.tripped.fault is not Fault.SAMPLE_TIMEOUT:
+        tripped, allowed = stand.tripped.fault.label, Fault.SAMPLE_TIMEOUT.label
+        failures.append(f"the controller tripped with '{tripped}'; allowed: {allowed}")
 
 
 def _change_state(scene: Scene, name: str, transition: int, state: str, failures: list[str]) -> None:

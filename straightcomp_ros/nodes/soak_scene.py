@@ -6,7 +6,7 @@ import math
 import random
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from straightcomp_ros.contract import DIAGNOSTICS, POSITION
 from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.nodes.fault_stand import ACCELERATION, MOTION, MOTION_STROKES, STROKE_S, Stand
 from straightcomp_ros.nodes.streams import subscribe
-from straightcomp_ros.safety.faults import HELD_UP
+from straightcomp_ros.safety.faults import HELD_UP, Fault
 from straightcomp_ros.timing.report import SAMPLES
 
 _STALL_MS, _STALL_S = 80.0, 1.0
@@ -115,20 +115,20 @@ class Scene:
             self.result.answers_lost += 1
         raise LaunchError(f"service '{service}' does not answer")
 
-    def must_latch(self, names: tuple[str, ...], failures: list[str]) -> None:
-        """A fault of one of these names must be latched, and keep the amplifier off."""
+    def must_latch(self, allowed: Sequence[Fault], failures: list[str]) -> None:
+        """One of these faults must be latched, and keep the amplifier off."""
         stand = self.stand
         if not stand.until(lambda: stand.fault is not None and stand.condition == "fault", _REACTION_S):
             failures.append(f"no fault within {_REACTION_S:g} s, the amplifier is '{stand.condition}'")
             return
-        self._count(names, failures)
+        self._count(allowed, failures)
         if stand.enable():
             failures.append("the fault was not latched: the amplifier could be switched on")
 
-    def may_latch(self, names: tuple[str, ...], failures: list[str]) -> None:
-        """The amplifier must be on, or off with a fault of one of these names."""
+    def may_latch(self, allowed: Sequence[Fault], failures: list[str]) -> None:
+        """The amplifier must be on, or off with one of these faults."""
         if self.stand.condition == "fault" and self.stand.fault is not None:
-            self._count(names, failures)
+            self._count(allowed, failures)
         elif self.stand.condition != "on":
             failures.append(f"the amplifier is '{self.stand.condition}' and no fault is latched")
 
@@ -160,18 +160,20 @@ class Scene:
                 raise LaunchError(f"{refusal} {_BACK_S:g} s after the amplifier was switched on")
             then()
 
-    def _count(self, names: tuple[str, ...], failures: list[str]) -> None:
+    def _count(self, allowed: Sequence[Fault], failures: list[str]) -> None:
         assert self.stand.fault is not None
-        name, at_ns = self.stand.fault
+        fault, at_ns = self.stand.fault
         stall_ms = self._stalls.total_ms(at_ns - round(_STALL_S * 1e9), at_ns)
-        after_a_kill = name in HELD_UP and 0 <= at_ns - self._killed_ns < _AFTER_A_KILL_S * 1e9
-        if name in names or after_a_kill:
-            self.result.faults[name] += 1
-        elif name in HELD_UP and stall_ms >= _STALL_MS:
-            self.result.stalls[name] += 1
+        after_a_kill = fault in HELD_UP and 0 <= at_ns - self._killed_ns < _AFTER_A_KILL_S * 1e9
+        if fault in allowed or after_a_kill:
+            self.result.faults[fault.label] += 1
+        elif fault in HELD_UP and stall_ms >= _STALL_MS:
+            self.result.stalls[fault.label] += 1
         else:
-            allowed = f"allowed: {', '.join(names)}" if names else "none may"
-            failures.append(f"fault '{name}' was latched; {allowed} (the machine stood still for {stall_ms:.0f} ms)")
+            others = f"allowed: {', '.join(one.label for one in allowed)}" if allowed else "none may"
+            failures.append(
+                f"fault '{fault.label}' was latched; {others} (the machine stood still for {stall_ms:.0f} ms)"
+            )
 
     def _on_position(self, stamp_ns: int, numbers: Any) -> None:
         (before_ns, x_before), x = self._before, numbers[0]

@@ -8,14 +8,17 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
 from straightcomp_ros.contract import TRIP
+from straightcomp_ros.safety.faults import Fault
 
 
-def tripper(node: Node) -> Callable[[str, str], None]:
-    """A function ``trip(name of the fault, reason)``."""
+def tripper(node: Node) -> Callable[[Fault, str], None]:
+    """A function ``trip(fault, reason)``."""
     publisher = node.create_publisher(DiagnosticStatus, TRIP, 10)
     source = node.get_fully_qualified_name()
 
-    def trip(name: str, reason: str) -> None:
-        publisher.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name=name, message=reason, hardware_id=source))
+    def trip(fault: Fault, reason: str) -> None:
+        publisher.publish(
+            DiagnosticStatus(level=DiagnosticStatus.ERROR, name=fault.label, message=reason, hardware_id=source)
+        )
 
     return trip

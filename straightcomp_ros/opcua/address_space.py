@@ -43,6 +43,9 @@ _STATUS: Mapping[str, Value] = {
     "StrokesAsked": Value(ua.VariantType.UInt32, "Strokes forward and back of the last Start", lambda s: s.strokes),
     "StrokesDone": Value(ua.VariantType.UInt32, "Of these", lambda s: s.strokes_done),
     "Centred": Value(ua.VariantType.Boolean, "Reference in the middle of the travel, by Center", lambda s: s.centred),
+    "FaultCode": Value(
+        ua.VariantType.UInt32, "Number of the latched fault (docs/safety.md); 0: none", lambda s: s.seen.fault_code
+    ),
     "AmplifierOn": Value(ua.VariantType.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
 }
 _LIVE: Mapping[str, Value] = {

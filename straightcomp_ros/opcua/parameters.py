@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from straightcomp_ros.parameters import ParameterError, parameter
+from straightcomp_ros.parameters import RefusedParameter, parameter
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 AUTO, NONE, ENCRYPTED = "auto", "none", "encrypted"
@@ -33,9 +33,10 @@ class OpcuaParameters:
 
     def __post_init__(self) -> None:
         if self.security == NONE and not self.on_loopback:
-            raise ParameterError(
-                f"parameter 'opcua.security': 'none' is not allowed with host '{self.host}'; "
-                f"allowed: auto, encrypted, or a host of {', '.join(LOOPBACK)}"
+            raise RefusedParameter(
+                "security",
+                f"'none' is not allowed with '{{group}}host' '{self.host}'; "
+                f"allowed: auto, encrypted, or a host of {', '.join(LOOPBACK)}",
             )
         if self.encrypted:
             for name, value, what in (
@@ -43,9 +44,9 @@ class OpcuaParameters:
                 ("users", self.users, "a file of users"),
             ):
                 if not value:
-                    raise ParameterError(f"parameter 'opcua.{name}': is empty; with encryption it must name {what}")
+                    raise RefusedParameter(name, f"is empty; with encryption it must name {what}")
         elif self.trusted:
-            raise ParameterError("parameter 'opcua.trusted': needs encryption; allowed with security: encrypted")
+            raise RefusedParameter("trusted", "needs encryption; allowed with '{group}security': encrypted")
 
     @property
     def on_loopback(self) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from straightcomp_ros.hardware.interface import Hardware, HardwareError
-from straightcomp_ros.safety.faults import FAULTS
+from straightcomp_ros.safety.faults import Fault
 
 
 class Condition(enum.Enum):
@@ -47,9 +47,9 @@ TRANSITIONS: Mapping[tuple[Condition, Event], Condition] = {
 
 
 class Latched(NamedTuple):
-    """A fault that has been latched: its name, the reason in words, and when, ns since the epoch."""
+    """A fault that has been latched: which, the reason in words, and when, ns since the epoch."""
 
-    name: str
+    fault: Fault
     reason: str
     time_ns: int
 
@@ -85,12 +85,12 @@ class SafetyMachine:
         self._hardware.disable()
         self._go(Event.DISABLE)
 
-    def trip(self, name: str, reason: str, time_ns: int) -> None:
-        """Amplifier off, and no way back but :meth:`reset`; ``name`` is one of the faults."""
+    def trip(self, fault: Fault, reason: str, time_ns: int) -> None:
+        """Amplifier off, and no way back but :meth:`reset`."""
         self._hardware.disable()
         self.trips += 1
         if self.fault is None:
-            self.fault = Latched(FAULTS[name].name, reason, time_ns)
+            self.fault = Latched(fault, reason, time_ns)
             self._go(Event.TRIP)
 
     def reset(self) -> None:
@@ -102,7 +102,7 @@ class SafetyMachine:
     @property
     def reason(self) -> str:
         """The fault in words; empty without one."""
-        return f"{self.fault.name}: {self.fault.reason}" if self.fault is not None else ""
+        return f"{self.fault.fault.label}: {self.fault.reason}" if self.fault is not None else ""
 
     def _go(self, event: Event) -> None:
         self.condition = TRANSITIONS[self.condition, event]

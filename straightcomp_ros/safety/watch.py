@@ -10,9 +10,7 @@ from dataclasses import dataclass
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.stage import Trajectory
 from straightcomp_ros.parameters import parameter
-
-Finding = tuple[str, str]
-"""Name of a fault, and the reason in words."""
+from straightcomp_ros.safety.faults import Fault, Finding
 
 _MEAN_TIME = 0.005
 """s, of the mean control current: a law's switching goes into no movement."""
@@ -96,22 +94,22 @@ class SampleWatch:
         self._unchanged += 1
         if self._unchanged < self._frozen_samples or abs(self._mean - self._mean_at_change) <= self._frozen_current:
             return None
-        return "y_frozen", (
+        return Fault.Y_FROZEN, (
             f"y stays at {y * 1e6:.1f} µm though the current changed by {self._mean - self._mean_at_change:+.2f} A"
         )
 
     def _unusual(self, stamp_ns: int, x: float, y: float) -> Finding | None:
         if not (math.isfinite(x) and math.isfinite(y)):
-            return "sample_not_finite", f"sample with x = {x} m, y = {y} m"
+            return Fault.SAMPLE_NOT_FINITE, f"sample with x = {x} m, y = {y} m"
         if abs(y) > self._y_limit:
-            return "y_out_of_range", f"y = {y * 1e6:.1f} µm; allowed: ±{self._y_limit * 1e6:g} µm"
+            return Fault.Y_OUT_OF_RANGE, f"y = {y * 1e6:.1f} µm; allowed: ±{self._y_limit * 1e6:g} µm"
         if math.isnan(self._x):
             return None
         # Lost samples are no jump.
         allowed = self._x_step * max(1.0, (stamp_ns - self._stamp_ns) / self._period_ns)
         if abs(x - self._x) <= allowed:
             return None
-        return "x_jump", f"x went from {self._x * 1e3:.4f} to {x * 1e3:.4f} mm within one sample"
+        return Fault.X_JUMP, f"x went from {self._x * 1e3:.4f} to {x * 1e3:.4f} mm within one sample"
 
 
 class StageWatch:
@@ -141,7 +139,7 @@ class StageWatch:
             return None
         self._moved = False
         return (
-            "x_frozen",
+            Fault.X_FROZEN,
             f"x stays at {x * 1e3:.4f} mm; the stage was to move by {(now - before) * 1e3:+.1f} mm meanwhile",
         )
 
@@ -176,7 +174,7 @@ class ClockWatch:
         if abs(step_ns) <= self._step_ns or after - before >= self._step_ns // 2:
             return None
         self._offset_ns = offset_ns
-        return "clock_jump", f"the system's clock was stepped by {step_ns * 1e-9:+.3f} s"
+        return Fault.CLOCK_JUMP, f"the system's clock was stepped by {step_ns * 1e-9:+.3f} s"
 
     def follow(self) -> None:
         """Go with a clock that is slewed; to be called now and then."""
@@ -202,4 +200,4 @@ class CommandWatch:
         if self._strikes < _STRIKES:
             return None
         self._strikes = 0
-        return "two_controllers", "samples are answered twice: somebody else publishes commands too"
+        return Fault.TWO_CONTROLLERS, "samples are answered twice: somebody else publishes commands too"

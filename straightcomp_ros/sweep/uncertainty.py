@@ -17,7 +17,7 @@ from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.parameters import ParameterError, parameter
+from straightcomp_ros.parameters import RefusedParameter, parameter
 from straightcomp_ros.straightness.run import Run
 from straightcomp_ros.straightness.survey import Survey
 
@@ -72,9 +72,10 @@ class UncertaintyParameters:
 
     def __post_init__(self) -> None:
         if self.longest_delay < self.shortest_delay:
-            raise ParameterError(
-                f"parameter 'longest_delay': {self.longest_delay!r} samples is below the shortest; "
-                f"allowed: >= {self.shortest_delay!r} samples"
+            raise RefusedParameter(
+                "longest_delay",
+                f"{self.longest_delay!r} samples is below the shortest; allowed: >= {self.shortest_delay!r} samples "
+                "('{group}shortest_delay')",
             )
 
 

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from straightcomp_ros.nodes.command_intake import CommandIntake
+from straightcomp_ros.safety.faults import Fault
 
 TIMEOUT_NS, LIMIT = 20_000_000, 0.9
 
@@ -54,10 +55,10 @@ def test_a_command_older_than_the_timeout_is_stale_and_one_as_old_is_not(intake,
 @pytest.mark.parametrize(
     ("current", "name"),
     [
-        (0.900001, "command_out_of_range"),
-        (-1e300, "command_out_of_range"),
-        (math.nan, "command_not_finite"),
-        (math.inf, "command_not_finite"),
+        (0.900001, Fault.COMMAND_OUT_OF_RANGE),
+        (-1e300, Fault.COMMAND_OUT_OF_RANGE),
+        (math.nan, Fault.COMMAND_NOT_FINITE),
+        (math.inf, Fault.COMMAND_NOT_FINITE),
     ],
 )
 def test_a_command_that_no_machine_may_get_trips_and_leaves_its_sample_unanswered(
@@ -78,11 +79,11 @@ def test_samples_answered_again_and_again_mean_two_controllers(intake, machine, 
         intake.accept(sample * 500_000, 0.2, sample * 500_000 + 2000)
         if trips:
             break
-    assert trips[0][0] == "two_controllers"
+    assert trips[0][0] == Fault.TWO_CONTROLLERS
     assert all(current == 0.1 for _, _, current in machine.written)
 
 
 def test_a_limit_that_changes_holds_from_the_next_command_on(intake, machine, trips):
     intake.current_limit = 0.5
     intake.accept(1000, 0.6, 2000)
-    assert (machine.written, trips[0][0]) == ([], "command_out_of_range")
+    assert (machine.written, trips[0][0]) == ([], Fault.COMMAND_OUT_OF_RANGE)

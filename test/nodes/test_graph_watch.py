@@ -11,6 +11,7 @@ from straightcomp_ros.contract import DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
 from straightcomp_ros.nodes.graph_watch import GraphWatch
 from straightcomp_ros.nodes.safety_panel import LATCHED, safety_status
 from straightcomp_ros.nodes.streams import publisher
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.machine import Condition, Latched
 
 pytestmark = pytest.mark.live
@@ -83,20 +84,22 @@ def test_without_samples_nobody_says_that_the_amplifier_is_on(seen):
 
 def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_from_their_diagnostics(seen):
     driver, until = seen
-    driver.say(Condition.FAULT, Latched("tripped", "somebody is in there", 1))
+    driver.say(Condition.FAULT, Latched(Fault.TRIPPED, "somebody is in there", 1))
     observation = until(lambda seen: seen.faults)
     assert observation.faults == {"driver": "tripped: somebody is in there"} and not observation.amplifier_on
+    assert observation.fault_code == Fault.TRIPPED.code
     driver.report("driver", "an older one")
     driver.report("controller", "no samples")
     until(lambda seen: seen.faults == {"driver": "tripped: somebody is in there", "controller": "no samples"})
     driver.report("controller", "")
     driver.say(Condition.OFF)
-    until(lambda seen: not seen.faults)
+    assert until(lambda seen: not seen.faults).fault_code == 0
 
 
 @pytest.mark.parametrize("state", ["absent", "silent"])
 def test_a_driver_that_is_gone_has_no_fault_any_more(seen, state):
     driver, until = seen
-    driver.say(Condition.FAULT, Latched("tripped", "somebody is in there", 1))
+    driver.say(Condition.FAULT, Latched(Fault.TRIPPED, "somebody is in there", 1))
     until(lambda seen: seen.faults)
-    assert not until(lambda seen: True, {**STATES, "driver": state}).faults
+    gone = until(lambda seen: True, {**STATES, "driver": state})
+    assert not gone.faults and gone.fault_code == 0

@@ -13,7 +13,7 @@ from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.nodes import soak_actions, soak_scene
 from straightcomp_ros.nodes.fault_stand import MOTION, Seen
 from straightcomp_ros.nodes.soak_scene import Scene
-from straightcomp_ros.safety.faults import HELD_UP
+from straightcomp_ros.safety.faults import HELD_UP, Fault
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 
@@ -55,8 +55,8 @@ def scene(stand, tmp_path):
     return Scene(stand, random.Random(1), 2000, Soak(1), stalls, tmp_path / "log", ("one.csv",))
 
 
-def latch(stand, name):
-    stand.condition, stand.fault = "fault", Seen(name, NOW)
+def latch(stand, fault):
+    stand.condition, stand.fault = "fault", Seen(fault, NOW)
 
 
 def failures_of(check, *names):
@@ -67,9 +67,9 @@ def failures_of(check, *names):
 
 def test_a_fault_that_must_be_latched_must_have_the_right_name_and_keep_the_amplifier_off(scene, stand):
     assert "no fault within 3 s" in failures_of(scene.must_latch, HELD_UP)[0]
-    latch(stand, "x_jump")
+    latch(stand, Fault.X_JUMP)
     assert "'x_jump' was latched; allowed: command_timeout" in failures_of(scene.must_latch, HELD_UP)[0]
-    latch(stand, "command_timeout")
+    latch(stand, Fault.COMMAND_TIMEOUT)
     assert failures_of(scene.must_latch, HELD_UP) == [] and scene.result.faults == {"command_timeout": 1}
     stand.enables = True
     assert "could be switched on" in failures_of(scene.must_latch, HELD_UP)[0]
@@ -80,27 +80,27 @@ def test_an_amplifier_that_may_not_be_off_is_a_failure(scene, stand):
     stand.condition = "off"
     assert "the amplifier is 'off'" in failures_of(scene.must_be_on)[0]
     assert failures_of(scene.may_latch, HELD_UP)
-    latch(stand, "sample_timeout")
+    latch(stand, Fault.SAMPLE_TIMEOUT)
     assert failures_of(scene.may_latch, HELD_UP) == []
     assert "'sample_timeout' was latched; none may" in failures_of(scene.must_be_on)[0]
 
 
 def test_a_fault_of_a_machine_that_stood_still_is_counted_apart_and_another_fault_is_not(scene, stand):
     scene._stalls = SimpleNamespace(total_ms=lambda begin, end: 120.0)
-    latch(stand, "y_out_of_range")
+    latch(stand, Fault.Y_OUT_OF_RANGE)
     assert failures_of(scene.must_be_on) == [] and scene.result.stalls == {"y_out_of_range": 1}
-    latch(stand, "two_controllers")
+    latch(stand, Fault.TWO_CONTROLLERS)
     assert failures_of(scene.must_be_on)
 
 
 def test_a_fault_of_being_held_up_counts_as_a_kills_for_three_seconds_and_not_later(scene, stand):
-    latch(stand, "command_timeout")
+    latch(stand, Fault.COMMAND_TIMEOUT)
     assert failures_of(scene.must_be_on)
     scene.kill("logger")
     for later_s, blamed in ((0.0, []), (2.9, []), (3.1, ["fault 'command_timeout' was latched"])):
-        stand.fault = Seen("command_timeout", NOW + round(later_s * SECOND))
+        stand.fault = Seen(Fault.COMMAND_TIMEOUT, NOW + round(later_s * SECOND))
         assert [words[:35] for words in failures_of(scene.must_be_on)] == blamed
-    latch(stand, "x_jump")
+    latch(stand, Fault.X_JUMP)
     assert failures_of(scene.must_be_on)
 
 
@@ -203,16 +203,16 @@ def test_a_fault_before_the_amplifier_goes_off_is_a_failure_unless_the_machine_s
     scene._stalls.total_ms = lambda begin, end: stall_ms
     monkeypatch.setattr(soak_actions, "_change_state", lambda *_: None)
     stand.answers["driver/enable"] = SimpleNamespace(success=True, message="")
-    latch(stand, "y_out_of_range")
+    latch(stand, Fault.Y_OUT_OF_RANGE)
     assert len(action(scene)) == failures
     assert scene.result.stalls["y_out_of_range"] == 1 - failures
 
 
 def test_a_controller_that_does_not_miss_the_samples_is_a_failure(scene, stand):
     assert "has not asked" in failures_of(lambda failures: soak_actions._must_trip(scene, failures))[0]
-    stand.tripped = Seen("map_missing", NOW)
+    stand.tripped = Seen(Fault.MAP_MISSING, NOW)
     assert failures_of(lambda failures: soak_actions._must_trip(scene, failures))
-    stand.tripped = Seen("sample_timeout", NOW)
+    stand.tripped = Seen(Fault.SAMPLE_TIMEOUT, NOW)
     assert failures_of(lambda failures: soak_actions._must_trip(scene, failures)) == []
 
 

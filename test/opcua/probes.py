@@ -258,8 +258,15 @@ async def watch(url, seconds):
     while time.monotonic() < end and not (len(seen) > 5 and events):
         await asyncio.sleep(0.05)
     live = await made.get_node(path("Live.X")).read_data_value(raise_on_bad_status=False)
+    fault = await made.get_node(path("Status.FaultCode")).read_value()
     await made.disconnect()
-    return {"heartbeats": len(seen), "events": events, "x": live.Value.Value, "quality": live.StatusCode.name}
+    return {
+        "heartbeats": len(seen),
+        "events": events,
+        "x": live.Value.Value,
+        "quality": live.StatusCode.name,
+        "fault": fault,
+    }
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from straightcomp_ros.opcua.snapshot import Snapshot  # noqa: E402
 from straightcomp_ros.opcua.users import add_user  # noqa: E402
 
 PROBES = Path(__file__).with_name("probes.py")
-WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fresh=True, x=0.25))
+WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fault_code=6, fresh=True, x=0.25))
 
 
 def free_port():
@@ -150,7 +150,7 @@ def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
     output, _ = watch.communicate(timeout=90)
     plain.server.show(WELL)
     seen = json.loads(output)
-    assert seen["heartbeats"] > 5 and seen["x"] == 0.25
+    assert seen["heartbeats"] > 5 and seen["x"] == 0.25 and seen["fault"] == 6
     assert ["Fault: driver: coil burnt", 900] in seen["events"]
     assert plain.server.alive
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.safety.faults import FAULTS, table
+from straightcomp_ros.safety.faults import LABELLED, Fault, table
 from straightcomp_ros.safety.machine import TRANSITIONS, Condition, Event, SafetyMachine
 from straightcomp_ros.straightness.map import MapParameters, load_map
 
@@ -34,7 +34,7 @@ def test_the_amplifier_is_on_exactly_in_the_condition_on_whatever_comes():
         elif event is Event.DISABLE:
             safety.disable()
         elif event is Event.TRIP:
-            safety.trip(chance.choice(list(FAULTS)), "a reason", 1)
+            safety.trip(chance.choice(list(Fault)), "a reason", 1)
             assert safety.fault is (fault or safety.fault)  # the first one stays
         else:
             safety.reset()
@@ -51,12 +51,18 @@ def test_a_machine_that_refuses_to_switch_on_leaves_the_condition_as_it_was():
     assert safety.condition is Condition.OFF
 
 
+def test_each_fault_has_a_number_of_its_own_and_none_is_zero():
+    codes = [fault.code for fault in Fault]
+    assert len(set(codes)) == len(codes) and min(codes) > 0
+    assert LABELLED["x_jump"] is Fault.X_JUMP and len(LABELLED) == len(codes)
+
+
 def test_a_latched_fault_is_told_by_its_name_and_its_reason():
     safety, _ = machine()
     assert safety.reason == ""
-    safety.trip("x_jump", "x went away", 5)
-    assert safety.fault == ("x_jump", "x went away", 5) and safety.reason == "x_jump: x went away"
-    safety.trip("tripped", "somebody", 6)
+    safety.trip(Fault.X_JUMP, "x went away", 5)
+    assert safety.fault == (Fault.X_JUMP, "x went away", 5) and safety.reason == "x_jump: x went away"
+    safety.trip(Fault.TRIPPED, "somebody", 6)
     assert safety.reason == "x_jump: x went away" and safety.trips == 2
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, SampleWatch, StageWatch, WatchParameters
 
 T = 500_000
@@ -29,13 +30,13 @@ def fed(samples, currents=None):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_sample_that_is_not_finite_is_found_in_x_and_in_y(bad):
-    assert fed([(0.0, 0.0), (bad, 0.0)]) == (1, "sample_not_finite")
-    assert fed([(0.0, 0.0), (0.0, bad)]) == (1, "sample_not_finite")
-    assert fed([(bad, 0.0)]) == (0, "sample_not_finite")
+    assert fed([(0.0, 0.0), (bad, 0.0)]) == (1, Fault.SAMPLE_NOT_FINITE)
+    assert fed([(0.0, 0.0), (0.0, bad)]) == (1, Fault.SAMPLE_NOT_FINITE)
+    assert fed([(bad, 0.0)]) == (0, Fault.SAMPLE_NOT_FINITE)
 
 
 def test_x_that_jumps_is_found_and_x_at_full_speed_is_not():
-    assert fed([(0.0, 0.0), (0.002, 0.0)]) == (1, "x_jump")
+    assert fed([(0.0, 0.0), (0.002, 0.0)]) == (1, Fault.X_JUMP)
     assert fed([(0.9 * 2.0 * T * 1e-9 * k, COUNT * k) for k in range(100)]) is None
 
 
@@ -44,7 +45,7 @@ def test_lost_samples_are_no_jump():
     assert found.check(Sample(0, 0.0, 0.0, 0.0), 0.0) is None
     assert found.check(Sample(100 * T, 0.05, 0.0, 0.0), 0.0) is None
     assert found.check(Sample(101 * T, 0.06, 0.0, 0.0), 0.0) == (
-        "x_jump",
+        Fault.X_JUMP,
         "x went from 50.0000 to 60.0000 mm within one sample",
     )
 
@@ -55,7 +56,7 @@ def test_x_at_the_largest_speed_is_no_jump_over_lost_samples_either():
     step = 2**20 * 1e-9
     assert found.check(Sample(0, 0.0, 0.0, 0.0), 0.0) is None
     assert found.check(Sample(2 * 2**20, 2.0 * step, 0.0, 0.0), 0.0) is None
-    assert found.check(Sample(4 * 2**20, 4.001 * step, 0.0, 0.0), 0.0)[0] == "x_jump"
+    assert found.check(Sample(4 * 2**20, 4.001 * step, 0.0, 0.0), 0.0)[0] == Fault.X_JUMP
 
 
 def test_y_that_leaves_its_limit_is_found_and_y_that_comes_back_is_not():
@@ -65,15 +66,15 @@ def test_y_that_leaves_its_limit_is_found_and_y_that_comes_back_is_not():
     assert found.check(Sample(T, 0.0, 1.1e-3, 0.0), 0.0) is None
     assert found.check(Sample(2 * T, 0.0, 0.9e-3, 0.0), 0.0) is None
     found.hold()
-    assert found.check(Sample(3 * T, 0.0, -1.1e-3, 0.0), 0.0)[0] == "y_out_of_range"
+    assert found.check(Sample(3 * T, 0.0, -1.1e-3, 0.0), 0.0)[0] == Fault.Y_OUT_OF_RANGE
     found.switched()
     assert found.check(Sample(4 * T, 0.0, -1.1e-3, 0.0), 0.0) is None
 
 
 def test_y_that_stays_although_the_current_has_moved_is_frozen():
     currents = [0.0] * 100 + [0.5] * 200
-    place, name = fed([(0.0, 5 * COUNT)] * 300, currents)
-    assert name == "y_frozen" and 100 < place < 200
+    place, fault = fed([(0.0, 5 * COUNT)] * 300, currents)
+    assert fault is Fault.Y_FROZEN and 100 < place < 200
 
 
 def test_a_platform_at_rest_is_not_frozen_and_neither_is_a_law_that_switches():
@@ -119,9 +120,9 @@ def test_the_stage_is_judged_by_the_time_since_its_trajectory_began(start_ns):
     assert stage.check(start_ns + 1_500_000_000, trajectory.position(1_500_000_000)) is None
     stuck = trajectory.position(2_000_000_000)
     assert stage.check(start_ns + 2_000_000_000, stuck) is None
-    name, words = stage.check(start_ns + 3_000_000_000, stuck)
+    fault, words = stage.check(start_ns + 3_000_000_000, stuck)
     moved = (trajectory.position(3_000_000_000) - stuck) * 1e3
-    assert name == "x_frozen" and f"{stuck * 1e3:.4f} mm" in words and f"{moved:+.1f} mm" in words
+    assert fault is Fault.X_FROZEN and f"{stuck * 1e3:.4f} mm" in words and f"{moved:+.1f} mm" in words
 
 
 def test_a_stage_that_has_not_begun_to_move_is_not_frozen():
@@ -146,8 +147,8 @@ def test_y_at_its_limit_is_allowed_and_a_count_beyond_is_not():
     found.hold()
     assert found.check(Sample(T, 0.0, -1e-3, 0.0), 0.0) is None
     for y in (1e-3 + COUNT, -1e-3 - COUNT):
-        name, words = found.check(Sample(2 * T, 0.0, y, 0.0), 0.0)
-        assert name == "y_out_of_range" and f"y = {y * 1e6:.1f} µm; allowed: ±1000 µm" in words
+        fault, words = found.check(Sample(2 * T, 0.0, y, 0.0), 0.0)
+        assert fault is Fault.Y_OUT_OF_RANGE and f"y = {y * 1e6:.1f} µm; allowed: ±1000 µm" in words
 
 
 def test_a_break_in_the_samples_starts_the_watch_anew():
@@ -167,7 +168,7 @@ def test_y_is_called_frozen_only_after_the_frozen_time():
 def test_the_finding_gives_y_in_micrometres_and_the_sign_of_the_change():
     found = watch()
     findings = [found.check(Sample(k * T, 0.0, 5e-6, 0.0), -0.5 if k else 0.0) for k in range(2000)]
-    assert findings[-1] == ("y_frozen", "y stays at 5.0 µm though the current changed by -0.50 A")
+    assert findings[-1] == (Fault.Y_FROZEN, "y stays at 5.0 µm though the current changed by -0.50 A")
 
 
 def test_the_mean_current_follows_a_step_to_63_percent_in_five_milliseconds():
@@ -232,8 +233,8 @@ def test_a_step_of_the_systems_clock_is_found_once(step_s):
     found = clocks.watch()
     assert clocks.seen_by(found) is None
     clocks.offset += round(step_s * 1e9)
-    name, words = clocks.seen_by(found)
-    assert name == "clock_jump"
+    fault, words = clocks.seen_by(found)
+    assert fault is Fault.CLOCK_JUMP
     assert f"{step_s:+.3f} s" in words
     assert clocks.seen_by(found) is None
 
@@ -279,16 +280,16 @@ def test_a_step_is_judged_by_the_middle_of_the_readings_around_it():
     times = iter([10_000_000, 30_000_000])
     found._monotonic_ns = lambda: clocks.monotonic + next(times)
     found._system_ns = lambda: clocks.monotonic + 20_000_000 + clocks.offset + 55_000_000
-    name, words = found.check(clocks.monotonic, clocks.monotonic + clocks.offset + 55_000_000)
-    assert name == "clock_jump" and "+0.055 s" in words
+    fault, words = found.check(clocks.monotonic, clocks.monotonic + clocks.offset + 55_000_000)
+    assert fault is Fault.CLOCK_JUMP and "+0.055 s" in words
 
 
-@pytest.mark.parametrize(("slewed_ms", "stepped_ms", "name"), [(30, 30, "clock_jump"), (24, 40, None)])
-def test_following_takes_less_than_half_a_step_at_once_and_no_more(slewed_ms, stepped_ms, name):
+@pytest.mark.parametrize(("slewed_ms", "stepped_ms", "fault"), [(30, 30, Fault.CLOCK_JUMP), (24, 40, None)])
+def test_following_takes_less_than_half_a_step_at_once_and_no_more(slewed_ms, stepped_ms, fault):
     clocks = Clocks()
     clocks.reading_ns = 0
     found = clocks.watch()
     clocks.offset += slewed_ms * 1_000_000
     found.follow()
     clocks.offset += stepped_ms * 1_000_000
-    assert (clocks.seen_by(found) or [None])[0] == name
+    assert (clocks.seen_by(found) or [None])[0] == fault

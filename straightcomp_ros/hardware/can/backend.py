@@ -22,6 +22,7 @@ from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.stage_frames import stage_payloads
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.stage import Trajectory
+from straightcomp_ros.safety.faults import Fault, Finding
 
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
@@ -60,7 +61,7 @@ class CanHardware(Hardware):
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
         self._deadline_ns = 0
-        self._fault = self._fault_name = ""
+        self._fault, self._fault_kind = "", Fault.BOARD
         self._seen = self._upsets()
         self.heartbeat_losses = 0
         """Times that the heartbeat ceased while the amplifier was on."""
@@ -119,7 +120,7 @@ class CanHardware(Hardware):
 
     def reset_fault(self) -> None:
         if self._fault:
-            self._fault = self._fault_name = ""
+            self._fault = ""
             self._resetting = True
             self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
             self._send(self._newest_number)
@@ -146,8 +147,8 @@ class CanHardware(Hardware):
         return self._fault
 
     @property
-    def fault_name(self) -> str:
-        return self._fault_name
+    def fault_kind(self) -> Fault | None:
+        return self._fault_kind if self._fault else None
 
     @property
     def lost_samples(self) -> int:
@@ -213,7 +214,7 @@ class CanHardware(Hardware):
                 self._send(self._newest_number)
                 return
         if reported is Amplifier.FAULT and not self._fault:
-            self._latch(f"the board reports: {self._receiver.board_fault.name.lower().replace('_', ' ')}")
+            self._latch(Fault.BOARD, f"the board reports: {self._receiver.board_fault.name.lower().replace('_', ' ')}")
         if self._wanted:
             self._watch_running(now_ns, reported)
         elif reported is Amplifier.ON:
@@ -223,29 +224,29 @@ class CanHardware(Hardware):
     def _watch_running(self, now_ns: int, reported: Amplifier | None) -> None:
         for words, count in self._upsets().items():
             if count != self._seen[words]:
-                self._latch(words)
+                self._latch(Fault.BOARD, words)
                 return
-        name, silence = self._silence(now_ns)
-        if silence:
-            self._latch(silence, name)
+        silence = self._silence(now_ns)
+        if silence is not None:
+            self._latch(*silence)
         elif reported is Amplifier.ON:
             self._was_on = True
         elif self._was_on:
-            self._latch("the board switched the amplifier off")
+            self._latch(Fault.BOARD, "the board switched the amplifier off")
         elif now_ns > self._deadline_ns:
-            self._latch(f"the board did not switch on within {self._parameters.answer_timeout * 1e3:g} ms")
+            self._latch(Fault.BOARD, f"the board did not switch on within {self._parameters.answer_timeout * 1e3:g} ms")
 
-    def _silence(self, now_ns: int) -> tuple[str, str]:
-        """What has ceased to come: name of the fault, and words."""
+    def _silence(self, now_ns: int) -> Finding | None:
+        """What has ceased to come."""
         parameters, receiver = self._parameters, self._receiver
         heartbeat_age, sample_age = (now_ns - then for then in (receiver.heartbeat_ns, receiver.newest_ns))
         problem = f" ({self._link.problem})" if self._link.problem else ""
         if heartbeat_age > parameters.heartbeat_timeout * 1e9:
             self.heartbeat_losses += self._wanted
-            return "heartbeat_lost", f"no heartbeat for {_ms(heartbeat_age)} ms{problem}"
+            return Fault.HEARTBEAT_LOST, f"no heartbeat for {_ms(heartbeat_age)} ms{problem}"
         if sample_age > parameters.sample_timeout * 1e9:
-            return "sample_timeout", f"no good sample for {_ms(sample_age)} ms{problem}"
-        return "", ""
+            return Fault.SAMPLE_TIMEOUT, f"no good sample for {_ms(sample_age)} ms{problem}"
+        return None
 
     def _not_ready(self, now_ns: int) -> str:
         receiver = self._receiver
@@ -253,10 +254,11 @@ class CanHardware(Hardware):
             return f"nothing has come from the board yet{': ' if self._link.problem else ''}{self._link.problem}"
         if receiver.node_state != OPERATIONAL:
             return f"the board's heartbeat says state {receiver.node_state}, not {OPERATIONAL} (operational)"
-        return self._silence(now_ns)[1]
+        silence = self._silence(now_ns)
+        return silence[1] if silence is not None else ""
 
-    def _latch(self, reason: str, name: str = "board") -> None:
-        self._fault, self._fault_name = reason, name
+    def _latch(self, kind: Fault, reason: str) -> None:
+        self._fault, self._fault_kind = reason, kind
         self.disable()
 
     def _send(self, number: int, counts: int = 0) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.parameters import ParameterError, parameter
+from straightcomp_ros.parameters import RefusedParameter, parameter
 
 LOG_ENDINGS = (".log", ".blf")
 """Formats of the frame log."""
@@ -69,7 +69,7 @@ class CanParameters:
     def __post_init__(self) -> None:
         self.further_options()
         if self.log and not self.log.lower().endswith(LOG_ENDINGS):
-            raise ParameterError(f"parameter 'log': '{self.log}' is not allowed; allowed: *{' or *'.join(LOG_ENDINGS)}")
+            raise RefusedParameter("log", f"'{self.log}' is not allowed; allowed: *{' or *'.join(LOG_ENDINGS)}")
 
     def further_options(self) -> dict[str, str]:
         """The pairs in ``options``.
@@ -81,6 +81,6 @@ class CanParameters:
         for text in self.options.split():
             name, equals, value = text.partition("=")
             if not (name.isidentifier() and equals):
-                raise ParameterError(f"parameter 'options': '{text}' is not allowed; allowed: NAME=VALUE")
+                raise RefusedParameter("options", f"'{text}' is not allowed; allowed: NAME=VALUE")
             pairs[name] = value
         return pairs
