@@ -196,17 +196,6 @@ class Soak:
         }
 
 
-def leftovers(ours: set[str], stale: Sequence[str]) -> list[str]:
-    """Which of the files that our processes held belong to nobody now, in words.
-
-    Args:
-        ours: names of lock files, from :func:`straightcomp_ros.shared_memory.held_by`.
-        stale: from :func:`straightcomp_ros.shared_memory.find_stale`: another graph's are among them.
-    """
-    left = sorted(ours & set(stale))
-    return [f"left in shared memory: {', '.join(left)}"] if left else []
-
-
 def exits(codes: Mapping[str, int | None]) -> list[str]:
     """Which nodes did not end with 0 when they were told to stop, in words."""
     return [

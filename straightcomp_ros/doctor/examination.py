@@ -15,8 +15,6 @@ CHECKS: tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...] = (
     ("rclpy", software.ros),
     ("distribution", software.distribution),
     ("discovery", software.discovery),
-    ("shared memory", memory.shared_memory),
-    ("stale Fast DDS files", memory.stale_files),
     ("memlock", memory.locked_memory),
     ("real-time priority", scheduling.priority),
     ("real-time throttling", scheduling.throttling),

@@ -259,7 +259,7 @@ class CellNode:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros cell_node`."""
-    return run("cell", CellNode, by_sockets=True)
+    return run("cell", CellNode)
 
 
 if __name__ == "__main__":

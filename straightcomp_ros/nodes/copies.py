@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from straightcomp_ros.bursts import pack_burst, unpack_burst
@@ -44,7 +43,9 @@ class _Bursts:
     """What goes out in bursts: serialised messages, and when each was made."""
 
     def __init__(self, node: Node, stream: Stream) -> None:
-        self._publish = raw_publish(node.create_publisher(UInt8MultiArray, stream.burst_topic, stream_qos()))
+        self._publish = raw_publish(
+            node.create_publisher(UInt8MultiArray, stream.burst_topic, stream_qos(reliable=True))
+        )
         self._waiting: list[tuple[int, bytes]] = []
         self._room = next(_first_bursts)
 
@@ -138,17 +139,18 @@ class BurstQueue:
         node: resolves the names.
         unspun: from :func:`straightcomp_ros.nodes.streams.unspun_node`.
         stream: what to receive.
-        qos: of the subscriptions.
+        depth: messages, or bursts, that may wait.
+        complete: whatever is lost on the way is asked for again.
     """
 
-    def __init__(self, node: Node, unspun: Node, stream: Stream, qos: QoSProfile | None = None) -> None:
-        def queue(kind: type, topic: str) -> RawQueue:
-            return RawQueue(unspun, kind, node.resolve_topic_name(topic), qos)
+    def __init__(self, node: Node, unspun: Node, stream: Stream, depth: int = 1000, complete: bool = False) -> None:
+        def queue(kind: type, topic: str, reliable: bool = False) -> RawQueue:
+            return RawQueue(unspun, kind, node.resolve_topic_name(topic), stream_qos(depth, reliable))
 
         kind = message_type(stream.layout.type_name)
         self._make_direct: Callable[[], RawQueue] = lambda: queue(kind, stream.topic)
         self._node, self._stream = node, stream
-        self._bursts = queue(UInt8MultiArray, stream.burst_topic)
+        self._bursts = queue(UInt8MultiArray, stream.burst_topic, complete)
         self._direct: RawQueue | None = self._make_direct()
         self._warned = False
         self._newest_ns: int | None = None

@@ -79,7 +79,7 @@ class Stand:
         self.injected_ns = 0
         self._sends = 0
         self._echoed: Inbox | None = None
-        with own_profile(by_sockets=True):
+        with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             self.node = Node("fault_stand")
         self._executor = SingleThreadedExecutor()

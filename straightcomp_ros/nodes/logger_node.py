@@ -56,9 +56,9 @@ class LoggerPart:
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
         self._recorder = Recorder(_options(parameters), stamped, self._describe)
         for stream in STREAMS:
-            qos = stream_qos(parameters.queue_depth)
-            bursts = partial(BurstQueue, node, self._unspun, stream, qos)
-            self._record(message_type(stream.layout.type_name), stream.topic, qos, bursts)
+            depth = parameters.queue_depth
+            bursts = partial(BurstQueue, node, self._unspun, stream, depth, complete=True)
+            self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(depth), bursts)
         self._record(JointTrajectory, STAGE_TRAJECTORY, QoSProfile(depth=10))
         self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
         bursts_of_ours = [node.resolve_topic_name(stream.burst_topic) for stream in STREAMS]

@@ -134,7 +134,7 @@ def _server(parameters: OpcuaNodeParameters, names: list[str]):
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros opcua_node`."""
-    return run("opcua", OpcuaNode, by_sockets=True)
+    return run("opcua", OpcuaNode)
 
 
 if __name__ == "__main__":

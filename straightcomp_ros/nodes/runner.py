@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import signal
 import sys
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -25,16 +24,13 @@ from straightcomp_ros.nodes import realtime
 from straightcomp_ros.nodes.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakePart, ManagedNode
 from straightcomp_ros.nodes.middleware import own_profile
 from straightcomp_ros.nodes.periodic import Loop
-from straightcomp_ros.nodes.port_watch import PERIOD_S, PortWatch
 from straightcomp_ros.nodes.timers import WithSteadyTimers
-from straightcomp_ros.shared_memory import remove_stale
 
 EXIT_CONFIGURATION = 2
 """A parameter or a file is wrong; nothing was started."""
 # Longer values overflow in the executor and end the wait at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
-_FAREWELL_S = 0.2
 
 
 class Runnable(Protocol):
@@ -54,11 +50,8 @@ def run(
     make: Callable[[Node], Runnable],
     arguments: Sequence[str] | None = None,
     executor: Callable[[], Executor] = EventsExecutor,
-    by_sockets: bool = False,
 ) -> int:
     """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
-
-    With ``by_sockets`` it keeps out of shared memory: see :mod:`~.middleware`.
 
     Returns:
         Exit code: 0 after a stop that was asked for, 2 when parameters or files are wrong, 1 when the node
@@ -70,7 +63,6 @@ def run(
         make,
         lambda runnable: _spin(runnable, executor()),
         arguments,
-        by_sockets,
     )
 
 
@@ -96,14 +88,11 @@ def _run(
     make: Callable[[Any], Any],
     spin: Callable[[Any], int],
     arguments: Sequence[str] | None,
-    by_sockets: bool = False,
 ) -> int:
     # rclpy's own handlers shut the context down under a running callback; ours let it end first.
     stop = _StopRequest()
     try:
-        with own_profile(by_sockets):
-            # What a killed node left in shared memory would stay for good, and the middleware stumbles over its ports.
-            remove_stale()
+        with own_profile():
             rclpy.init(
                 args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
             )
@@ -123,7 +112,6 @@ def _run(
             return EXIT_CONFIGURATION
         try:
             stop.ends(runnable.done)
-            node.create_timer(PERIOD_S, PortWatch(node.get_logger().warning).look)
             code = spin(runnable)
         finally:
             runnable.close()
@@ -133,9 +121,6 @@ def _run(
         return EXIT_FAILURE
     finally:
         node.destroy_node()
-        # The others send to this process until they have heard that nobody reads here any more. Once its ports are
-        # gone, Fast DDS makes them anew for each message: long enough for the loop to be late.
-        time.sleep(_FAREWELL_S)
         rclpy.try_shutdown()
 
 

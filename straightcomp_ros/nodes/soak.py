@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bench.recorded_strokes import Commanded, Stroke, missing, readable, strokes_in
-from straightcomp_ros.bench.soak import Actions, Lives, Soak, exits, leftovers
+from straightcomp_ros.bench.soak import Actions, Lives, Soak, exits
 from straightcomp_ros.bench.stalls import Stalls
 from straightcomp_ros.configuration import node_parameters
 from straightcomp_ros.cycle import RECORDED
@@ -22,7 +22,6 @@ from straightcomp_ros.launcher import LaunchError
 from straightcomp_ros.nodes.fault_stand import Stand
 from straightcomp_ros.nodes.soak_actions import ACTIONS
 from straightcomp_ros.nodes.soak_scene import Scene
-from straightcomp_ros.shared_memory import find_stale, held_by
 from straightcomp_ros.straightness.map import find_survey
 
 WARM_UP_S = 10.0
@@ -30,8 +29,6 @@ WARM_UP_S = 10.0
 _PAUSE_S = (0.2, 2.0)
 _NEW_GRAPHS = 3
 """Times that all nodes are started anew where the graph does not come up again, before the run is given up."""
-_YOUNG_S = 2.5
-"""Files in shared memory that are younger are not judged."""
 
 
 def run_soak(
@@ -57,7 +54,7 @@ def run_soak(
         LaunchError: the graph does not come up at all.
     """
     rng = random.Random(seed)
-    result, lives, ours = Soak(seed), Lives(), set[str]()
+    result, lives = Soak(seed), Lives()
     begin = time.monotonic()
     priority = values["driver"].get("realtime.priority", 0)
     with Stand(folder, values) as stand, Stalls(folder, priority) as stalls:
@@ -75,14 +72,11 @@ def run_soak(
             if not _done(scene, kind, result):
                 new_graphs += 1
                 _start_anew(scene, result)
-            _look(scene, lives, ours)
+            _look(scene, lives)
             stand.spin(rng.uniform(*_PAUSE_S))
             _nothing_by_itself(scene, kind, result)
         progress("stopping", 1.0)
-        _end(scene, result, lives, ours)
-    # The stand's own participant is gone by now too.
-    time.sleep(_YOUNG_S)
-    result.failures += leftovers(ours, find_stale())
+        _end(scene, result, lives)
     _judge_bags(folder, scene.commanded, result)
     result.seconds = time.monotonic() - begin
     return result
@@ -133,7 +127,7 @@ def _start_anew(scene: Scene, result: Soak) -> None:
         result.failures.append(f"all nodes were started anew: {error}")
 
 
-def _look(scene: Scene, lives: Lives, ours: set[str]) -> None:
+def _look(scene: Scene, lives: Lives) -> None:
     now, stand = time.monotonic(), scene.stand
     warm = {name: pid for name, pid in stand.processes.items() if now - stand.started[name] >= WARM_UP_S}
     # What has ended by itself, or does not answer, is found by the next action.
@@ -142,8 +136,6 @@ def _look(scene: Scene, lives: Lives, ours: set[str]) -> None:
             # Its thread for maps starts with the first that it is given, and stays.
             scene.ask(Trigger, "feedforward/reload_map", Trigger.Request())
         lives.see(warm)
-        for process_id in stand.processes.values():
-            ours |= held_by(process_id)
 
 
 def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
@@ -160,9 +152,9 @@ def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
             scene.back_to_work()
 
 
-def _end(scene: Scene, result: Soak, lives: Lives, ours: set[str]) -> None:
+def _end(scene: Scene, result: Soak, lives: Lives) -> None:
     """Stop the nodes as an operator does."""
-    _look(scene, lives, ours)
+    _look(scene, lives)
     result.lives = lives.finished(list(scene.stand.processes.values()))
     scene.interrupt()
     scene.end_motion()

@@ -52,7 +52,7 @@ class SteadyCell(CellNode):
 
 def main() -> int:
     """Run the node."""
-    return run("cell", SteadyCell, by_sockets=True)
+    return run("cell", SteadyCell)
 
 
 if __name__ == "__main__":

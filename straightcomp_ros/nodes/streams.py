@@ -24,9 +24,11 @@ def message_type(type_name: str) -> Any:
     return _MESSAGE_TYPES[type_name]
 
 
-def stream_qos(depth: int = 1000) -> QoSProfile:
-    """Best effort: a late sample is worth nothing to a servo. The depth outlasts half a second of a stalled process."""
-    return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+def stream_qos(depth: int = 1000, reliable: bool = False) -> QoSProfile:
+    """Best effort: a late sample is worth nothing to a servo. Reliable: bursts for who records; the depth outlasts some
+    seconds of a process that is held up, where a socket's buffer is full after a twentieth of one."""
+    reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+    return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
 
 
 def publisher(node: Node, stream: Stream) -> Callable[..., None]:

@@ -135,4 +135,4 @@ def view(port: int, ready: Callable[[str], object], realtime: RealtimeParameters
     Returns:
         Exit code.
     """
-    return run("view", lambda node: ViewNode(node, port, ready, realtime), arguments, by_sockets=True)
+    return run("view", lambda node: ViewNode(node, port, ready, realtime), arguments)
