@@ -17,7 +17,7 @@ from straightcomp_ros.bench.faults import Row
 from straightcomp_ros.cycle import RECORDED
 from straightcomp_ros.nodes.fault_stand import Stand
 from straightcomp_ros.nodes.faulty_driver import CLOCK_STEP, LATE_COMMANDS
-from straightcomp_ros.safety.faults import ALLOWANCE_MS, HELD_UP, Fault
+from straightcomp_ros.safety.faults import ALLOWANCE_MS, Fault
 
 COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
 """s, in the trials."""
@@ -31,8 +31,6 @@ _OTHERS = {
     Fault.SAMPLE_TIMEOUT: SAMPLE_TIMEOUT * 1e3 - 1000.0,
 }
 """What these trials' parameters add to the faults' own times, which are those of the defaults."""
-_LOCK_MS = 1000.0
-"""Until Fast DDS gives up a lock in shared memory that a dead or stopped process holds: so long its peers wait."""
 
 
 def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -52,14 +50,12 @@ class Trial(NamedTuple):
         make: makes it; returns when, ns since the epoch, or None where the driver tells.
         judge: waits until it is found; returns when, or None. Then it looks at what must follow, adding what does not
             to the list, and leaves the graph so that it can be switched on again.
-        held_up_ms: for how long those who find it may be held up themselves.
     """
 
     name: str
     fault: Fault
     make: Callable[[Stand], int | None]
     judge: Callable[[Stand, Trial, list[str]], int | None]
-    held_up_ms: float = 0.0
 
 
 def _latched(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
@@ -132,10 +128,9 @@ def _logger_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str])
 
 
 def _logger_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """The same, or the loop was held up by a lock that the dead logger took along: then that is latched."""
+    """The same, and the loop goes on."""
     found = _logger_missed(stand)
-    if stand.fault is None or stand.fault.fault not in HELD_UP:
-        _check_going_on(stand, failures)
+    _check_going_on(stand, failures)
     failures += stand.restart("logger")
     return found
 
@@ -225,17 +220,17 @@ TRIALS = (
     Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS), _latched),
     Trial("two controllers on one topic", Fault.TWO_CONTROLLERS, _echoed, _latched_and_silent),
     *(
-        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), _latched_and_going_on(name), _LOCK_MS)
+        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), _latched_and_going_on(name))
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), _driver_missed_and_going_on, _LOCK_MS),
-    Trial("logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), _logger_missed_and_going_on, _LOCK_MS),
+    Trial("driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), _driver_missed_and_going_on),
+    Trial("logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), _logger_missed_and_going_on),
     *(
-        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), _latched_and_restarted(name), _LOCK_MS)
+        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), _latched_and_restarted(name))
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), _driver_missed_and_restarted, _LOCK_MS),
-    Trial("logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), _logger_missed_and_restarted, _LOCK_MS),
+    Trial("driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), _driver_missed_and_restarted),
+    Trial("logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), _logger_missed_and_restarted),
     Trial("disk full under the logger", Fault.RECORDING_STOPPED, _disk_full, _recording_ended),
 )
 """All that is tried, in this order."""
@@ -264,7 +259,7 @@ def run_trials(
     with Stand(folder, values) as stand:
         for place, trial in enumerate(trials):
             fault = trial.fault.value
-            limit = fault.within_ms + _OTHERS.get(trial.fault, 0.0) + trial.held_up_ms + ALLOWANCE_MS
+            limit = fault.within_ms + _OTHERS.get(trial.fault, 0.0) + ALLOWANCE_MS
             row = Row(trial.name, limit, fault.reaction, fault.reset)
             rows.append(row)
             for repeat in range(repeats):

@@ -13,14 +13,12 @@ from collections.abc import Callable
 from typing import BinaryIO
 
 from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes.threads import threads
 from straightcomp_ros.timing.exclusive import keep_others_off, kept_free, left_behind
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CPU_LATENCY = "/dev/cpu_dma_latency"
-_ANNOUNCES = "dds.ev."
-"""Begin of the name of Fast DDS's thread that announces the participant, five times a second: a message to each place
-where another may be, up to half a millisecond in all."""
+_THREADS = "/proc/self/task"
+"""Ids of the threads of this process, the middleware's too."""
 
 _held: list[BinaryIO] = []
 """Files whose request lasts as long as they are open."""
@@ -74,16 +72,15 @@ def _set_cpus(realtime: RealtimeParameters) -> None:
     # With a single CPU the rest is on it too.
     rest = permitted - loop or loop
     cpus = {"loop": loop, "rest": rest}.get(realtime.cpus) or {int(cpu) for cpu in realtime.cpus.split(",")}
-    for thread, name in threads().items():
-        announces = cpus == loop and name.startswith(_ANNOUNCES)
-        os.sched_setaffinity(thread, rest if announces else cpus)
+    for thread in os.listdir(_THREADS):
+        os.sched_setaffinity(int(thread), cpus)
 
 
 def _set_priority(realtime: RealtimeParameters) -> None:
     # The middleware's threads too, with the main thread's priority; threads that the node itself started have no part
     # in its timing.
     helpers = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
-    for thread in threads():
+    for thread in map(int, os.listdir(_THREADS)):
         if thread not in helpers:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(realtime.priority))
 

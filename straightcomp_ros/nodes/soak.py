@@ -139,7 +139,7 @@ def _look(scene: Scene, lives: Lives) -> None:
 
 
 def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
-    """Between two actions the amplifier stays on; only soon after a kill it may trip."""
+    """Between two actions the amplifier stays on."""
     failures: list[str] = []
     scene.must_be_on(failures)
     if failures:

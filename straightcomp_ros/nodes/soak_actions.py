@@ -120,7 +120,7 @@ def another_bag(scene: Scene) -> list[str]:
 
 
 def kill(scene: Scene) -> list[str]:
-    """SIGKILL of a node, and another in its place. Without the logger the loop goes on, or was held up."""
+    """SIGKILL of a node, and another in its place. Without the logger the loop goes on."""
     failures: list[str] = []
     stand, name = scene.stand, scene.rng.choice(scene.killable)
     scene.note(f"  {name}")
@@ -128,10 +128,10 @@ def kill(scene: Scene) -> list[str]:
         scene.interrupt(_TAKEN_BY_A_KILL_S)
     if name == "driver":
         scene.end_motion()
-    scene.kill(name)
+    stand.signal(name, signal.SIGKILL)
     if name == "logger":
         stand.spin(1.0)
-        scene.may_latch(HELD_UP, failures)
+        scene.must_be_on(failures)
     elif name == "driver":
         _must_trip(scene, failures)
         stand.condition = ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import random
-import signal
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,9 +24,6 @@ from straightcomp_ros.timing.report import SAMPLES
 
 _STALL_MS, _STALL_S = 80.0, 1.0
 """Stalls of so long in all, in the time before a fault, may have led to it."""
-_AFTER_A_KILL_S = 3.0
-"""Time from a SIGKILL within which its peers may be held up: until the lease of the dead process, 2.5 s, has run out,
-and the longest timeout after that."""
 _REACTION_S = 3.0
 """Longest time until a fault is latched: the trials of faults measure how soon, here it is asked whether."""
 _REQUESTS = 2
@@ -78,7 +74,7 @@ class Scene:
         self.commanded = Commanded(round(STROKE_S * 1e9), MOTION_STROKES)
         self._rate = rate
         self._before: tuple[int, float] = (0, 0.0)
-        self._ended_ns = self._began_ns = self._interrupted_ns = self._killed_ns = 0
+        self._ended_ns = self._began_ns = self._interrupted_ns = 0
         self._report: _Report | None = None
         subscribe(stand.node, POSITION, self._on_position)
         stand.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
@@ -87,10 +83,6 @@ class Scene:
         """Write down what is done now."""
         with self._log.open("a") as log:
             log.write(f"{time.time():.3f} {words}\n")
-
-    def kill(self, name: str) -> None:
-        """End a node's process, and bear in mind when."""
-        self._killed_ns = self.stand.signal(name, signal.SIGKILL)
 
     def end_motion(self) -> None:
         """The machine ends now."""
@@ -164,8 +156,7 @@ class Scene:
         assert self.stand.fault is not None
         fault, at_ns = self.stand.fault
         stall_ms = self._stalls.total_ms(at_ns - round(_STALL_S * 1e9), at_ns)
-        after_a_kill = fault in HELD_UP and 0 <= at_ns - self._killed_ns < _AFTER_A_KILL_S * 1e9
-        if fault in allowed or after_a_kill:
+        if fault in allowed:
             self.result.faults[fault.label] += 1
         elif fault in HELD_UP and stall_ms >= _STALL_MS:
             self.result.stalls[fault.label] += 1

@@ -14,7 +14,6 @@ from straightcomp_ros.bench.soak import (
     Look,
     Soak,
     exits,
-    leftovers,
     look,
 )
 from straightcomp_ros.cli.main import main
@@ -68,11 +67,6 @@ def test_every_failure_is_told_in_words_with_its_action():
     run = Soak(1, actions={"split": actions}, failures=["driver did not stop"])
     assert run.to_display()["failures"] == ["split: one", "split: another", "driver did not stop"]
     assert run.to_display()["actions"] == {"split": {"done": 2, "failed": 1}}
-
-
-def test_only_files_that_our_processes_held_are_left_by_us():
-    assert leftovers({"fastrtps_1_el"}, ["fastrtps_2_el"]) == []
-    assert leftovers({"fastrtps_1_el"}, ["fastrtps_1_el", "fastrtps_2_el"]) == ["left in shared memory: fastrtps_1_el"]
 
 
 def test_a_node_that_does_not_end_or_not_with_0_is_told():

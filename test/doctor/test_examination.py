@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
 import gzip
 import json
 import os
 import resource
 import sys
-import time
 from collections import namedtuple
 from pathlib import Path
 
@@ -100,24 +98,6 @@ def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:
     assert software.discovery({}).state == "warn"
     for domain in ("102", "x"):
         assert software.discovery({**local, "ROS_DOMAIN_ID": domain}).state == "warn"
-
-
-@pytest.mark.parametrize(("size", "state"), [(1024 * MIB, "ok"), (100 * MIB, "warn"), (10 * MIB, "fail")])
-def test_little_shared_memory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, size: int, state: str) -> None:
-    _free(monkeypatch, size)
-    assert memory.shared_memory(tmp_path).state == state
-    assert memory.shared_memory(tmp_path / "missing").state == "fail"
-
-
-def test_a_lock_file_of_fast_dds_that_nobody_holds_is_stale(tmp_path: Path) -> None:
-    old = time.time() - 60.0
-    for name in ("fastrtps_0123456789abcdef_el", "fastrtps_port7411_el", "something_el"):
-        os.utime(_file(tmp_path, name, ""), (old, old))
-    with (tmp_path / "fastrtps_port7411_el").open() as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        # The time of the last change of the inode cannot be set back; files are therefore young for two seconds.
-        assert memory.find_stale(tmp_path, young=0.0) == ["fastrtps_0123456789abcdef_el"]
-    assert memory.stale_files(tmp_path / "missing").state == "ok"
 
 
 @pytest.mark.parametrize(

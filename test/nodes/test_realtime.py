@@ -54,35 +54,6 @@ def test_loop_and_rest_share_out_the_cpus():
     assert report("cpus='rest'")[-1].startswith(str(others or [last]))
 
 
-ANNOUNCER = """
-import os, threading, time
-from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes import realtime
-threads, permitted = {}, os.sched_getaffinity(0)
-def be(name):
-    threads[name] = threading.get_native_id()
-    with open(f"/proc/self/task/{threads[name]}/comm", "w") as comm:
-        comm.write(name)
-    named.wait()
-    time.sleep(30)
-named = threading.Barrier(3)
-for name in ("dds.ev.7", "dds.shm.7"):
-    threading.Thread(target=be, args=(name,), daemon=True).start()
-named.wait()
-for cpus in ("loop", "rest"):
-    assert not realtime.apply(RealtimeParameters(cpus=cpus))
-    print(*(os.sched_getaffinity(threads[name]) for name in sorted(threads)), sep=";")
-    os.sched_setaffinity(0, permitted)
-"""
-
-
-def test_the_thread_that_announces_a_node_stays_off_the_cpu_of_the_loop():
-    result = subprocess.run([sys.executable, "-c", ANNOUNCER], capture_output=True, text=True, timeout=60, check=True)
-    *others, last = sorted(os.sched_getaffinity(0))
-    rest = str(set(others or [last]))
-    assert result.stdout.split("\n")[:2] == [f"{rest};{ {last} }", f"{rest};{rest}"]
-
-
 @pytest.mark.parametrize("cpus", ["4095", "none", "0,", "-1"])
 def test_cpus_that_cannot_be_had_are_refused_in_words(cpus):
     before = os.sched_getaffinity(0)

@@ -93,17 +93,6 @@ def test_a_fault_of_a_machine_that_stood_still_is_counted_apart_and_another_faul
     assert failures_of(scene.must_be_on)
 
 
-def test_a_fault_of_being_held_up_counts_as_a_kills_for_three_seconds_and_not_later(scene, stand):
-    latch(stand, Fault.COMMAND_TIMEOUT)
-    assert failures_of(scene.must_be_on)
-    scene.kill("logger")
-    for later_s, blamed in ((0.0, []), (2.9, []), (3.1, ["fault 'command_timeout' was latched"])):
-        stand.fault = Seen(Fault.COMMAND_TIMEOUT, NOW + round(later_s * SECOND))
-        assert [words[:35] for words in failures_of(scene.must_be_on)] == blamed
-    latch(stand, Fault.X_JUMP)
-    assert failures_of(scene.must_be_on)
-
-
 def test_no_answer_to_two_requests_ends_the_action(scene):
     with pytest.raises(LaunchError, match="does not answer"):
         scene.ask(None, "driver/enable", None)

@@ -104,12 +104,3 @@ def test_every_parameter_that_a_command_sets_exists(page: Path) -> None:
     for named in re.findall(r"--set[ =]([a-z_.0-9]+)=", page.read_text(encoding="utf-8")):
         node, _, name = named.partition(".")
         assert name in PARAMETERS[node], named
-
-
-def test_the_lease_that_is_told_is_that_of_both_profiles() -> None:
-    page = (REPOSITORY / "docs" / "realtime.md").read_text(encoding="utf-8")
-    told = float(re.search(r"forgotten after ([\d.]+) s \(the profile's lease", page)[1])  # type: ignore[index]
-    for profile in ("fastdds", "fastdds_loopback"):
-        text = (REPOSITORY / "config" / f"{profile}.xml").read_text(encoding="utf-8")
-        seconds, rest = re.search(r"<leaseDuration>\s*<sec>(\d+)</sec>\s*<nanosec>(\d+)", text).groups()  # type: ignore[union-attr]
-        assert int(seconds) + int(rest) * 1e-9 == told
