@@ -10,6 +10,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import BinaryIO
 
 from straightcomp_ros.configuration import RealtimeParameters
@@ -72,8 +73,10 @@ def _set_cpus(realtime: RealtimeParameters) -> None:
     # With a single CPU the rest is on it too.
     rest = permitted - loop or loop
     cpus = {"loop": loop, "rest": rest}.get(realtime.cpus) or {int(cpu) for cpu in realtime.cpus.split(",")}
-    for thread in os.listdir(_THREADS):
-        os.sched_setaffinity(int(thread), cpus)
+    for thread in map(int, os.listdir(_THREADS)):
+        # One may end meanwhile.
+        with suppress(ProcessLookupError):
+            os.sched_setaffinity(thread, cpus)
 
 
 def _set_priority(realtime: RealtimeParameters) -> None:
@@ -82,7 +85,8 @@ def _set_priority(realtime: RealtimeParameters) -> None:
     helpers = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
     for thread in map(int, os.listdir(_THREADS)):
         if thread not in helpers:
-            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(realtime.priority))
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(realtime.priority))
 
 
 def _lock_memory(_: RealtimeParameters) -> None:
