@@ -18,11 +18,11 @@ from std_msgs.msg import UInt8MultiArray
 from straightcomp_ros.bursts import pack_burst, unpack_burst
 from straightcomp_ros.cdr import LayoutMismatch, header_stamp_ns
 from straightcomp_ros.contract import Stream
+from straightcomp_ros.nodes.inside_rclpy import raw_publish
 from straightcomp_ros.nodes.streams import (
     Messages,
     RawQueue,
     message_type,
-    raw_publish,
     stream_publisher,
     stream_qos,
 )

@@ -18,7 +18,6 @@ from typing import Any, Protocol
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import serialize_message
-from rclpy.service import Service
 from rclpy.task import Future
 
 from straightcomp_ros.bags import BagError
@@ -26,6 +25,7 @@ from straightcomp_ros.contract import HEARTBEAT
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.nodes.changes import ParameterChanges
 from straightcomp_ros.nodes.declare import declare
+from straightcomp_ros.nodes.inside_rclpy import lifecycle_state, state_service
 from straightcomp_ros.nodes.periodic import Loop
 from straightcomp_ros.nodes.timers import WithSteadyTimers
 from straightcomp_ros.parameters import ParameterError
@@ -222,7 +222,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
                     getattr(self, destroy)(entity)
 
     def _beat(self) -> None:
-        state = self._state_machine.current_state[1]
+        state = lifecycle_state(self)
         if state not in self._beats:
             # Serialised once: with cold caches that takes longer than to send it.
             beat = DiagnosticStatus(name=self.get_name(), message=state, hardware_id=self.get_fully_qualified_name())
@@ -246,7 +246,7 @@ _DESTROY = {
 
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:
     """A transition that the state does not have is answered with no success; rclpy lets it end the process."""
-    service: Service = node._service_change_state
+    service = state_service(node)
     change = service.callback
 
     def answer(request: Any, response: Any) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -15,6 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cdr import LayoutMismatch, read_by_names
 from straightcomp_ros.contract import Stream
+from straightcomp_ros.nodes.inside_rclpy import raw_publish, raw_take, waiter
 
 _MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
 
@@ -44,14 +44,6 @@ def publisher(node: Node, stream: Stream) -> Callable[..., None]:
 def stream_publisher(node: Node, stream: Stream) -> Publisher:
     """rclpy's publisher of a stream."""
     return node.create_publisher(message_type(stream.layout.type_name), stream.topic, stream_qos())
-
-
-def raw_publish(publisher: Publisher) -> Callable[[bytes], None]:
-    """A function that publishes a serialised message."""
-    # The publisher's own method would lock it against being destroyed by another thread, and ask what it was given:
-    # that costs a loop 5 µs a message. None of our nodes destroys one while another thread uses it.
-    publish: Callable[[bytes], None] = publisher.handle.publish_raw
-    return publish
 
 
 def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[float]], None]) -> None:
@@ -132,31 +124,25 @@ class RawQueue:
         kind: message class.
         topic: full name.
         qos: of the subscription; its depth bounds what can wait.
+
+    Attributes:
+        wait: ``wait(timeout_ns)`` returns when a message is there, or after that time.
     """
 
     def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile | None = None) -> None:
-        self._unspun, self._kind = unspun, kind
+        self._unspun = unspun
         self._subscription = unspun.create_subscription(kind, topic, lambda _: None, qos or stream_qos(), raw=True)
-        self._handle = self._subscription.handle
-        self._wait_set = _rclpy.WaitSet(1, 0, 0, 0, 0, 0, unspun.context.handle)
+        self._take, self.wait = raw_take(self._subscription), waiter(unspun, self._subscription)
 
     @property
     def connected(self) -> bool:
         """Whether a publisher is there, and the middleware has connected it."""
         return bool(self._subscription.get_publisher_count())
 
-    def wait(self, timeout_ns: int) -> None:
-        """Return when a message is there, or after ``timeout_ns``."""
-        # A wait leaves nothing in its set but what is ready.
-        self._wait_set.clear_entities()
-        self._wait_set.add_subscription(self._handle)
-        self._wait_set.wait(timeout_ns)
-
     def fetch(self) -> Messages:
         """Messages since the last call."""
-        take, kind = self._handle.take_message, self._kind
-        messages = []
-        while (message := take(kind, True)) is not None:
+        take, messages = self._take, []
+        while (message := take()) is not None:
             messages.append(message)
         return messages
 

@@ -1,0 +1,80 @@
+"""What stands outside rclpy's documentation: each test names one thing, and fails when a new rclpy has it no more."""
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.lifecycle import LifecycleNode
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Int64
+
+import straightcomp_ros
+from straightcomp_ros.nodes import inside_rclpy
+from straightcomp_ros.nodes.streams import stream_qos
+
+SECOND = 10**9
+# What rclpy does not document begins with an underscore, is its C++ layer, or a handle into that.
+PRIVATE = re.compile(r"rclpy\.impl|rclpy_implementation|\.handle\b|(?<!self)(?<!cls)(?<!super\(\))\._[a-z]+\b")
+ROS = re.compile(r"^(from|import) rclpy", re.MULTILINE)
+
+
+@pytest.fixture
+def node():
+    rclpy.init()
+    made = LifecycleNode("inside")
+    yield made
+    made.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def pair(node):
+    """Publisher and subscription of one topic, connected."""
+    publisher = node.create_publisher(Int64, "any", stream_qos())
+    subscription = node.create_subscription(Int64, "any", lambda _: None, stream_qos(), raw=True)
+    end = time.monotonic() + 30.0
+    while not publisher.get_subscription_count() and time.monotonic() < end:
+        time.sleep(0.01)
+    return publisher, subscription
+
+
+def test_a_serialised_message_is_published_and_taken_with_the_times_of_the_middleware(node, pair):
+    publisher, subscription = pair
+    take, wait = inside_rclpy.raw_take(subscription), inside_rclpy.waiter(node, subscription)
+    assert take() is None
+    before = time.time_ns()
+    inside_rclpy.raw_publish(publisher)(serialize_message(Int64(data=42)))
+    wait(10 * SECOND)
+    data, info = take()
+    assert deserialize_message(data, Int64).data == 42
+    assert before <= info["source_timestamp"] <= time.time_ns()
+    assert before <= info["received_timestamp"] <= time.time_ns()
+    assert take() is None
+
+
+def test_a_wait_without_a_message_ends_in_time(node, pair):
+    begin = time.monotonic()
+    inside_rclpy.waiter(node, pair[1])(20_000_000)
+    assert time.monotonic() - begin >= 0.019
+
+
+def test_state_and_state_service_of_a_lifecycle_node_are_there(node):
+    assert inside_rclpy.lifecycle_state(node) == "unconfigured"
+    node.trigger_configure()
+    assert inside_rclpy.lifecycle_state(node) == "inactive"
+    assert inside_rclpy.state_service(node).srv_name.endswith("/change_state")
+
+
+def test_no_other_file_uses_what_rclpy_does_not_document():
+    package = Path(straightcomp_ros.__file__).parent
+    found = []
+    for file in sorted(package.rglob("*.py")):
+        text = file.read_text(encoding="utf-8")
+        if ROS.search(text) and file.name != "inside_rclpy.py":
+            lines = (
+                f"{file.relative_to(package)}: {line.strip()}" for line in text.splitlines() if PRIVATE.search(line)
+            )
+            found += list(lines)
+    assert found == []
