@@ -240,6 +240,7 @@ class PlayerNodeParameters:
         minimum=0,
         maximum=500,
     )
+    clock: bool = parameter(False, "Publish the time of the samples on /clock, for nodes with use_sim_time")
     realtime: RealtimeParameters = group(RealtimeParameters)
 
 

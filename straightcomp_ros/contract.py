@@ -99,6 +99,8 @@ POSITION = Stream(
 POSITION_EVERY = 20
 """Samples to one message of ``position``; in lockstep each has its own."""
 
+CLOCK = "/clock"
+"""rosgraph_msgs/Clock, from a player that is asked for it: the time of the samples that it publishes."""
 STAGE_TRAJECTORY = "stage_trajectory"
 """trajectory_msgs/JointTrajectory: motion asked of the stage (joint `stage_x`)."""
 DIAGNOSTICS = "diagnostics"

@@ -9,11 +9,13 @@ from pathlib import Path
 
 from rclpy.node import Node
 from rclpy.task import Future
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.configuration import PlayerNodeParameters
-from straightcomp_ros.contract import COMMAND, ENCODER
+from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
 from straightcomp_ros.nodes.declare import declare
 from straightcomp_ros.nodes.diagnostics import Diagnostics
 from straightcomp_ros.nodes.periodic import PeriodicLoop
@@ -51,6 +53,8 @@ class PlayerNode:
         self._publisher = node.create_publisher(
             message_type(ENCODER.layout.type_name), node.resolve_topic_name(ENCODER.topic), stream_qos()
         )
+        self._stamps = stamps
+        self._clock = node.create_publisher(Clock, CLOCK, stream_qos(1)) if parameters.clock else None
         self._subscribers = parameters.subscribers
         self._timeout = parameters.start_timeout
         self._deadline = time.monotonic() + parameters.start_timeout
@@ -76,6 +80,8 @@ class PlayerNode:
         end = min(len(due), self._answered + self._ahead)
         while self._next < end and due[self._next] <= elapsed_ns:
             publish(messages[self._next])
+            if self._clock is not None and self._next % POSITION_EVERY == 0:
+                self._clock.publish(Clock(clock=Time(nanoseconds=self._stamps[self._next]).to_msg()))
             self._next += 1
         if self._next < len(due):
             self._end_ns = now_ns
