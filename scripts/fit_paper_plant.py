@@ -41,12 +41,11 @@ BOX = {
 def law(slope: float = 0.0, *, feedforward: bool = False, rho: float = 1.0, velocity_bandwidth: float = 1000.0) -> Law:
     """The paper's design; ``slope`` ρ/ε in 1/s of the boundary layer: 0 is linear control, inf is sgn σ."""
     gains = sliding_mode.gains(
-        SlidingDesign(rho=rho, boundary_layer=rho / slope if slope else 1.0),
+        SlidingDesign(rho=rho, boundary_layer=rho / slope if slope else 1.0, velocity_bandwidth=velocity_bandwidth),
         NominalPlant(),
         switching=slope > 0.0,
         feedforward=feedforward,
         period=PERIOD,
-        velocity_bandwidth=velocity_bandwidth,
         current_limit=0.9,
     )
     return Law(gains, sliding_mode.start, sliding_mode.step)

@@ -32,20 +32,20 @@ class Table(NamedTuple):
 
 _BOTH = ("p-p", "step of i_c")
 TABLES = (
-    Table("ε [m/s]", "smc", 0.5, "controller", "control.design.boundary_layer", tuple(FIGURES),
+    Table("ε [m/s]", "smc", 0.5, "controller", "control.smc.boundary_layer", tuple(FIGURES),
           (0.0008, 0.0016, 0.0032, 0.004, 0.008)),
-    Table("ωn/2π [Hz]", "smc", 0.5, "controller", "control.design.natural_frequency", _BOTH,
+    Table("ωn/2π [Hz]", "smc", 0.5, "controller", "control.smc.natural_frequency", _BOTH,
           (20, 35, 50, 70)),
-    Table("φ [1/s]", "smc", 0.5, "controller", "control.design.phi", _BOTH, (25, 50, 100, 200, 400)),
-    Table("velocity estimate [Hz]", "smc", 0.5, "controller", "control.velocity_bandwidth", _BOTH, (50, 100, 1000)),
-    Table("allowance", "smc_observer", 1.0, "controller", "control.observer.gain_allowance", _BOTH,
+    Table("φ [1/s]", "smc", 0.5, "controller", "control.smc.phi", _BOTH, (25, 50, 100, 200, 400)),
+    Table("velocity estimate [Hz]", "smc", 0.5, "controller", "control.smc.velocity_bandwidth", _BOTH, (50, 100, 1000)),
+    Table("allowance", "smc_observer", 1.0, "controller", "control.smc_observer.gain_allowance", _BOTH,
           (0.7, 1.0, 1.5, 2.3, 3.0)),
-    Table("bandwidth [Hz]", "smc_observer", 1.0, "controller", "control.observer.bandwidth", _BOTH,
+    Table("bandwidth [Hz]", "smc_observer", 1.0, "controller", "control.smc_observer.bandwidth", _BOTH,
           (100, 200, 400, 545, 800)),
-    Table("λ [1/s]", "smc_observer", 1.0, "controller", "control.observer.surface", _BOTH,
+    Table("λ [1/s]", "smc_observer", 1.0, "controller", "control.smc_observer.surface", _BOTH,
           (150, 300, 545, 800, 1200)),
-    Table("κ [1/s]", "smc_observer", 1.0, "controller", "control.observer.reaching", _BOTH, (200, 400, 600, 1200)),
-    Table("delay believed [samples]", "smc_observer", 1.0, "controller", "control.observer.delay", _BOTH,
+    Table("κ [1/s]", "smc_observer", 1.0, "controller", "control.smc_observer.reaching", _BOTH, (200, 400, 600, 1200)),
+    Table("delay believed [samples]", "smc_observer", 1.0, "controller", "control.smc_observer.delay", _BOTH,
           (0.0, 0.5, 1.0)),
     Table("true delay [samples]", "smc_observer", 0.5, "driver", "lockstep_delay", _BOTH, (0.05, 0.5, 1.0, 1.25, 2.0)),
 )  # fmt: skip
@@ -96,7 +96,7 @@ def main() -> None:
     print(
         line(
             "`smc` without feedforward",
-            values_of(shipped, "smc", 0.5, {"controller": {"control.smc_feedforward": False}}),
+            values_of(shipped, "smc", 0.5, {"controller": {"control.smc.feedforward": False}}),
         )
     )
     for law in ("smc", "smc_observer"):

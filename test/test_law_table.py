@@ -72,7 +72,7 @@ def test_another_file_is_refused_in_one_sentence_that_names_it(script, tmp_path,
 
 def test_the_law_with_sgn_works_the_coils_harder_and_a_law_that_is_handed_in_is_the_one_that_runs():
     smooth = with_values(SHORT, "controller", {"control.law": "smc"})
-    sgn = with_values(smooth, "controller", {"control.design.boundary_layer": 0.0})
+    sgn = with_values(smooth, "controller", {"control.smc.boundary_layer": 0.0})
     figures = figures_of(sgn, starts=2)
     assert figures.control_activity.min > 2.0 * figures_of(smooth, starts=1).control_activity.max
     assert figures.step_time > 0.0

@@ -137,9 +137,9 @@ TOGETHER = [
     ),
     (
         "controller",
-        {"control.law": "smc", "control.design.rho": 0.2},
-        "control.design.rho",
-        {"control.design.enforce_reaching"},
+        {"control.law": "smc", "control.smc.rho": 0.2},
+        "control.smc.rho",
+        {"control.smc.enforce_reaching"},
     ),
     ("opcua", {"opcua.security": "none", "opcua.host": "0.0.0.0"}, "opcua.security", {"opcua.host"}),
     ("opcua", {**ENCRYPTED, "opcua.users": ""}, "opcua.users", set()),

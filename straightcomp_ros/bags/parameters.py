@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.control.former_names import present_names
 from straightcomp_ros.parameters import belongs_to_ros, flatten
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ MAP_PARAMETERS = ("feedforward", "map.file")
 
 
 def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str, dict[str, Any]]:
-    """Values by node and dotted name; empty when none are attached.
+    """Values by node and dotted name, under the names of today; empty when none are attached.
 
     Args:
         bag: named in errors.
@@ -45,6 +46,8 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
         values.setdefault(str(key).rsplit("/", 1)[-1], {}).update(
             {name: value for name, value in own.items() if not belongs_to_ros(name)}
         )
+    if "controller" in values:
+        values["controller"] = present_names(values["controller"])
     return values
 
 

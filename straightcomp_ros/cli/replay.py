@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NODE.NAME=VALUE",
-        help="what if this parameter had been so, e.g. controller.control.observer.bandwidth=300; may be repeated",
+        help="what if this parameter had been so, e.g. controller.control.smc_observer.bandwidth=300; may be repeated",
     )
     parser.add_argument("--graph", action="store_true", help="play the samples to feedforward, controller and logger")
     parser.add_argument(

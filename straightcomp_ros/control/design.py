@@ -26,12 +26,15 @@ class NominalPlant:
         0.645, "Largest friction force expected, for the check of rho by (11)", unit="N", minimum=0.0
     )
     travel: float = parameter(25e-6, "Largest |y| in operation, for the check of rho by (11)", unit="m", above=0.0)
+    amplifier_bandwidth: float = parameter(
+        500.0, "Bandwidth of the amplifier, for the laws with an observer", unit="Hz", above=0.0, maximum=1e6
+    )
     actuator: ActuatorParameters = group(ActuatorParameters)
 
 
 @dataclass(frozen=True)
 class SlidingDesign:
-    """Sliding surface and reaching law of (8) and (9)."""
+    """Sliding surface and reaching law of (8) and (9), for 'smc', and without their switching for 'linear'."""
 
     zeta: float = parameter(0.8, "Damping ratio ζ on the sliding surface", above=0.0, maximum=10.0)
     natural_frequency: float = parameter(
@@ -47,6 +50,12 @@ class SlidingDesign:
         unit="m/s",
         minimum=0.0,
         maximum=10.0,
+    )
+    velocity_bandwidth: float = parameter(
+        1000.0, "Bandwidth of the velocity estimate", unit="Hz", above=0.0, maximum=1e5
+    )
+    feedforward: bool = parameter(
+        True, "Law 'smc' follows the map's rates; without it (9) as printed, with its lag of 2ζ/ωn"
     )
 
     @property

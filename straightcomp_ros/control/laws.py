@@ -20,9 +20,6 @@ class ObserverDesign:
     delay: float = parameter(
         1.0, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
     )
-    amplifier_bandwidth: float = parameter(
-        500.0, "Bandwidth of the amplifier; 'super_twisting' takes it too", unit="Hz", above=0.0, maximum=1e6
-    )
     surface: float = parameter(
         545.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
     )
@@ -56,24 +53,18 @@ class ControlParameters:
 
     law: str = parameter("smc_observer", "Control law", choices=LAWS)
     current_limit: float = parameter(0.9, "Largest |i_c| that a law asks for", unit="A", above=0.0, maximum=100.0)
-    velocity_bandwidth: float = parameter(
-        1000.0, "Bandwidth of the velocity estimate of 'linear' and 'smc'", unit="Hz", above=0.0, maximum=1e5
-    )
-    smc_feedforward: bool = parameter(
-        True, "Law 'smc' follows the map's rates; without it (9) as printed, with its lag of 2ζ/ωn"
-    )
-    design: SlidingDesign = group(SlidingDesign)
-    observer: ObserverDesign = group(ObserverDesign)
+    smc: SlidingDesign = group(SlidingDesign)
     super_twisting: TwistingDesign = group(TwistingDesign)
+    smc_observer: ObserverDesign = group(ObserverDesign)
     nominal: NominalPlant = group(NominalPlant)
 
     def __post_init__(self) -> None:
-        bound = reaching_bound(self.design, self.nominal)
-        if self.law == "smc" and self.design.enforce_reaching and self.design.rho <= bound:
+        bound = reaching_bound(self.smc, self.nominal)
+        if self.law == "smc" and self.smc.enforce_reaching and self.smc.rho <= bound:
             raise RefusedParameter(
-                "design.rho",
-                f"{self.design.rho!r} m/s² does not fulfil the reaching condition (11); "
-                f"allowed: > {bound:.4g} m/s², or any with '{{group}}design.enforce_reaching' false",
+                "smc.rho",
+                f"{self.smc.rho!r} m/s² does not fulfil the reaching condition (11); "
+                f"allowed: > {bound:.4g} m/s², or any with '{{group}}smc.enforce_reaching' false",
             )
 
 
@@ -85,15 +76,14 @@ def prepare_all() -> None:
 
 def make_law(parameters: ControlParameters, period: float) -> Law:
     """The law that the parameters name, for a sampling period in s."""
-    design, observer, nominal = parameters.design, parameters.observer, parameters.nominal
+    design, observer, nominal = parameters.smc, parameters.smc_observer, parameters.nominal
     if parameters.law in ("linear", "smc"):
         gains = sliding_mode.gains(
             design,
             nominal,
             switching=parameters.law == "smc",
-            feedforward=parameters.law == "smc" and parameters.smc_feedforward,
+            feedforward=parameters.law == "smc" and design.feedforward,
             period=period,
-            velocity_bandwidth=parameters.velocity_bandwidth,
             current_limit=parameters.current_limit,
         )
         return Law(gains, sliding_mode.start, sliding_mode.step, sliding_mode.run)
@@ -102,7 +92,7 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
         return tracking.loop(
             period=period,
             delay_samples=delay,
-            amplifier_bandwidth=observer.amplifier_bandwidth,
+            amplifier_bandwidth=nominal.amplifier_bandwidth,
             observer_bandwidth=bandwidth,
             # To a law, magnets that pull more strongly are a lighter platform; where they balance stays the same.
             mass=nominal.mass / gain_allowance,

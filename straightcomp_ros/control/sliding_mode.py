@@ -44,10 +44,9 @@ def gains(
     switching: bool,
     feedforward: bool,
     period: float,
-    velocity_bandwidth: float,
     current_limit: float,
 ) -> Gains:
-    """Numbers of (9) for a sampling period in s, a velocity estimate in Hz and a limit of i_c in A.
+    """Numbers of (9) for a sampling period in s and a limit of i_c in A.
 
     As printed, (9) takes S x and the reference's part −(SB)⁻¹ SB_r r = ωn² r M / K̄_i, and follows a moving r with a lag
     of 2ζ/ωn. With ``feedforward`` the surface is that of the error,
@@ -63,7 +62,7 @@ def gains(
     follow = 1.0 if feedforward else 0.0
     return Gains(
         period=period,
-        smoothing=1.0 - math.exp(-2.0 * math.pi * velocity_bandwidth * period),
+        smoothing=1.0 - math.exp(-2.0 * math.pi * design.velocity_bandwidth * period),
         surface_integral=design.omega_n**2,
         surface_position=surface_position,
         k_integral=k_integral,

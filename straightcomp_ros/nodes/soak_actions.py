@@ -77,9 +77,9 @@ def another_law(scene: Scene) -> list[str]:
         "controller",
         {
             "control.law": scene.rng.choice(LAWS),
-            "control.observer.surface": between(450.0, 600.0),
-            "control.observer.bandwidth": between(380.0, 460.0),
-            "control.design.natural_frequency": between(32.0, 38.0),
+            "control.smc_observer.surface": between(450.0, 600.0),
+            "control.smc_observer.bandwidth": between(380.0, 460.0),
+            "control.smc.natural_frequency": between(32.0, 38.0),
         },
     )
 
@@ -211,10 +211,10 @@ ACTIONS: Mapping[str, Callable[[Scene], list[str]]] = {
 """All kinds, by name. Each finds the graph at work and returns what was not as it must be."""
 _ORDER = ("driver", "feedforward", "controller", "logger")
 _REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
-    ("controller", {"control.law": "linear", "control.observer.surface": -1.0}),
-    ("controller", {"control.observer.surface": 500.0, "control.law": "no such law"}),
-    ("controller", {"control.observer.surface": 510.0, "rate": 1000}),
-    ("controller", {"control.law": "smc", "control.design.rho": 1e-6}),
+    ("controller", {"control.law": "linear", "control.smc_observer.surface": -1.0}),
+    ("controller", {"control.smc_observer.surface": 500.0, "control.law": "no such law"}),
+    ("controller", {"control.smc_observer.surface": 510.0, "rate": 1000}),
+    ("controller", {"control.law": "smc", "control.smc.rho": 1e-6}),
     ("feedforward", {"map.runout": 0.03, "map.file": "no_such_file.csv"}),
     ("driver", {"current_limit": 0.95, "simulated.rate": 1000}),
     ("logger", {"min_free_bytes": 1000, "output": "elsewhere"}),

@@ -65,7 +65,7 @@ def compute(machine: Machine) -> NearRelease:
     On the surface (12) holds with them.
     """
     ideal = machine.idealised().with_law("smc")
-    design = ideal.control.design
+    design = ideal.control.smc
     response = release(ideal, RELEASED_AT * machine.plant.actuator.air_gap, hold_still(ideal, _DURATION))
     sigma_0 = sliding_variable_at_rest(design, float(response.y[0]))
     reached = int(np.argmax(response.sigma <= 0.0))

@@ -50,7 +50,7 @@ def compute(machine: Machine) -> StickSlip:
     """Follow the sine with the machine as it is, and with its friction taken away."""
     linear = machine.with_law("linear")
     run, frictionless = follow_sine(linear), follow_sine(linear.without_friction())
-    design = machine.control.design
+    design = machine.control.smc
     window = evaluated(run)
     error = (run.reference - run.reading)[window]
     lagging = fundamental(frictionless.time[window], (frictionless.reference - frictionless.y)[window])

@@ -30,7 +30,7 @@ def compute(machine: Machine) -> CompensatedStroke:
         Claim(
             "Fig. 8: of that the lag 2ζ/ωn behind r(t), p-p",
             None,
-            lag_share(stroke, machine.control.design) * 1e6,
+            lag_share(stroke, machine.control.smc) * 1e6,
             "µm",
             note="2ζ/ωn times ṙ over the stroke, whatever the plant; it would go with ṙ and r̈ fed forward",
         ),

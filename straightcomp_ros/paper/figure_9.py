@@ -20,7 +20,7 @@ def compute(machine: Machine) -> CompensatedStroke:
     """Run the stroke under (9) with its switching term, as the parameter file tunes it."""
     stroke = run_stroke(machine, "smc")
     gap = machine.plant.actuator.air_gap
-    lagging = lag_share(stroke, machine.control.design)
+    lagging = lag_share(stroke, machine.control.smc)
     claims = (
         stroke_claim(
             "Fig. 9: error under sliding-mode control, p-p",
@@ -28,7 +28,7 @@ def compute(machine: Machine) -> CompensatedStroke:
             (figures.pp * 1e6 for figures in stroke.starts),
             "µm",
             tolerance=TOLERANCE * PAPER_PP_UM,
-            note=f"true error, with smc_feedforward; without it the lag 2ζ/ωn alone leaves {lagging * 1e6:.2f} µm; "
+            note=f"true error, with smc.feedforward; without it the lag 2ζ/ωn alone leaves {lagging * 1e6:.2f} µm; "
             "the shipped boundary layer is wider than the paper's figure asks for (docs/plant.md)",
         ),
         stroke_claim(

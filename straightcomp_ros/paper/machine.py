@@ -61,8 +61,9 @@ class Machine:
         control = dataclasses.replace(
             self.control,
             current_limit=UNCLAMPED,
-            velocity_bandwidth=1e5,
-            design=dataclasses.replace(self.control.design, boundary_layer=0.0, enforce_reaching=False),
+            smc=dataclasses.replace(
+                self.control.smc, boundary_layer=0.0, velocity_bandwidth=1e5, enforce_reaching=False
+            ),
         )
         return dataclasses.replace(self, plant=plant, control=control, rate=IDEAL_RATE, delay=0.0)
 

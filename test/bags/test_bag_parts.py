@@ -20,7 +20,9 @@ from straightcomp_ros.bags.sqlite_input import sqlite_blocks
 from straightcomp_ros.bags.summary import frames
 from straightcomp_ros.bags.topics import chosen_topics, resolved
 from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.configuration import ControllerNodeParameters
 from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.parameters import declarations
 
 MESSAGE, OTHER = 5, 4
 
@@ -187,6 +189,24 @@ def test_a_bag_begins_where_its_first_number_is(tmp_path):
     for number in (3, 4):
         (tmp_path / f"run_{number}.mcap").write_bytes(b"x")
     assert missing_files(tmp_path, mcap_files(tmp_path)) == []
+
+
+def test_a_bag_from_before_the_groups_of_laws_had_their_names_is_read_by_the_names_of_today():
+    names = {
+        "control.law": "control.law",
+        "control.velocity_bandwidth": "control.smc.velocity_bandwidth",
+        "control.smc_feedforward": "control.smc.feedforward",
+        "control.design.rho": "control.smc.rho",
+        "control.observer.amplifier_bandwidth": "control.nominal.amplifier_bandwidth",
+        "control.observer.delay": "control.smc_observer.delay",
+        "control.super_twisting.surface": "control.super_twisting.surface",
+    }
+    lines = "".join(f"    {name}: {number}\n" for number, name in enumerate(names))
+    text = f"/controller:\n  ros__parameters:\n{lines}".encode()
+    found = recorded_parameters("bag", {"parameters.yaml": text})["controller"]
+    assert found == {name: number for number, name in enumerate(names.values())}
+    known = {declaration.name for declaration in declarations(ControllerNodeParameters)}
+    assert set(found) <= known
 
 
 def test_the_attached_map_is_unpacked_where_there_is_one(tmp_path):

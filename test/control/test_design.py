@@ -44,7 +44,7 @@ def test_where_the_gain_error_reaches_one_no_rho_suffices():
 
 
 def test_a_rho_below_the_reaching_bound_is_refused_unless_it_is_wanted():
-    with pytest.raises(ParameterError, match=r"design\.rho.*0\.2.*\(11\).*> 0\.31"):
-        ControlParameters(law="smc", design=SlidingDesign(rho=0.2))
-    ControlParameters(law="smc", design=SlidingDesign(rho=0.2, enforce_reaching=False))
-    ControlParameters(law="linear", design=SlidingDesign(rho=0.2))
+    with pytest.raises(ParameterError, match=r"smc\.rho.*0\.2.*\(11\).*> 0\.31"):
+        ControlParameters(law="smc", smc=SlidingDesign(rho=0.2))
+    ControlParameters(law="smc", smc=SlidingDesign(rho=0.2, enforce_reaching=False))
+    ControlParameters(law="linear", smc=SlidingDesign(rho=0.2))

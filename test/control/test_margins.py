@@ -23,7 +23,7 @@ def law(name: str, **parameters):
 
 
 def test_fast_sampling_without_lag_gives_the_continuous_poles_of_the_design():
-    fast = make_law(ControlParameters(law="linear", velocity_bandwidth=1e5), 1e-6)
+    fast = make_law(ControlParameters(law="linear", smc=SlidingDesign(velocity_bandwidth=1e5)), 1e-6)
     poles = loop_margins(fast, NOMINAL, period=1e-6, delay=0.0, amplifier_bandwidth=1e6).poles
     continuous = np.log(poles[np.abs(poles) > 0.99]) / 1e-6
     for pole in closed_loop_poles(SlidingDesign(), NOMINAL):
@@ -78,21 +78,21 @@ def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
 
 
 def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
-    thin = law("smc", design=SlidingDesign(boundary_layer=5e-4))
+    thin = law("smc", smc=SlidingDesign(boundary_layer=5e-4))
     margins = loop_margins(thin, NOMINAL, **LOOP)
     assert max(abs(margins.poles)) > 1.0 and margins.longest_delay == 0.0
 
 
 def test_a_law_that_switches_has_no_linearisation():
-    for switching in (law("smc", design=SlidingDesign(boundary_layer=0.0)), law("super_twisting")):
+    for switching in (law("smc", smc=SlidingDesign(boundary_layer=0.0)), law("super_twisting")):
         with pytest.raises(ValueError, match="no linearisation"):
             linearised(switching)
 
 
 def test_knowing_the_delay_makes_the_observer_tolerate_it():
     late = {**LOOP, "delay": PERIOD}
-    ignorant = loop_margins(law("smc_observer", observer=ObserverDesign(delay=0.0)), NOMINAL, **late)
-    knowing = loop_margins(law("smc_observer", observer=ObserverDesign(delay=1.0)), NOMINAL, **late)
+    ignorant = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=0.0)), NOMINAL, **late)
+    knowing = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=1.0)), NOMINAL, **late)
     assert knowing.phase > ignorant.phase + 5.0
 
 

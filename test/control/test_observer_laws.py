@@ -55,9 +55,9 @@ def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
 
 
 def test_far_from_the_surface_the_reaching_acceleration_is_rho_and_near_it_never_overshoots():
-    parameters = ControlParameters(law="smc_observer", observer=ObserverDesign(rho=1.5))
+    parameters = ControlParameters(law="smc_observer", smc_observer=ObserverDesign(rho=1.5))
     servo = make_law(parameters, T)
-    observer, nominal = parameters.observer, parameters.nominal
+    observer, nominal = parameters.smc_observer, parameters.nominal
     gain = observer.gain_allowance * nominal.actuator.current_stiffness / nominal.mass
     for r, expected in ((-1e-4, -1.5), (1e-4, 1.5)):
         servo.reset(0.0)
@@ -83,13 +83,13 @@ def test_the_observer_law_works_with_a_sample_of_delay_that_it_knows():
 
 @pytest.mark.no_cover  # whole strokes, which take three times as long under it
 def test_the_printed_law_lags_and_its_feedforward_removes_the_lag():
-    lagging, following = (run(control__law="smc", control__smc_feedforward=on)[1] for on in (False, True))
+    lagging, following = (run(control__law="smc", control__smc__feedforward=on)[1] for on in (False, True))
     assert following.true_pp < 0.8 * lagging.true_pp
 
 
 @pytest.mark.no_cover  # whole strokes, which take three times as long under it
 def test_the_observer_law_switches_less_than_a_quarter_of_literal_sgn():
-    sgn = run(control__law="smc", control__design__boundary_layer=0.0, control__smc_feedforward=False)[1]
+    sgn = run(control__law="smc", control__smc__boundary_layer=0.0, control__smc__feedforward=False)[1]
     assert run(control__law="smc_observer")[1].control_activity < 0.25 * sgn.control_activity
 
 

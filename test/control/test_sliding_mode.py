@@ -30,7 +30,7 @@ def by_equation_9(x: np.ndarray, r: float, rho: float, boundary_layer: float) ->
 def test_a_step_is_equation_9(y0, y1, r):
     for law, rho in (("linear", 0.0), ("smc", DESIGN.rho)):
         servo = make_law(
-            ControlParameters(law=law, current_limit=100.0, velocity_bandwidth=1e5, smc_feedforward=False), T
+            ControlParameters(law=law, current_limit=100.0, smc=SlidingDesign(velocity_bandwidth=1e5, feedforward=False)), T
         )
         servo.reset(y0)
         servo.step(y0, r, 0.0, 0.0)
@@ -86,7 +86,7 @@ def test_the_switching_function_is_odd_bounded_and_sgn_outside_its_layer(sigma, 
 
 def test_with_feedforward_the_surface_is_that_of_the_error():
     r, rate, acceleration = 3e-6, 4e-5, 2e-4
-    servo = make_law(ControlParameters(law="smc", velocity_bandwidth=1e5), T)
+    servo = make_law(ControlParameters(law="smc", smc=SlidingDesign(velocity_bandwidth=1e5)), T)
     servo.reset(r - rate * T)
     answer = servo.step(r, r, rate, acceleration)
     # On the reference and moving with it σ is zero, but for the velocity filter's last thousandth.
@@ -97,9 +97,9 @@ def test_with_feedforward_the_surface_is_that_of_the_error():
 
 def test_the_surface_is_reached_in_the_time_of_its_closed_form():
     """σ̇ = −φσ − ρ sgn σ: from σ0 the surface is reached at (1/φ) ln(1 + φ|σ0|/ρ)."""
-    design = SlidingDesign(boundary_layer=0.0)
+    design = SlidingDesign(boundary_layer=0.0, velocity_bandwidth=1e6)
     period = 2e-6
-    servo = make_law(ControlParameters(law="smc", current_limit=100.0, velocity_bandwidth=1e6, design=design), period)
+    servo = make_law(ControlParameters(law="smc", current_limit=100.0, smc=design), period)
     a, b = state_matrices(NOMINAL)
     y0 = 2e-4
     servo.reset(y0)
@@ -121,7 +121,6 @@ def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it()
         switching=False,
         feedforward=False,
         period=T,
-        velocity_bandwidth=1e3,
         current_limit=0.05,
     )
     for sign in (1.0, -1.0):

@@ -44,7 +44,7 @@ def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(single, tmp_p
         ("driver", "simulated.rate", "fast", "'fast' Hz is not an integer"),
         ("driver", "hardware", "none", "'none' is not known; allowed: one of simulated"),
         ("feedforward", "map.file", "nowhere.csv", "nowhere.csv"),
-        ("controller", "control.design.rho", 0.1, "reaching condition (11)"),
+        ("controller", "control.smc.rho", 0.1, "reaching condition (11)"),
         ("controller", "control.law", "pid", "allowed: one of linear, smc"),
         ("cell", "motion.speed", 0, "0.0 m/s is too small"),
     ],

@@ -67,7 +67,7 @@ def test_without_friction_the_sine_is_followed_with_the_lag_of_equation_12(machi
     window = evaluated(response)
     error = (response.reference - response.y)[window]
     amplitude = fundamental(response.time[window], error)
-    design = ideal.control.design
+    design = ideal.control.smc
     assert amplitude == pytest.approx(following_error_gain(design, OMEGA) * AMPLITUDE, rel=0.01)
     assert amplitude == pytest.approx(lag(design) * OMEGA * AMPLITUDE, rel=0.01)
     assert amplitude == pytest.approx(1.83e-6, rel=0.01)

@@ -43,14 +43,14 @@ def test_what_is_no_held_line_is_no_oscillation(error):
 
 def test_a_law_that_switches_with_sgn_limit_cycles(values):
     values["cell"]["motion.stroke"] = 0.1
-    values["controller"] = {"control.design.boundary_layer": 0.0}
+    values["controller"] = {"control.smc.boundary_layer": 0.0}
     (result,) = run_trials(make_scenario(values, ["smc"], EXACT), 1, [0])
     assert result.limit_cycle and result.frequency > 100.0
 
 
 def test_a_gain_too_high_for_the_delay_limit_cycles_where_half_the_delay_does_not(values):
     values["cell"]["motion.stroke"] = 0.1
-    values["controller"] = {"control.design.phi": 300.0, "control.design.rho": 3.0}
+    values["controller"] = {"control.smc.phi": 300.0, "control.smc.rho": 3.0}
     exact = {"mass": 0.0, "force": 0.0, "air_gap": 0.0, "friction": 1.0, "sensor_noise": 0.0, "map_noise": 0.0}
     late, early = (
         run_trials(

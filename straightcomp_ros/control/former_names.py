@@ -1,0 +1,28 @@
+"""Parameters of the controller that had other names before: bags keep the names of their time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_FORMER = {
+    "control.velocity_bandwidth": "control.smc.velocity_bandwidth",
+    "control.smc_feedforward": "control.smc.feedforward",
+    "control.observer.amplifier_bandwidth": "control.nominal.amplifier_bandwidth",
+    "control.observer.": "control.smc_observer.",
+    "control.design.": "control.smc.",
+}
+"""Names, and beginnings of names with a dot at their end; the first that fits counts."""
+
+
+def present_name(name: str) -> str:
+    """What a parameter of the controller is called now."""
+    for former, present in _FORMER.items():
+        if name == former or (former.endswith(".") and name.startswith(former)):
+            return present + name[len(former) :]
+    return name
+
+
+def present_names(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The controller's values by their present names; the order stays."""
+    return {present_name(name): value for name, value in values.items()}
