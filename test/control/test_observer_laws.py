@@ -19,7 +19,7 @@ OBSERVER_LAWS = ("smc_observer", "super_twisting")
 def run(**controller):
     values = read_parameter_file(share_path("config/straightcomp.yaml"))
     values["controller"].update({key.replace("__", "."): value for key, value in controller.items()})
-    delay = controller.get("control__observer__delay")
+    delay = controller.get("control__smc_observer__delay")
     if delay is not None:
         values["driver"]["lockstep_delay"] = delay
     values["cell"].update({"motion.stroke": 0.6, "motion.settle": 0.3, "motion.pause": 0.1})
@@ -78,7 +78,7 @@ def test_the_laws_rank_as_their_designs_promise():
 
 @pytest.mark.no_cover  # whole strokes, which take three times as long under it
 def test_the_observer_law_works_with_a_sample_of_delay_that_it_knows():
-    assert run(control__law="smc_observer", control__observer__delay=1.0)[1].true_pp < 0.25e-6
+    assert run(control__law="smc_observer", control__smc_observer__delay=1.0)[1].true_pp < 0.25e-6
 
 
 @pytest.mark.no_cover  # whole strokes, which take three times as long under it

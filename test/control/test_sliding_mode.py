@@ -30,7 +30,10 @@ def by_equation_9(x: np.ndarray, r: float, rho: float, boundary_layer: float) ->
 def test_a_step_is_equation_9(y0, y1, r):
     for law, rho in (("linear", 0.0), ("smc", DESIGN.rho)):
         servo = make_law(
-            ControlParameters(law=law, current_limit=100.0, smc=SlidingDesign(velocity_bandwidth=1e5, feedforward=False)), T
+            ControlParameters(
+                law=law, current_limit=100.0, smc=SlidingDesign(velocity_bandwidth=1e5, feedforward=False)
+            ),
+            T,
         )
         servo.reset(y0)
         servo.step(y0, r, 0.0, 0.0)

@@ -150,7 +150,7 @@ def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loo
 
 
 def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
-    refused = loop.set("controller", control__law="linear", control__design__rho=-1.0)
+    refused = loop.set("controller", control__law="linear", control__smc__rho=-1.0)
     assert not refused.successful and "control.smc.rho" in refused.reason
     refused = loop.set("controller", control__law="linear", rate=100)
     assert not refused.successful and "'rate' is fixed while the node is configured" in refused.reason

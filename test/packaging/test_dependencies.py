@@ -25,7 +25,7 @@ NOT_NEEDED = {"mcap_ros2"}
 """What a bench measures beside our reader where somebody has installed it."""
 NO_WHEELS = {"launch", "launch_ros"}
 """Parts of ROS that PyPI has not: the launch files need an installed Jazzy."""
-WITH_RCLPY = {"builtin_interfaces", "rcl_interfaces", "std_msgs"}
+WITH_RCLPY = {"builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_msgs"}
 """What rclpy's wheel brings along."""
 ONLY_ON_ROS = {"ros2launch"}
 """`ros2 launch` itself: nothing imports it."""
