@@ -46,8 +46,8 @@ demo: setup
 	@exec .venv/bin/straightcomp demo $(ARGS)
 
 # What of the core is only reached through a running graph is not tested well enough: it has a figure of its own.
-CORE := analysis control model straightness timing
-CORE_FILES := straightcomp_ros/cdr.py straightcomp_ros/contract.py straightcomp_ros/parameters.py
+CORE := analysis control messages model straightness timing
+CORE_FILES := straightcomp_ros/contract.py straightcomp_ros/settings/declaration.py
 comma_separated = $(subst $(space),$(comma),$(strip $(1)))
 # Live nodes share the machine with nothing else; the other tests share out its cores first.
 define TEST_ALL
@@ -67,13 +67,13 @@ echo "Branch coverage of all:"
 endef
 # What sums, solves and fits the most.
 PROCESSOR_DEPENDENT := model straightness $(addprefix analysis/test_,assessment.py figures_of_strokes.py metrics.py survey_series.py) \
-  bench/test_measuring.py control/test_observer.py control/test_design.py
+  trials/test_measuring.py control/test_observer.py control/test_design.py
 test: setup
 	@mkdir -p .coverage_data
 	$(if $(ARGS),exec .venv/bin/python -m pytest $(ARGS),$(TEST_ALL))
 
 # No live graph, no build, no whole strokes: what a change of an equation, a format or a parameter needs while one works.
-QUICK := model control straightness timing doctor packaging/test_gates.py test_cdr.py test_parameters.py
+QUICK := model control straightness timing doctor packaging/test_gates.py messages settings
 LONGER := control/test_learning.py control/test_learning_file.py control/test_observer_laws.py
 quick: setup
 	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)

@@ -28,15 +28,15 @@ from rich.progress import track
 from rich.table import Table
 
 from straightcomp_ros.analysis.record import MetricsError
-from straightcomp_ros.comparison import LawFigures, Values, figures_of, with_values
-from straightcomp_ros.configuration import ControllerNodeParameters, node_parameters
+from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, node_parameters
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.control.design import NominalPlant
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
-from straightcomp_ros.sweep.starts import Spread
+from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, with_values
+from straightcomp_ros.offline.sweep.starts import Spread
+from straightcomp_ros.settings.share import share_path
 
 INSTALL = (
     "opensmc is not installed: run 'pip install opensmc' in the environment of straightcomp_ros (it needs numpy only)"

@@ -10,7 +10,7 @@ from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 
-from straightcomp_ros.nodes.launching import (
+from straightcomp_ros.runtime.launch_files import (
     HARDWARE,
     LAW,
     MAP,

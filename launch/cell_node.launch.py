@@ -6,7 +6,7 @@ two would move the stage and switch the amplifier.
 
 from launch import LaunchDescription
 
-from straightcomp_ros.nodes.launching import RECORD, RT_PRIORITY, described, starting, use_opcua, without_a_logger
+from straightcomp_ros.runtime.launch_files import RECORD, RT_PRIORITY, described, starting, use_opcua, without_a_logger
 
 
 def generate_launch_description() -> LaunchDescription:

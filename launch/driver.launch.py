@@ -2,7 +2,7 @@
 
 from launch import LaunchDescription
 
-from straightcomp_ros.nodes.launching import HARDWARE, RT_PRIORITY, described, starting
+from straightcomp_ros.runtime.launch_files import HARDWARE, RT_PRIORITY, described, starting
 
 OVERRIDES = {**HARDWARE, **RT_PRIORITY}
 

@@ -2,7 +2,7 @@
 
 from launch import LaunchDescription
 
-from straightcomp_ros.nodes.launching import MAP, RT_PRIORITY, described, starting
+from straightcomp_ros.runtime.launch_files import MAP, RT_PRIORITY, described, starting
 
 OVERRIDES = {**MAP, **RT_PRIORITY}
 

@@ -2,7 +2,7 @@
 
 from launch import LaunchDescription
 
-from straightcomp_ros.nodes.launching import OUTPUT, RECORD, RT_PRIORITY, described, starting
+from straightcomp_ros.runtime.launch_files import OUTPUT, RECORD, RT_PRIORITY, described, starting
 
 OVERRIDES = {**OUTPUT, **RT_PRIORITY}
 

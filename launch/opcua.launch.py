@@ -5,7 +5,7 @@ When the gateway has ended, everything that was launched with it is shut down.
 
 from launch import LaunchDescription
 
-from straightcomp_ros.nodes.launching import (
+from straightcomp_ros.runtime.launch_files import (
     OPCUA_USERS,
     RECORD,
     RT_PRIORITY,

@@ -20,7 +20,7 @@ from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reachin
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.parameters import from_mapping
+from straightcomp_ros.settings.declaration import from_mapping
 
 LINEAR, SMC = 1.77, 0.40
 """The paper's figures in µm peak to peak."""

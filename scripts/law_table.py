@@ -16,14 +16,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.comparison import LawFigures, Values, figures_of, law_of, with_values
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
-from straightcomp_ros.paper.machine import machine_from
+from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, law_of, with_values
+from straightcomp_ros.offline.sweep.starts import Spread
+from straightcomp_ros.paper.ideal_machine import machine_from
 from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
-from straightcomp_ros.sweep.starts import Spread
+from straightcomp_ros.settings.share import share_path
 
 SGN = "`smc` with sgn σ as printed"
 NAMES = {

@@ -20,12 +20,12 @@ import numpy as np
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.parameters import ParameterError
-from straightcomp_ros.simulation import Simulation
-from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.sweep.starts import STARTS, Spread, spreads, values_of_starts
+from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.survey import Survey, write_survey
-from straightcomp_ros.sweep.starts import STARTS, Spread, spreads, values_of_starts
+from straightcomp_ros.straightness.survey_run import Run
 
 AMPLITUDE, FREQUENCY, SPEED, WAVES = 50e-6, 0.8, 0.1, 4
 """m, Hz, m/s, and waves along the stroke."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import yaml
 
-from straightcomp_ros.configuration import NODE_PARAMETERS
-from straightcomp_ros.parameters import declarations
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.settings.declaration import declarations
 
 FILE = Path(__file__).resolve().parent.parent / "config" / "straightcomp.yaml"
 LOOP = {"realtime.priority": 40, "realtime.cpus": "loop"}

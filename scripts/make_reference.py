@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from straightcomp_ros import contract
-from straightcomp_ros.bursts import BURST_TYPE
-from straightcomp_ros.configuration import NODE_PARAMETERS
-from straightcomp_ros.parameters import declarations
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.messages.batch import BURST_TYPE
+from straightcomp_ros.settings.declaration import declarations
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
@@ -46,7 +46,7 @@ def reference() -> str:
         numbers = ", ".join(f"`{name}`" for name in stream.layout.columns)
         lines.append(f"| `{stream.topic}` | {stream.layout.type_name} | {numbers} | {stream.description} |")
     for stream in contract.STREAMS:
-        text = f"The messages of `{stream.topic}` in bursts, for who can wait; see `straightcomp_ros/bursts.py`."
+        text = f"The messages of `{stream.topic}` in bursts; see `straightcomp_ros/messages/batch.py`."
         lines.append(f"| `{stream.burst_topic}` | {BURST_TYPE} | | {text} |")
     for constant, text in _texts_below_constants(contract).items():
         found = SLOW_TOPIC.fullmatch(text)

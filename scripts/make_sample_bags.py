@@ -23,14 +23,14 @@ from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STROKE
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
-from straightcomp_ros.simulation import Simulation
-from straightcomp_ros.straightness.map import MapParameters, load_map
-from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Survey, write_survey
+from straightcomp_ros.straightness.survey_run import Run
 
 SEED = 1760
 START_NS = 1_700_000_000_000_000_000

@@ -12,10 +12,10 @@ from straightcomp_ros.contract import DEFAULT_RATE, STROKE
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
+from straightcomp_ros.offline.sweep.starts import Spread, offsets, spread
 from straightcomp_ros.straightness.feedforward import Feedforward
-from straightcomp_ros.straightness.map import load_map
-from straightcomp_ros.sweep.kernel import Conditions, run_cycle
-from straightcomp_ros.sweep.starts import Spread, offsets, spread
+from straightcomp_ros.straightness.guide_map import load_map
 
 PERIOD = 1.0 / DEFAULT_RATE
 """Sampling period in s."""

@@ -15,7 +15,7 @@ from matplotlib import font_manager  # noqa: F401
 import straightcomp_ros
 from straightcomp_ros.control.laws import prepare_all
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 GUIDE = "config/guide_synthetic.csv"
 

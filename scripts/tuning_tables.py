@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from straightcomp_ros.comparison import Values, with_values
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
-from straightcomp_ros.sweep.starts import STARTS, Spread, metrics_of_starts, spreads
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.offline.comparison import Values, with_values
+from straightcomp_ros.offline.sweep.starts import STARTS, Spread, metrics_of_starts, spreads
+from straightcomp_ros.settings.share import share_path
 
 FIGURES = {"p-p": ("true_pp_um", 1.0, 2), "RMS": ("true_rms_um", 1.0, 3), "step of i_c": ("control_rms_step_A", 1e3, 1)}
 """Head of a row: name in `Metrics.to_display`, factor, digits."""

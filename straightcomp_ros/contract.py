@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from straightcomp_ros.cdr import Layout, joint_state, joint_trajectory_point
+from straightcomp_ros.messages.cdr import Layout, joint_state, joint_trajectory_point
 
 PACKAGE = "straightcomp_ros"
 STAGE = "stage_x"
@@ -82,7 +82,7 @@ TRUTH = Stream(
 ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)
 """Streams of every graph."""
 STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
-"""Each goes out in bursts too, for who can wait; see :mod:`straightcomp_ros.bursts`."""
+"""Each goes out in bursts too, for who can wait; see :mod:`straightcomp_ros.messages.batch`."""
 
 DISPLACEMENT = Stream(
     "displacement",

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from straightcomp_ros.launcher import Graph
+from straightcomp_ros.cell.launcher import Graph
 
 pytest_plugins = ["repeats", "pytester"]
 

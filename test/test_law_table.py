@@ -9,8 +9,8 @@ from types import ModuleType
 
 import pytest
 
-from straightcomp_ros.comparison import LawFigures, figures_of, law_of, with_values
-from straightcomp_ros.sweep.starts import Spread, spread
+from straightcomp_ros.offline.comparison import LawFigures, figures_of, law_of, with_values
+from straightcomp_ros.offline.sweep.starts import Spread, spread
 
 SHORT = {"controller": {}, "cell": {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1}}
 LAW = LawFigures(

@@ -10,10 +10,10 @@ from types import ModuleType
 
 import pytest
 
-from straightcomp_ros.comparison import LawFigures, figures_of, with_values
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
-from straightcomp_ros.sweep.starts import spread
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.offline.comparison import LawFigures, figures_of, with_values
+from straightcomp_ros.offline.sweep.starts import spread
+from straightcomp_ros.settings.share import share_path
 
 SHORT = {"driver": {}, "controller": {}, "cell": {"motion.stroke": 0.03, "motion.settle": 0.3, "motion.pause": 0.1}}
 

@@ -11,11 +11,11 @@ from types import ModuleType
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
-from straightcomp_ros.sweep.run import run_trials
-from straightcomp_ros.sweep.scenario import make_scenario
-from straightcomp_ros.sweep.starts import Spread, metrics_of_starts, spreads
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.offline.sweep.many_trials import run_trials
+from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.offline.sweep.starts import Spread, metrics_of_starts, spreads
+from straightcomp_ros.settings.share import share_path
 
 # The code is reached by other tests, and whole strokes take three times as long under it.
 pytestmark = pytest.mark.no_cover

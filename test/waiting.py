@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from straightcomp_ros.launcher import Graph
+from straightcomp_ros.cell.launcher import Graph
 
 
 def wait_for_line(graph: Graph, node: str, text: str, seconds: float = 120.0) -> None:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.parameters import recorded_parameters
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.recorded_parameters import recorded_parameters
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 
 _EVALUATED = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.survey_runs import Passage, recognise
 from straightcomp_ros.analysis.survey_series import Series
 from straightcomp_ros.bags.origin import origin
-from straightcomp_ros.straightness.columns import DEVIATION, SurveyError, X
-from straightcomp_ros.straightness.map import MapParameters, StraightnessMap
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.mean import mean_of_directions, on_common_grid
 from straightcomp_ros.straightness.outliers import disagreement
 from straightcomp_ros.straightness.repeatability import Repeatability, repeatability
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
-from straightcomp_ros.straightness.run import Run, check_gaps
 from straightcomp_ros.straightness.survey import Survey, write_survey
+from straightcomp_ros.straightness.survey_columns import DEVIATION, SurveyError, X
+from straightcomp_ros.straightness.survey_run import Run, check_gaps
 
 
 @dataclass(frozen=True)

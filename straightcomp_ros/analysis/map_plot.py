@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.map_building import BuiltMap
-from straightcomp_ros.analysis.plot import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 
 
 def plot_map(built: BuiltMap, path: Path) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import MetricsError, Motion, ReferenceMap, StrokeRecord, check_finite, find_motion
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
-from straightcomp_ros.straightness.run import Direction
+from straightcomp_ros.straightness.survey_run import Direction
 
 __all__ = ["Metrics", "MetricsError", "evaluate", "residual_over"]
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from straightcomp_ros.straightness.run import Direction
+from straightcomp_ros.straightness.survey_run import Direction
 
 SPEED_SPAN = 0.02
 """Time in s over which the stage's speed is taken: one encoder quantum of 0.1 µm is then 5 µm/s."""

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import MetricsError, Stroke, motion_of
 from straightcomp_ros.analysis.survey_series import Series
-from straightcomp_ros.straightness.columns import SurveyError
 from straightcomp_ros.straightness.outliers import spikes
-from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.straightness.survey_columns import SurveyError
+from straightcomp_ros.straightness.survey_run import Run
 
 _WHOLE = 0.9
 """Part of the longest run's travel from which a run counts as whole: others were broken off, or lead to the start."""

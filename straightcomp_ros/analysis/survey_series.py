@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
-from straightcomp_ros.straightness.columns import DEVIATION, SurveyError, X, find_column, normalised
 from straightcomp_ros.straightness.csv_rows import metres, number, rows
+from straightcomp_ros.straightness.survey_columns import DEVIATION, SurveyError, X, find_column, normalised
 
 TIME_COLUMN = "time_s"
 """A CSV file with this column is a recording over time; one without lists the points of runs."""

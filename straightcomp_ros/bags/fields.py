@@ -15,8 +15,8 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import typestore
 from straightcomp_ros.bags.messages import Messages, read_messages
 from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.cdr import NANOSECONDS, Layout, LayoutMismatch
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
+from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
 

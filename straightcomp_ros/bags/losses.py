@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from straightcomp_ros.cdr import NANOSECONDS
+from straightcomp_ros.messages.cdr import NANOSECONDS
 
 _STAMP = slice(4, 12)
 """A header's stamp follows the four bytes of the CDR encapsulation."""

@@ -20,7 +20,7 @@ from mcap.records import Attachment, Channel, Chunk, Footer, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.summary import FRAME, UNREADABLE, Summary, frames, gather, parsed_summary
+from straightcomp_ros.bags.mcap_summary import FRAME, UNREADABLE, Summary, frames, gather, parsed_summary
 
 _FOOTER_SIZE = FRAME.size + 20
 PRIVATE = 0x80

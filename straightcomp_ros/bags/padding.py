@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags.definitions import typestore
-from straightcomp_ros.cdr import Layout
+from straightcomp_ros.messages.cdr import Layout
 
 ENCAPSULATION_SIZE = 4
 _STAMP_SIZE = 8

@@ -14,13 +14,13 @@ from mcap.records import Metadata
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.blocks import blocks
-from straightcomp_ros.bags.columns import StreamColumns, StreamDecoder
 from straightcomp_ros.bags.folder import mcap_files, missing_files
 from straightcomp_ros.bags.mcap_input import McapInput, attachment_of
+from straightcomp_ros.bags.mcap_summary import UNREADABLE
 from straightcomp_ros.bags.sqlite_input import sqlite_blocks, sqlite_files, sqlite_topics
-from straightcomp_ros.bags.summary import UNREADABLE
+from straightcomp_ros.bags.stream_columns import StreamColumns, StreamDecoder
 from straightcomp_ros.bags.topics import chosen_topics
-from straightcomp_ros.cdr import Layout
+from straightcomp_ros.messages.cdr import Layout
 
 __all__ = ["StreamColumns", "opened", "read_attachments", "read_metadata", "read_streams"]
 

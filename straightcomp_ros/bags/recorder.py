@@ -11,7 +11,7 @@ from pathlib import Path
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import Definition
-from straightcomp_ros.bags.disk import DiskGuard
+from straightcomp_ros.bags.free_space import DiskGuard
 from straightcomp_ros.bags.intake import BREAK, Intake, Message
 from straightcomp_ros.bags.losses import Losses
 from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin

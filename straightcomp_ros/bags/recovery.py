@@ -16,9 +16,9 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import Definition
 from straightcomp_ros.bags.folder import mcap_files, missing_files
 from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.mcap_summary import UNREADABLE, Summary, frames, gather
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.salvage import Gap, Sound, salvaged
-from straightcomp_ros.bags.summary import UNREADABLE, Summary, frames, gather
 from straightcomp_ros.bags.writer import BagWriter
 
 RECOVERY_METADATA = "recovery"

@@ -18,7 +18,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.mcap_input import PRIVATE, McapInput, Record, attachment_of
-from straightcomp_ros.bags.summary import FRAME, UNREADABLE
+from straightcomp_ros.bags.mcap_summary import FRAME, UNREADABLE
 
 _PARSED = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
 _SHORTEST_MESSAGE = 22

@@ -11,8 +11,8 @@ from typing import Any
 import yaml
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
-from straightcomp_ros.bags.parameters import attach_map
 from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.recorded_parameters import attach_map
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
 

@@ -12,4 +12,4 @@ run = run_tool
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the tools."""
-    add_tools(parser, "can", ("hub", "replay"))
+    add_tools(parser, __name__, ("hub", "replay"))

@@ -9,10 +9,10 @@ import signal
 import sys
 
 from straightcomp_ros.cli.output import CommandFailed, check_range, print_json
-from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.hardware.can.faults import KINDS, Faults
+from straightcomp_ros.hardware.can.bus_faults import KINDS, Faults
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.timing.realtime import RealtimeParameters
 
 SUMMARY = "be a bus between processes, with faults if wanted"
 _HIGHEST_PRIORITY = 98
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Serve until a signal."""
-    from straightcomp_ros.nodes import realtime
+    from straightcomp_ros.timing import realtime
 
     check_range("--priority", options.priority, 0, _HIGHEST_PRIORITY)
     rates = _rates(options.fault)

@@ -13,12 +13,12 @@ from pathlib import Path
 import can
 
 from straightcomp_ros.cli.output import CommandFailed, check_range, notes, print_json, working
-from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
 from straightcomp_ros.hardware.can.link import check_interface, opened_bus
 from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.settings.declaration import ParameterError
 
 SUMMARY = "send a recorded board's frames to a driver"
 _SLOWEST, _FASTEST = 0.01, 100.0

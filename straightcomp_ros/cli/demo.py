@@ -11,7 +11,9 @@ import tempfile
 from datetime import datetime
 from pathlib import Path
 
-from straightcomp_ros.analysis.plot import plot_run
+from straightcomp_ros.analysis.run_plot import plot_run
+from straightcomp_ros.cell.demonstration import DemonstrationFailed, demonstrate, on_hub
+from straightcomp_ros.cli.law_tables import results_table, timing_table
 from straightcomp_ros.cli.output import (
     CommandFailed,
     console,
@@ -21,10 +23,8 @@ from straightcomp_ros.cli.output import (
     progress_bar,
     require_ros,
 )
-from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.tables import results_table, timing_table
-from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate, on_hub
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "run the node graph for one stroke, record and evaluate it"

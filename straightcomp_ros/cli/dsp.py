@@ -10,12 +10,12 @@ import sys
 from collections.abc import Sequence
 
 from straightcomp_ros.cli.output import CommandFailed, check_range
-from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import check_interface
 from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "emulate the DSP board on a CAN bus"

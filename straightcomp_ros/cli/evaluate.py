@@ -9,8 +9,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from straightcomp_ros.cli.law_tables import shown
 from straightcomp_ros.cli.output import CommandFailed, console, notes, output_file, print_json, working
-from straightcomp_ros.cli.tables import shown
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.assessment import Assessment
@@ -124,7 +124,7 @@ def assessed(bag: Path, remap: dict[str, str] | None = None) -> Assessment:
 
 
 def _write_report(path: Path, assessment: Assessment, other: Assessment | None, verdicts: list[Verdict]) -> None:
-    from straightcomp_ros.analysis.report import report_html
+    from straightcomp_ros.analysis.html_report import report_html
 
     path.write_text(report_html(assessment, other, verdicts), encoding="utf-8")
     notes.print(f"report: {path}")

@@ -21,8 +21,8 @@ from rich.table import Table
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.output import CommandFailed, console, notes, output_file, print_json, progress_bar
-from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration import node_parameters
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag

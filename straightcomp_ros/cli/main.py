@@ -7,34 +7,35 @@ import ast
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NoReturn
 from xml.etree import ElementTree
 
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.share import share_path
+from straightcomp_ros.settings.share import share_path
 
-_VERBS = (
-    "bench",
-    "can",
-    "completion",
-    "demo",
-    "doctor",
-    "dsp",
-    "evaluate",
-    "faults",
-    "friction",
-    "map",
-    "opcua",
-    "recover",
-    "replay",
-    "reproduce",
-    "robustness",
-    "simulate",
-    "soak",
-    "view",
-)
+_VERBS = {
+    "bench": "trials.verbs.bench",
+    "can": "cli.can",
+    "completion": "cli.completion",
+    "demo": "cli.demo",
+    "doctor": "cli.doctor",
+    "dsp": "cli.dsp",
+    "evaluate": "cli.evaluate",
+    "faults": "trials.verbs.inject_faults",
+    "friction": "cli.friction",
+    "map": "cli.map",
+    "opcua": "cli.opcua",
+    "recover": "cli.recover",
+    "replay": "cli.replay",
+    "reproduce": "cli.reproduce",
+    "robustness": "cli.robustness",
+    "simulate": "cli.simulate",
+    "soak": "trials.verbs.soak",
+    "view": "cli.view",
+}
+"""The module of each verb."""
 _FIRST_STEPS = """\
 first steps:
   straightcomp doctor                   can this machine run it, and what would help?
@@ -76,7 +77,7 @@ def _ended(options: argparse.Namespace, sentence: str, exit_code: int) -> int:
     return exit_code
 
 
-def make_parser(complete: Sequence[str] = _VERBS) -> argparse.ArgumentParser:
+def make_parser(complete: Collection[str] = _VERBS.keys()) -> argparse.ArgumentParser:
     """The parser of all verbs; those that are not in ``complete`` with their summary only."""
     parser = _Parser(
         prog="straightcomp",
@@ -86,14 +87,14 @@ def make_parser(complete: Sequence[str] = _VERBS) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
-    for name in _VERBS:
+    for name, source in _VERBS.items():
         if name in complete:
-            module = importlib.import_module(f"straightcomp_ros.cli.{name}")
+            module = importlib.import_module(f"straightcomp_ros.{source}")
             verb = verbs.add_parser(name, help=module.SUMMARY, description=module.__doc__, formatter_class=_Help)
             module.add_arguments(verb)
             verb.set_defaults(run=module.run)
         else:
-            verbs.add_parser(name, help=_summary(name))
+            verbs.add_parser(name, help=_summary(source))
     return parser
 
 
@@ -126,9 +127,10 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _summary(name: str) -> str:
+def _summary(source: str) -> str:
     """SUMMARY of a verb, read without importing it."""
-    tree = ast.parse(Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8"))
+    path = Path(__file__).parents[1].joinpath(*source.split(".")).with_suffix(".py")
+    tree = ast.parse(path.read_text(encoding="utf-8"))
     return next(
         str(ast.literal_eval(node.value))
         for node in tree.body

@@ -10,8 +10,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from straightcomp_ros.cli.law_tables import figures_table
 from straightcomp_ros.cli.output import PICTURES, CommandFailed, check_range, console, notes, output_file, print_json
-from straightcomp_ros.cli.tables import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import argparse
 
 from straightcomp_ros.cli.output import CommandFailed, check_range, console, output_file, print_json
 from straightcomp_ros.cli.table_options import add_table_options, chosen_conventions
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.straightness.tables.error_table import sampled
 from straightcomp_ros.straightness.tables.formats import format_of

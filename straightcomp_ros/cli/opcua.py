@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json
-from straightcomp_ros.opcua.parameters import OpcuaParameters
+from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.users import OPERATOR, ROLES, UsersError, add_user
 
 SUMMARY = "users of the OPC UA gateway; a cycle run through it"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from straightcomp_ros.plain_json import plain
+from straightcomp_ros.settings.plain_json import plain
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -38,7 +38,7 @@ def require_ros() -> None:
     Raises:
         CommandFailed: so it is.
     """
-    from straightcomp_ros.launcher import ros_available
+    from straightcomp_ros.cell.launcher import ros_available
 
     if not ros_available():
         raise CommandFailed(

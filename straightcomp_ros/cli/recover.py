@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
-from straightcomp_ros.cli.tables import titled_table
 
 SUMMARY = "make a finished bag from a cut-off or damaged one"
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
+from straightcomp_ros.cli.law_tables import shown
 from straightcomp_ros.cli.output import CommandFailed, console, notes, output_folder, print_json, require_ros, working
-from straightcomp_ros.cli.tables import shown
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     """Audit, or simulate, or play."""
     from straightcomp_ros.analysis.record import MetricsError
     from straightcomp_ros.bags import BagError
-    from straightcomp_ros.parameters import ParameterError
+    from straightcomp_ros.settings.declaration import ParameterError
     from straightcomp_ros.straightness.survey import SurveyError
 
     changes = bool(options.law or options.set)
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
-    from straightcomp_ros.replay.audit import audit
+    from straightcomp_ros.offline.replay.audit import audit
 
     with working("computing the commands again"):
         found = audit(bag, remap)
@@ -92,8 +92,8 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int
 def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
     from rich.table import Table
 
-    from straightcomp_ros.cli.parameters import parsed_assignment
-    from straightcomp_ros.replay.what_if import what_if
+    from straightcomp_ros.cli.parameter_options import parsed_assignment
+    from straightcomp_ros.offline.replay.what_if import what_if
 
     changes: dict[str, dict[str, Any]] = {}
     for assignment in options.set:
@@ -119,8 +119,8 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> i
 
 
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
-    from straightcomp_ros.launcher import LaunchError
-    from straightcomp_ros.replay.graph import replay_through_graph
+    from straightcomp_ros.cell.launcher import LaunchError
+    from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
 
     require_ros()
     output = output_folder("--output", options.output)

@@ -10,13 +10,13 @@ from pathlib import Path
 from rich.table import Table
 
 from straightcomp_ros.cli.output import CommandFailed, console, notes, output_folder, print_json, progress_bar
-from straightcomp_ros.cli.parameters import DEFAULT_FILE
+from straightcomp_ros.cli.parameter_options import DEFAULT_FILE
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.paper.all_figures import Reproduction, reproduce
 from straightcomp_ros.paper.claims import Claim
-from straightcomp_ros.paper.machine import machine_from
-from straightcomp_ros.paper.reproduce import Reproduction, reproduce
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.parameters import ParameterError
-from straightcomp_ros.share import share_path
+from straightcomp_ros.paper.ideal_machine import machine_from
+from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "compute the paper's figures, and its numbers beside ours"

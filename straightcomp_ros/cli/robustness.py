@@ -15,17 +15,17 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.analysis.record import MetricsError
+from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.output import PICTURES, CommandFailed, console, output_file, print_json, progress_bar
-from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.tables import titled_table
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.parameters import ParameterError, declarations, from_mapping
+from straightcomp_ros.offline.sweep.many_trials import SweepError, sweep
+from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
+from straightcomp_ros.offline.sweep.sweep_summary import PERCENTILES, LawSummary, summarise
+from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
+from straightcomp_ros.settings.declaration import ParameterError, declarations, from_mapping
 from straightcomp_ros.straightness.survey import SurveyError
-from straightcomp_ros.sweep.plot import plot_sweep
-from straightcomp_ros.sweep.run import SweepError, sweep
-from straightcomp_ros.sweep.scenario import make_scenario
-from straightcomp_ros.sweep.summary import PERCENTILES, LawSummary, summarise
-from straightcomp_ros.sweep.uncertainty import UncertaintyParameters
 
 SUMMARY = "run many strokes on uncertain machines, offline"
 

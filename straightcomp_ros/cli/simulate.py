@@ -12,6 +12,7 @@ from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.cli.law_tables import cycles_table, results_table
 from straightcomp_ros.cli.output import (
     PICTURES,
     CommandFailed,
@@ -21,14 +22,13 @@ from straightcomp_ros.cli.output import (
     print_json,
     progress_bar,
 )
-from straightcomp_ros.cli.parameters import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.tables import cycles_table, results_table
-from straightcomp_ros.configuration import node_parameters
-from straightcomp_ros.parameters import ParameterError
-from straightcomp_ros.simulation import Simulation
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
+from straightcomp_ros.offline.sweep.starts import Spread, metrics_of_starts, spreads
+from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
-from straightcomp_ros.sweep.starts import Spread, metrics_of_starts, spreads
-from straightcomp_ros.sweep.stroke import can_run, run_stroke
 
 SUMMARY = "run strokes forward and back offline"
 
@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     metrics = cycles[-1]
     if plot is not None:
         # Only here: matplotlib takes longer to import than the cycle to run.
-        from straightcomp_ros.analysis.plot import plot_run
+        from straightcomp_ros.analysis.run_plot import plot_run
 
         plot_run(record, straightness, metrics, plot, title=f"Simulated stroke, law '{record.law}'")
     shown = [cycle.to_display() for cycle in cycles]

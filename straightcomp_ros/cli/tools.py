@@ -7,12 +7,12 @@ import importlib
 from collections.abc import Sequence
 
 
-def add_tools(parser: argparse.ArgumentParser, verb: str, names: Sequence[str], metavar: str = "TOOL") -> None:
-    """Declare the tools of ``verb``: for each name the module ``<verb>_<name>`` beside this one, with SUMMARY,
-    add_arguments and run."""
+def add_tools(parser: argparse.ArgumentParser, family: str, names: Sequence[str], metavar: str = "TOOL") -> None:
+    """Declare the tools of a verb: for each name the module ``<family>_<name>`` with SUMMARY, add_arguments and run;
+    ``family`` is the dotted name of the verb's own module."""
     tools = parser.add_subparsers(dest="tool", metavar=metavar, required=True)
     for name in names:
-        module = importlib.import_module(f"straightcomp_ros.cli.{verb}_{name}")
+        module = importlib.import_module(f"{family}_{name}")
         tool = tools.add_parser(
             name, help=module.SUMMARY, description=module.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
         )

@@ -10,8 +10,8 @@ import re
 import sys
 
 from straightcomp_ros.cli.output import CommandFailed, check_range, print_json, require_ros
-from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.parameters import ParameterError, from_mapping
+from straightcomp_ros.settings.declaration import ParameterError, from_mapping
+from straightcomp_ros.timing.realtime import RealtimeParameters
 
 SUMMARY = "live plots of the running graph in a browser"
 DEFAULT_PORT = 8765

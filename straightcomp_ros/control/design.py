@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.model.actuator import ActuatorParameters, stiffness_errors
-from straightcomp_ros.parameters import group, parameter
+from straightcomp_ros.settings.declaration import group, parameter
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting, tracking
+from straightcomp_ros.control import error_tracking as tracking
+from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.parameters import RefusedParameter, group, parameter
+from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 
 LAWS = ("linear", "smc", "super_twisting", "smc_observer")
 

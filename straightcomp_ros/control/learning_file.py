@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.learned_table import LearnedTable
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.settings.declaration import ParameterError
 
 _QUANTITIES = ("correction_m", "speed_m_per_s", "rms_m", "bare_rms_m")
 _DIRECTIONS = (("forward", True), ("backward", False))

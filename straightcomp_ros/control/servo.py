@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from straightcomp_ros.control.crossfade import Crossfade, Stepped
 from straightcomp_ros.control.law import Command, Law
+from straightcomp_ros.control.law_crossfade import Crossfade, Stepped
 from straightcomp_ros.control.learning import Learning
 
 AMPLIFIER_OFF = Command(0.0, math.nan, math.nan, 0.0, 0.0, math.nan, math.nan)

@@ -22,9 +22,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from straightcomp_ros.control.error_tracking import Loop, current_for, limited, loop_from, moment_of_action, next_prior
 from straightcomp_ros.control.law import Command, Numbers
 from straightcomp_ros.control.observer import Estimate
-from straightcomp_ros.control.tracking import Loop, current_for, limited, loop_from, moment_of_action, next_prior
 from straightcomp_ros.model.compiled import compilable, compiled
 
 

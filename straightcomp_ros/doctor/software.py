@@ -9,7 +9,7 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from straightcomp_ros.doctor.finding import Finding
-from straightcomp_ros.share import share_path
+from straightcomp_ros.settings.share import share_path
 
 _OLDEST, _NEWEST = (3, 10), (3, 13)
 _DISTRIBUTION = "jazzy"

@@ -26,9 +26,9 @@ from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample,
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 from straightcomp_ros.model.stage import Trajectory, Waypoint
-from straightcomp_ros.parameters import group, parameter
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.straightness.map import StraightnessMap
+from straightcomp_ros.settings.declaration import group, parameter
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 NEVER = 2**62
 """Later than any time in ns, and small enough for compiled code."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.identification.recording import Recording
+from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.model.converters import DriveParameters
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from straightcomp_ros.identification.current_path import CurrentPath, current_path
 from straightcomp_ros.identification.fit import Fit, fit
-from straightcomp_ros.identification.recording import Recording, read_recording
+from straightcomp_ros.identification.stretch import Recording, read_recording
 from straightcomp_ros.identification.unknowns import NAMES, RATIO, Unknowns, unknowns
 from straightcomp_ros.model.plant import PlantParameters
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.identification.current_path import CurrentPath
-from straightcomp_ros.identification.recording import Recording
 from straightcomp_ros.identification.search import BURN_IN, PRIOR, Level, Search
+from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]

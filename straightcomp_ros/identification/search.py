@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from straightcomp_ros.identification.current_path import CurrentPath
 from straightcomp_ros.identification.predictor import filter_gains, prediction_errors
-from straightcomp_ros.identification.recording import Recording
+from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]

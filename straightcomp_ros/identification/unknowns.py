@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.model.actuator import MU_0, Actuator
-from straightcomp_ros.model.friction import LuGre
+from straightcomp_ros.model.lugre import LuGre
 from straightcomp_ros.model.plant import Plant, PlantParameters, as_array
-from straightcomp_ros.parameters import to_mapping
+from straightcomp_ros.settings.declaration import to_mapping
 
 RATIO = "static_ratio"
 """F_S/F_C stands for F_S in the vector, so that F_S ≥ F_C is a simple bound."""

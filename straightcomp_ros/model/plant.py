@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from straightcomp_ros.model.actuator import Actuator, ActuatorParameters, magnetic_force
 from straightcomp_ros.model.compiled import compilable, compiled
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
-from straightcomp_ros.model.friction import FrictionParameters, LuGre, bristle_after, friction_force
-from straightcomp_ros.parameters import RefusedParameter, group, parameter
+from straightcomp_ros.model.lugre import FrictionParameters, LuGre, bristle_after, friction_force
+from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 
 SUBSTEP_NS = 25_000
 """Longest substep: 20 in a control cycle at 2 kHz."""

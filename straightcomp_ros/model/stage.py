@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from straightcomp_ros.contract import STROKE
-from straightcomp_ros.parameters import parameter
+from straightcomp_ros.settings.declaration import parameter
 
 _NS = 1e9
 

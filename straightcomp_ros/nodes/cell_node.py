@@ -18,7 +18,8 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.configuration import CellNodeParameters
+from straightcomp_ros.cell.cycle import IN_THE_LOOP
+from straightcomp_ros.configuration.node_parameters import CellNodeParameters
 from straightcomp_ros.contract import (
     ALWAYS_PUBLISHED,
     DIAGNOSTICS,
@@ -27,17 +28,16 @@ from straightcomp_ros.contract import (
     STAGE_TRAJECTORY,
     UNCONNECTED,
 )
-from straightcomp_ros.cycle import IN_THE_LOOP
 from straightcomp_ros.model.stage import cycles
-from straightcomp_ros.nodes.declare import declare
-from straightcomp_ros.nodes.heartbeats import Heartbeats
-from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
-from straightcomp_ros.nodes.safety_panel import LATCHED, SafetyState
-from straightcomp_ros.nodes.stage_trajectory import message_from_waypoints
-from straightcomp_ros.nodes.streams import subscribe
-from straightcomp_ros.safety.machine import Condition
+from straightcomp_ros.runtime.declare import declare
+from straightcomp_ros.runtime.heartbeats import Heartbeats
+from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
+from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
+from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+from straightcomp_ros.runtime.streams import subscribe
+from straightcomp_ros.safety.state_machine import Condition
 from straightcomp_ros.timing.blame import blamed
-from straightcomp_ros.timing.report import LOST, held_up
+from straightcomp_ros.timing.node_timing import LOST, held_up
 
 _TICK_S = 0.05
 _SETTLE_S = 1.5

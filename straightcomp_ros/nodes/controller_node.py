@@ -10,25 +10,25 @@ from functools import partial
 
 from rclpy.node import Node
 
-from straightcomp_ros.configuration import ControllerNodeParameters
+from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
-from straightcomp_ros.control.crossfade import FADE_TIME
+from straightcomp_ros.control.law_crossfade import FADE_TIME
 from straightcomp_ros.control.laws import make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
-from straightcomp_ros.nodes.copies import BurstPublisher, BurstQueue, CopiedPublisher
-from straightcomp_ros.nodes.diagnostics import Diagnostics
-from straightcomp_ros.nodes.locked_loop import LockedLoop, sendings
-from straightcomp_ros.nodes.managed import ManagedNode
-from straightcomp_ros.nodes.runner import run_managed
-from straightcomp_ros.nodes.streams import Inbox, subscribe, unspun_node
-from straightcomp_ros.nodes.trip import tripper
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.runtime.batch_streams import BurstPublisher, BurstQueue, CopiedPublisher
+from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
+from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
+from straightcomp_ros.runtime.managed import ManagedNode
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.runner import run_managed
+from straightcomp_ros.runtime.streams import Inbox, subscribe, unspun_node
+from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
 _SPARE_REFERENCES = 2

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.configuration import DriverNodeParameters
+from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
 from straightcomp_ros.contract import (
     COMMAND,
     DRIVER_STATE,
@@ -24,23 +24,23 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.nodes.clock import from_monotonic, now_ns
-from straightcomp_ros.nodes.command_intake import CommandIntake
-from straightcomp_ros.nodes.copies import BurstPublisher, CopiedPublisher
-from straightcomp_ros.nodes.diagnostics import Diagnostics
-from straightcomp_ros.nodes.locked_loop import LockedLoop
-from straightcomp_ros.nodes.lockstep import Lockstep
-from straightcomp_ros.nodes.managed import ManagedNode
-from straightcomp_ros.nodes.periodic import Loop, PeriodicLoop
-from straightcomp_ros.nodes.runner import run_managed
-from straightcomp_ros.nodes.safety_panel import SafetyPanel
-from straightcomp_ros.nodes.stage_trajectory import trajectory_from_message
-from straightcomp_ros.nodes.streams import Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.runtime.batch_streams import BurstPublisher, CopiedPublisher
+from straightcomp_ros.runtime.clock import from_monotonic, now_ns
+from straightcomp_ros.runtime.command_intake import CommandIntake
+from straightcomp_ros.runtime.locked_loop import LockedLoop
+from straightcomp_ros.runtime.lockstep import Lockstep
+from straightcomp_ros.runtime.managed import ManagedNode
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.periodic import Loop, PeriodicLoop
+from straightcomp_ros.runtime.runner import run_managed
+from straightcomp_ros.runtime.safety_panel import SafetyPanel
+from straightcomp_ros.runtime.stage_trajectory import trajectory_from_message
+from straightcomp_ros.runtime.streams import Inbox, publisher, subscribe, unspun_node
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.machine import Condition, SafetyMachine
+from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
-from straightcomp_ros.straightness.map import load_map
-from straightcomp_ros.timing.report import AMPLIFIER, LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.straightness.guide_map import load_map
+from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, OVERRUNS, SAMPLES
 
 _ANSWER_LOOK_NS = 100_000
 """Time between two looks for a command that was not there at the end of its sample's cycle."""

@@ -7,14 +7,15 @@ import signal
 import sys
 import time
 
-from straightcomp_ros.configuration import DriverNodeParameters, RealtimeParameters
+from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.board_line import BusLine, HubLine, Line
 from straightcomp_ros.hardware.can.frames import Codec
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.nodes import realtime
-from straightcomp_ros.nodes.periodic import PeriodicLoop
-from straightcomp_ros.straightness.map import load_map
+from straightcomp_ros.runtime.periodic import PeriodicLoop
+from straightcomp_ros.straightness.guide_map import load_map
+from straightcomp_ros.timing import realtime
+from straightcomp_ros.timing.realtime import RealtimeParameters
 
 _MOST_PRIORITY = 98
 _LEAD_NS = 120_000

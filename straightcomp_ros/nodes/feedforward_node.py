@@ -10,24 +10,24 @@ from concurrent.futures import Future
 
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.configuration import FeedforwardNodeParameters
+from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
-from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
-from straightcomp_ros.nodes.copies import BurstPublisher, BurstQueue
-from straightcomp_ros.nodes.diagnostics import Diagnostics
-from straightcomp_ros.nodes.managed import ManagedNode
-from straightcomp_ros.nodes.periodic import PeriodicLoop
-from straightcomp_ros.nodes.runner import run_managed
-from straightcomp_ros.nodes.streams import Inbox, unspun_node
-from straightcomp_ros.nodes.trip import tripper
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.runtime.batch_streams import BurstPublisher, BurstQueue
+from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
+from straightcomp_ros.runtime.managed import ManagedNode
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.periodic import PeriodicLoop
+from straightcomp_ros.runtime.runner import run_managed
+from straightcomp_ros.runtime.streams import Inbox, unspun_node
+from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.straightness.crossfade import FADE_TIME
+from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.feedforward import Feedforward
-from straightcomp_ros.straightness.map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.map_crossfade import FADE_TIME
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.report import LOST, SAMPLES
+from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
 _LOOK_AT_MAP_S = 0.02
 

@@ -16,24 +16,24 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.definitions import definition
-from straightcomp_ros.bags.parameters import attach_map
+from straightcomp_ros.bags.recorded_parameters import attach_map
 from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.cdr import header_stamp_ns
-from straightcomp_ros.configuration import LoggerNodeParameters
+from straightcomp_ros.configuration.node_parameters import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
-from straightcomp_ros.nodes.copies import BurstQueue
-from straightcomp_ros.nodes.diagnostics import Diagnostics
-from straightcomp_ros.nodes.managed import ManagedNode
-from straightcomp_ros.nodes.other_topics import OtherTopics, stored
-from straightcomp_ros.nodes.recorder_services import serve_recorder
-from straightcomp_ros.nodes.remote_parameters import RemoteParameters
-from straightcomp_ros.nodes.runner import run_managed
-from straightcomp_ros.nodes.streams import Fetched, RawQueue, message_type, stream_qos, unspun_node
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.messages.cdr import header_stamp_ns
+from straightcomp_ros.runtime.batch_streams import BurstQueue
+from straightcomp_ros.runtime.managed import ManagedNode
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.other_topics import OtherTopics, stored
+from straightcomp_ros.runtime.recorder_services import serve_recorder
+from straightcomp_ros.runtime.remote_parameters import RemoteParameters
+from straightcomp_ros.runtime.runner import run_managed
+from straightcomp_ros.runtime.streams import Fetched, RawQueue, message_type, stream_qos, unspun_node
+from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import Histogram
-from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
+from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
 
 _FETCH_INTERVAL_NS = 20_000_000
 

@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING
 from rclpy.node import Node
 from rclpy.task import Future
 
-from straightcomp_ros.configuration import OpcuaNodeParameters
-from straightcomp_ros.nodes.declare import declare
-from straightcomp_ros.nodes.diagnostics import Diagnostics
-from straightcomp_ros.nodes.graph_services import GraphServices
-from straightcomp_ros.nodes.graph_watch import GraphWatch
-from straightcomp_ros.nodes.remote_parameters import RemoteParameters
-from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
+from straightcomp_ros.configuration.node_parameters import OpcuaNodeParameters
 from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.sequence import CellSequence
+from straightcomp_ros.opcua.packml_sequence import CellSequence
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.runtime.declare import declare
+from straightcomp_ros.runtime.graph_services import GraphServices
+from straightcomp_ros.runtime.graph_watch import GraphWatch
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.remote_parameters import RemoteParameters
+from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
+from straightcomp_ros.settings.declaration import ParameterError
 
 if TYPE_CHECKING:
     # It needs asyncua, which is not everywhere.
-    from straightcomp_ros.opcua.server import Request
+    from straightcomp_ros.opcua.gateway_server import Request
 
 _TICK_S = 0.02
 
@@ -121,7 +121,7 @@ class OpcuaNode:
 def _server(parameters: OpcuaNodeParameters, names: list[str]):
     try:
         from straightcomp_ros.opcua.certificates import CertificateError
-        from straightcomp_ros.opcua.server import GatewayServer
+        from straightcomp_ros.opcua.gateway_server import GatewayServer
     except ImportError as error:
         raise ParameterError(f"{error.name} is not there; remedy: pip install 'straightcomp_ros[opcua]'") from error
     from straightcomp_ros.opcua.users import UsersError

@@ -14,13 +14,13 @@ from rosgraph_msgs.msg import Clock
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.configuration import PlayerNodeParameters
+from straightcomp_ros.configuration.node_parameters import PlayerNodeParameters
 from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
-from straightcomp_ros.nodes.declare import declare
-from straightcomp_ros.nodes.diagnostics import Diagnostics
-from straightcomp_ros.nodes.periodic import PeriodicLoop
-from straightcomp_ros.nodes.runner import EXIT_FAILURE, run
-from straightcomp_ros.nodes.streams import Inbox, message_type, stream_qos, unspun_node
+from straightcomp_ros.runtime.declare import declare
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.periodic import PeriodicLoop
+from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
+from straightcomp_ros.runtime.streams import Inbox, message_type, stream_qos, unspun_node
 
 _AFTERPLAY_S = 0.5
 """Time for the others to answer the last samples."""

@@ -8,16 +8,16 @@ from collections.abc import Callable
 from rclpy.node import Node
 from rclpy.task import Future
 
-from straightcomp_ros.configuration import RealtimeParameters
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
-from straightcomp_ros.nodes.copies import BurstQueue
-from straightcomp_ros.nodes.graph_services import GraphServices
-from straightcomp_ros.nodes.graph_watch import GraphWatch
-from straightcomp_ros.nodes.runner import run
-from straightcomp_ros.nodes.streams import Inbox, unspun_node
-from straightcomp_ros.timing.report import LOST, OVERRUNS, RATE
+from straightcomp_ros.runtime.batch_streams import BurstQueue
+from straightcomp_ros.runtime.graph_services import GraphServices
+from straightcomp_ros.runtime.graph_watch import GraphWatch
+from straightcomp_ros.runtime.runner import run
+from straightcomp_ros.runtime.streams import Inbox, unspun_node
+from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
+from straightcomp_ros.timing.realtime import RealtimeParameters
+from straightcomp_ros.view.page_server import ActionRefused, ViewServer
 from straightcomp_ros.view.series import Board, Series
-from straightcomp_ros.view.server import ActionRefused, ViewServer
 
 _FETCH_S = 0.05
 _SLOT_S = 0.02

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.launcher import executable_command, verb_command
-from straightcomp_ros.opcua.parameters import OpcuaParameters
+from straightcomp_ros.cell.launcher import executable_command, verb_command
+from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.users import OPERATOR, add_user
 
 _USER = "demo"

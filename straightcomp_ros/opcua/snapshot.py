@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from straightcomp_ros.monitoring.observation import Observation
+from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.opcua.packml import State
 
 ALARMS: Mapping[str, tuple[int, str]] = {

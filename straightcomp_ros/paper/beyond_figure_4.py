@@ -12,13 +12,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.plot import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.paper.claims import Claim, yes
 from straightcomp_ros.paper.drawing import SMALL, label, sheet
 from straightcomp_ros.paper.figure_4 import RELEASED_AT
-from straightcomp_ros.paper.machine import Machine
-from straightcomp_ros.paper.recovery import (
+from straightcomp_ros.paper.ideal_machine import Machine
+from straightcomp_ros.paper.recovery_region import (
     StartGrid,
     fastest_outward,
     largest_release,

@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.plot import BLACK, BLUE, VERMILION
-from straightcomp_ros.configuration import FeedforwardNodeParameters, node_parameters
+from straightcomp_ros.analysis.run_plot import BLACK, BLUE, VERMILION
+from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters, node_parameters
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import label, legend_above, sheet
-from straightcomp_ros.paper.machine import Machine
-from straightcomp_ros.straightness.map import StraightnessMap, find_survey
+from straightcomp_ros.paper.ideal_machine import Machine
+from straightcomp_ros.straightness.guide_map import StraightnessMap, find_survey
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
 from straightcomp_ros.straightness.survey import Survey, read_survey
 

@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from straightcomp_ros.analysis.plot import BLACK, BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT, stiffness_errors
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import SMALL, label, sheet
-from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.ideal_machine import Machine
 
 TITLE = "Fig. 3: relative error $m_i$ of the current stiffness"
 PAPER_LIMIT = 0.35

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis.plot import BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.run_plot import BLUE, GREY, VERMILION
 from straightcomp_ros.paper.claims import Claim, yes
 from straightcomp_ros.paper.drawing import SMALL, label, sheet
 from straightcomp_ros.paper.figure_3 import gain_error_limit
-from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.ideal_machine import Machine
 from straightcomp_ros.paper.release import Response, hold_still, largest, release
 
 TITLE = "Fig. 4: release from 0.6 $y_0$"

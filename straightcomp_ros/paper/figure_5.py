@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.plot import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.design import SlidingDesign
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import SMALL, label, mosaic
-from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.ideal_machine import Machine
 from straightcomp_ros.paper.release import Response, hold_still, release
 from straightcomp_ros.paper.surface import (
     free_motion,

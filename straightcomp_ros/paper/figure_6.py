@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.plot import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import label, legend_above, sheet
-from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.ideal_machine import Machine
 from straightcomp_ros.paper.release import Response
 from straightcomp_ros.paper.sine import AMPLITUDE, OMEGA, PERIODS, evaluated, follow_sine, fundamental
 from straightcomp_ros.paper.surface import following_error_gain, lag

@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.plot import BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.run_plot import BLUE, GREY, VERMILION
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import SMALL, label, sheet
 from straightcomp_ros.paper.friction_estimate import WINDOW, FrictionEstimate, estimate_friction
-from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.ideal_machine import Machine
 from straightcomp_ros.paper.release import Response
 from straightcomp_ros.paper.sine import evaluated, follow_sine
 

@@ -6,9 +6,9 @@ import dataclasses
 
 from matplotlib.figure import Figure
 
-from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.ideal_machine import Machine
+from straightcomp_ros.paper.paper_stroke import CompensatedStroke, draw_stroke, lag_share, run_stroke, stroke_claim
 from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM, TOLERANCE
-from straightcomp_ros.paper.stroke import CompensatedStroke, draw_stroke, lag_share, run_stroke, stroke_claim
 
 TITLE = "Fig. 9: compensated stroke, sliding-mode control"
 PAPER_PP_UM = PEAK_TO_PEAK_UM["smc"]

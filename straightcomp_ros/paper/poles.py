@@ -6,7 +6,7 @@ import numpy as np
 
 from straightcomp_ros.control.design import closed_loop_poles
 from straightcomp_ros.paper.claims import Claim
-from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.ideal_machine import Machine
 
 PAPER = (-175.9, 131.9, -100.0)
 """Real and imaginary part of the pair, and the real pole, rad/s."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.plant import PlantState, advance, as_array
-from straightcomp_ros.paper.machine import Machine
+from straightcomp_ros.paper.ideal_machine import Machine
 
 
 @dataclass(frozen=True, eq=False)

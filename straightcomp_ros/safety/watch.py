@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.stage import Trajectory
-from straightcomp_ros.parameters import parameter
 from straightcomp_ros.safety.faults import Fault, Finding
+from straightcomp_ros.settings.declaration import parameter
 
 _MEAN_TIME = 0.005
 """s, of the mean control current: a law's switching goes into no movement."""

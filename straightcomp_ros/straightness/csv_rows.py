@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from straightcomp_ros.straightness import text
-from straightcomp_ros.straightness.columns import Column
+from straightcomp_ros.straightness.survey_columns import Column
 
 
 def rows(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.parameters import parameter
-from straightcomp_ros.straightness.crossfade import FADE_TIME, Lookup, blended, weight
-from straightcomp_ros.straightness.map import StraightnessMap
-from straightcomp_ros.straightness.tracking import restarted, updated
+from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.map_crossfade import FADE_TIME, Lookup, blended, weight
+from straightcomp_ros.straightness.stage_tracking import restarted, updated
 
 T = TypeVar("T", float, NDArray[np.float64])
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.run import Run
 from straightcomp_ros.straightness.spline import cubic_spline
 from straightcomp_ros.straightness.survey import Survey, SurveyError
+from straightcomp_ros.straightness.survey_run import Run
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ from typing import cast
 
 import numpy as np
 
-from straightcomp_ros.straightness.columns import DEVIATION, SurveyError, X, find_column, normalised
 from straightcomp_ros.straightness.csv_rows import metres, rows
-from straightcomp_ros.straightness.run import Direction, Run, check_gaps, orient
+from straightcomp_ros.straightness.survey_columns import DEVIATION, SurveyError, X, find_column, normalised
+from straightcomp_ros.straightness.survey_run import Direction, Run, check_gaps, orient
 from straightcomp_ros.straightness.text import decimal
 
 __all__ = ["Direction", "Run", "Survey", "SurveyError", "read_survey", "write_survey"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from straightcomp_ros.straightness.columns import SurveyError
+from straightcomp_ros.straightness.survey_columns import SurveyError
 
 
 def read_text(path: Path) -> str:

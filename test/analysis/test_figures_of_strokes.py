@@ -13,14 +13,11 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis import map_plot, plot
+from straightcomp_ros.analysis import map_plot
+from straightcomp_ros.analysis import run_plot as plot
 from straightcomp_ros.analysis.assessment import Interval, assess
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
-from straightcomp_ros.analysis.map_building import Choices, build
-from straightcomp_ros.analysis.metrics import evaluate, true_error
-from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
-from straightcomp_ros.analysis.report import (
+from straightcomp_ros.analysis.html_report import (
     _BINS,
     _error,
     _events,
@@ -32,10 +29,14 @@ from straightcomp_ros.analysis.report import (
     _table,
     _timing,
 )
+from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
+from straightcomp_ros.analysis.map_building import Choices, build
+from straightcomp_ros.analysis.metrics import evaluate, true_error
+from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
 from straightcomp_ros.analysis.stick_slip import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.strokes import stroke_figures
-from straightcomp_ros.straightness.run import Run
 from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.straightness.survey_run import Run
 
 
 def evaluation_of(record):

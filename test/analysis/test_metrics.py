@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import MetricsError, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord, find_motion
-from straightcomp_ros.straightness.map import StraightnessMap
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 RecordMaker = Callable[..., StrokeRecord]
 Profile = tuple[NDArray[np.float64], NDArray[np.float64]]

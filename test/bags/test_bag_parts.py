@@ -8,21 +8,22 @@ import types
 
 import pytest
 
-from straightcomp_ros.bags import BagError, disk
-from straightcomp_ros.bags.disk import DiskGuard
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import free_space as disk
 from straightcomp_ros.bags.folder import mcap_files, missing_files, split_number
+from straightcomp_ros.bags.free_space import DiskGuard
 from straightcomp_ros.bags.intake import BREAK, Intake
 from straightcomp_ros.bags.losses import Losses
-from straightcomp_ros.bags.parameters import recorded_parameters, unpacked_map
+from straightcomp_ros.bags.mcap_summary import frames
 from straightcomp_ros.bags.places import message_places
 from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
 from straightcomp_ros.bags.sqlite_input import sqlite_blocks
-from straightcomp_ros.bags.summary import frames
 from straightcomp_ros.bags.topics import chosen_topics, resolved
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration import ControllerNodeParameters
+from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.parameters import declarations
+from straightcomp_ros.settings.declaration import declarations
 
 MESSAGE, OTHER = 5, 4
 

@@ -13,7 +13,7 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STREAMS
-from straightcomp_ros.simulation import Simulation
+from straightcomp_ros.offline.simulation import Simulation
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
 VALUES = {"controller": {"control.law": "linear"}, "cell": CYCLE}

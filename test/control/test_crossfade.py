@@ -5,12 +5,12 @@ import math
 
 import pytest
 
-from straightcomp_ros.control.crossfade import FADE_TIME, Crossfade
 from straightcomp_ros.control.law import Command
+from straightcomp_ros.control.law_crossfade import FADE_TIME, Crossfade
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 RATE = 2000
 T = 500_000

@@ -8,7 +8,7 @@ from straightcomp_ros.control.design import (
 )
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.model.actuator import stiffness_errors
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.settings.declaration import ParameterError
 
 DESIGN, NOMINAL = SlidingDesign(), NominalPlant()
 

@@ -14,9 +14,9 @@ from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.parameters import ParameterError
-from straightcomp_ros.simulation import Simulation
-from straightcomp_ros.sweep.uncertainty import UncertaintyParameters, draw, streams
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters, draw, streams
+from straightcomp_ros.settings.declaration import ParameterError
 
 RATE, PERIOD_NS = 2000, 500_000
 STROKE = MotionParameters(stroke=0.06, settle=0.2, pause=0.1)

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
-from straightcomp_ros.simulation import Simulation
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.settings.share import share_path
 
 T = 5e-4
 OBSERVER_LAWS = ("smc_observer", "super_twisting")

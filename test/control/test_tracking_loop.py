@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from straightcomp_ros.control.observer import Estimate, interval, observer_gains
-from straightcomp_ros.control.tracking import (
+from straightcomp_ros.control.error_tracking import (
     current_for,
     limited,
     loop,
@@ -13,6 +12,7 @@ from straightcomp_ros.control.tracking import (
     next_prior,
     with_measured_current,
 )
+from straightcomp_ros.control.observer import Estimate, interval, observer_gains
 from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
 
 PERIOD = 5e-4

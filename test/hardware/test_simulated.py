@@ -5,7 +5,7 @@ import pytest
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, Waypoint, forward_and_back
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 PERIOD = 500_000
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))

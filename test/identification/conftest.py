@@ -16,7 +16,7 @@ from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.identification.excitation import excitation_survey
-from straightcomp_ros.simulation import Simulation
+from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.straightness.survey import write_survey
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.identification.current_path import current_path
-from straightcomp_ros.identification.recording import Recording
+from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.model.converters import DriveParameters
 
 DRIVE = DriveParameters()

@@ -12,7 +12,7 @@ from straightcomp_ros.identification.estimate import DERIVED, estimate_from_bag
 from straightcomp_ros.identification.plant_file import parameter_file
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.parameters import to_mapping
+from straightcomp_ros.settings.declaration import to_mapping
 
 START = PlantParameters()
 WITHIN = {

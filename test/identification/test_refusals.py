@@ -13,7 +13,7 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.identification import IdentificationError
-from straightcomp_ros.identification.recording import read_recording
+from straightcomp_ros.identification.stretch import read_recording
 from straightcomp_ros.identification.unknowns import unknowns
 from straightcomp_ros.model.plant import PlantParameters
 

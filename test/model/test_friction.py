@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.friction import FrictionParameters, bristle_after, friction_force, stribeck_force
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.model.lugre import FrictionParameters, bristle_after, friction_force, stribeck_force
+from straightcomp_ros.settings.declaration import ParameterError
 
 PARAMETERS = FrictionParameters()
 LUGRE = PARAMETERS.constants()

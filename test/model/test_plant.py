@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current
-from straightcomp_ros.model.friction import FrictionParameters
+from straightcomp_ros.model.lugre import FrictionParameters
 from straightcomp_ros.model.plant import (
     SUBSTEP_NS,
     PlantParameters,
@@ -15,7 +15,7 @@ from straightcomp_ros.model.plant import (
     as_array,
     energy,
 )
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.settings.declaration import ParameterError
 
 NO_FRICTION = FrictionParameters(
     coulomb=1e-12, static=1e-12, bristle_stiffness=1e-3, bristle_damping=0.0, viscous=0.0, stribeck_velocity=1.0

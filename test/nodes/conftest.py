@@ -3,9 +3,9 @@ import random
 
 import pytest
 
-from straightcomp_ros.launcher import Graph, ros_available
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
+from straightcomp_ros.cell.launcher import Graph, ros_available
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.settings.share import share_path
 
 if not ros_available():
     pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)

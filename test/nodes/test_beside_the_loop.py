@@ -2,7 +2,7 @@ import threading
 import time
 from types import SimpleNamespace
 
-from straightcomp_ros.nodes.beside_the_loop import BesideTheLoop
+from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 
 
 def test_jobs_run_in_order_on_another_thread_and_one_that_fails_is_reported_and_stops_nothing():

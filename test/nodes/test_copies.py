@@ -7,8 +7,8 @@ import rclpy
 from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER, TRUTH
-from straightcomp_ros.nodes.copies import BurstPublisher, BurstQueue, CopiedPublisher
-from straightcomp_ros.nodes.streams import Inbox, unspun_node
+from straightcomp_ros.runtime.batch_streams import BurstPublisher, BurstQueue, CopiedPublisher
+from straightcomp_ros.runtime.streams import Inbox, unspun_node
 
 pytestmark = pytest.mark.live
 

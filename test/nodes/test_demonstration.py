@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros import demonstration
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.demonstration import DemonstrationFailed, demonstrate
-from straightcomp_ros.launcher import Graph
-from straightcomp_ros.simulation import Simulation
+from straightcomp_ros.cell import demonstration
+from straightcomp_ros.cell.demonstration import DemonstrationFailed, demonstrate
+from straightcomp_ros.cell.launcher import Graph
+from straightcomp_ros.offline.simulation import Simulation
 
 pytestmark = pytest.mark.keeps_time
 
@@ -112,7 +112,7 @@ def test_children_of_a_killed_launcher_do_not_run_on(tmp_path):
 
     code = (
         "import pathlib, time\n"
-        "from straightcomp_ros.launcher import Graph\n"
+        "from straightcomp_ros.cell.launcher import Graph\n"
         f"graph = Graph(pathlib.Path({str(tmp_path)!r}))\n"
         "print(graph.start('feedforward', {}).pid, flush=True)\n"
         "time.sleep(60)\n"

@@ -13,9 +13,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from straightcomp_ros.cell.launcher import Graph
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, TRIP
-from straightcomp_ros.launcher import Graph
-from straightcomp_ros.nodes.streams import publisher, subscribe
+from straightcomp_ros.runtime.streams import publisher, subscribe
 
 pytestmark = pytest.mark.live
 

@@ -1,7 +1,7 @@
 """The stand for trials of faults: what it asks of the nodes' heartbeats and of their processes."""
 
-from straightcomp_ros.nodes.heartbeats import Heartbeats
-from straightcomp_ros.nodes.nursery_client import Nursery
+from straightcomp_ros.runtime.heartbeats import Heartbeats
+from straightcomp_ros.trials.faults.nursery_client import Nursery
 
 
 class Deaf:

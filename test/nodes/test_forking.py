@@ -7,7 +7,7 @@ import pytest
 
 COUNT = """
 import os, sys
-from straightcomp_ros.nodes import forking
+from straightcomp_ros.trials.faults import forking
 forking.without_blas_threads()
 import numpy, rclpy, scipy.linalg
 

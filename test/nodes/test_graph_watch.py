@@ -8,11 +8,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
-from straightcomp_ros.nodes.graph_watch import GraphWatch
-from straightcomp_ros.nodes.safety_panel import LATCHED, safety_status
-from straightcomp_ros.nodes.streams import publisher
+from straightcomp_ros.runtime.graph_watch import GraphWatch
+from straightcomp_ros.runtime.safety_panel import LATCHED, safety_status
+from straightcomp_ros.runtime.streams import publisher
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.machine import Condition, Latched
+from straightcomp_ros.safety.state_machine import Condition, Latched
 
 pytestmark = pytest.mark.live
 

@@ -11,8 +11,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Int64
 
 import straightcomp_ros
-from straightcomp_ros.nodes import inside_rclpy
-from straightcomp_ros.nodes.streams import stream_qos
+from straightcomp_ros.runtime import inside_rclpy
+from straightcomp_ros.runtime.streams import stream_qos
 
 SECOND = 10**9
 # What rclpy does not document begins with an underscore, is its C++ layer, or a handle into that.

@@ -13,8 +13,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.contract import CONTROLLER_STATE, ENCODER, SAFETY_STATE, TRIP
-from straightcomp_ros.nodes.safety_panel import LATCHED
-from straightcomp_ros.nodes.streams import subscribe
+from straightcomp_ros.runtime.safety_panel import LATCHED
+from straightcomp_ros.runtime.streams import subscribe
 
 PATIENCE_S = 60.0
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")

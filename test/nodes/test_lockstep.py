@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
+from straightcomp_ros.cell.demonstration import demonstrate
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.demonstration import demonstrate
-from straightcomp_ros.simulation import Simulation
+from straightcomp_ros.offline.simulation import Simulation
 
 
 # The first reaches what there is to reach of the nodes' code; coverage doubles their start.

@@ -8,8 +8,8 @@ import xml.etree.ElementTree as ElementTree
 import pytest
 import rclpy
 
-from straightcomp_ros.nodes.middleware import PROFILE_VARIABLES, RANGE_VARIABLE, own_profile
-from straightcomp_ros.share import share_path
+from straightcomp_ros.runtime.middleware import PROFILE_VARIABLES, RANGE_VARIABLE, own_profile
+from straightcomp_ros.settings.share import share_path
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_a_process_opens_no_shared_memory_and_no_socket_beyond_loopback(unset):
     unset.setenv(RANGE_VARIABLE, "LOCALHOST")
     script = """
 import os, psutil, rclpy
-from straightcomp_ros.nodes.middleware import own_profile
+from straightcomp_ros.runtime.middleware import own_profile
 with own_profile():
     rclpy.init()
     node = rclpy.create_node("any")

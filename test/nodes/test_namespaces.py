@@ -8,9 +8,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
+from straightcomp_ros.cell.launcher import executable_command
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
-from straightcomp_ros.launcher import executable_command
-from straightcomp_ros.nodes.safety_panel import LATCHED
+from straightcomp_ros.runtime.safety_panel import LATCHED
 
 pytestmark = pytest.mark.keeps_time
 

@@ -10,8 +10,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS
-from straightcomp_ros.nodes.diagnostics import Diagnostics
-from straightcomp_ros.timing.report import LOST, SAMPLES
+from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
 pytestmark = pytest.mark.live
 

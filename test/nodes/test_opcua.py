@@ -11,14 +11,14 @@ import pytest
 from waiting import wait_for_line
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration import OpcuaNodeParameters, node_parameters
-from straightcomp_ros.nodes.runner import EXIT_CONFIGURATION
+from straightcomp_ros.configuration.node_parameters import OpcuaNodeParameters, node_parameters
+from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION
 
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
 
 from straightcomp_ros.opcua.demonstrated import free_port
-from straightcomp_ros.opcua.parameters import OpcuaParameters
+from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.users import OPERATOR, add_user
 
 REPOSITORY = Path(__file__).resolve().parents[2]

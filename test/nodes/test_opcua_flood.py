@@ -15,13 +15,13 @@ from rclpy.time import Time
 from waiting import wait_for_line
 
 from straightcomp_ros.contract import DIAGNOSTICS
-from straightcomp_ros.timing.report import LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
 
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
 
 from straightcomp_ros.opcua.demonstrated import free_port
-from straightcomp_ros.opcua.parameters import OpcuaParameters
+from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 
 pytestmark = [pytest.mark.keeps_time, pytest.mark.soak]
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -11,11 +11,11 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.contract import CLOCK, ENCODER, POSITION_EVERY
-from straightcomp_ros.launcher import LaunchError
-from straightcomp_ros.nodes.streams import stream_qos, subscribe
-from straightcomp_ros.replay.graph import replay_through_graph
-from straightcomp_ros.simulation import Simulation
+from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.runtime.streams import stream_qos, subscribe
 
 
 @pytest.mark.live

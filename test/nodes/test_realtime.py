@@ -6,13 +6,13 @@ import sys
 
 import pytest
 
-from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes import realtime
+from straightcomp_ros.timing import realtime
+from straightcomp_ros.timing.realtime import RealtimeParameters
 
 REPORT = """
 import os, sys, threading, time
-from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes import realtime
+from straightcomp_ros.timing.realtime import RealtimeParameters
+from straightcomp_ros.timing import realtime
 threading.Thread(target=time.sleep, args=(30,), daemon=True).start()
 for refusal in realtime.apply(RealtimeParameters({arguments})):
     print("refused", refusal)

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from straightcomp_ros.nodes.soak_actions import ACTIONS
+from straightcomp_ros.trials.soak.actions import ACTIONS
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time, pytest.mark.soak]
 

@@ -8,12 +8,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from straightcomp_ros.bench.soak import Soak
-from straightcomp_ros.launcher import LaunchError
-from straightcomp_ros.nodes import soak_actions, soak_scene
-from straightcomp_ros.nodes.fault_stand import MOTION, Seen
-from straightcomp_ros.nodes.soak_scene import Scene
+from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.safety.faults import HELD_UP, Fault
+from straightcomp_ros.trials.faults.stand import MOTION, Seen
+from straightcomp_ros.trials.soak import actions as soak_actions
+from straightcomp_ros.trials.soak import scene as soak_scene
+from straightcomp_ros.trials.soak.scene import Scene
+from straightcomp_ros.trials.soak.verdict import Soak
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 

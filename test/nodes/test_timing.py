@@ -4,8 +4,8 @@ import itertools
 import random
 import time
 
-from straightcomp_ros.nodes.locked_loop import LockedLoop, sendings
-from straightcomp_ros.nodes.periodic import IDLE_EVERY_NS, PeriodicLoop
+from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
+from straightcomp_ros.runtime.periodic import IDLE_EVERY_NS, PeriodicLoop
 
 PERIOD = 500_000
 

@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from straightcomp_ros.launcher import verb_command
+from straightcomp_ros.cell.launcher import verb_command
 
 pytestmark = pytest.mark.keeps_time
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.model.stage import MotionParameters
-from straightcomp_ros.monitoring.observation import Observation
 from straightcomp_ros.opcua.orders import ORDERED_IN, Order
 from straightcomp_ros.opcua.packml import ACCEPTED, DONE, FAILED, Command, State
-from straightcomp_ros.opcua.sequence import CellSequence
+from straightcomp_ros.opcua.packml_sequence import CellSequence
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
 TICK_S = 0.05

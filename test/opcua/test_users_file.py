@@ -4,13 +4,13 @@ import stat
 
 import pytest
 
+from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.monitoring.observation import Observation
+from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.packml import State
-from straightcomp_ros.opcua.parameters import OpcuaParameters
 from straightcomp_ros.opcua.snapshot import Alarms
 from straightcomp_ros.opcua.users import Users, UsersError, add_user
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.settings.declaration import ParameterError
 
 
 def test_a_user_is_known_by_the_right_password_only_and_the_file_does_not_hold_it(tmp_path):

@@ -89,7 +89,7 @@ def test_configuration_launch_files_and_index_marker_are_installed(prefix: Path)
 def test_the_sourced_workspace_shadows_the_checkout_and_finds_its_own_files(
     prefix: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    program = "import straightcomp_ros.share as s; print(s.__file__, s.share_path('package.xml'), sep='\\n')"
+    program = "import straightcomp_ros.settings.share as s; print(s.__file__, s.share_path('package.xml'), sep='\\n')"
     module, manifest = subprocess.run(
         [sys.executable, "-c", program], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True
     ).stdout.split()
@@ -110,7 +110,7 @@ for name in ("", ".actions", ".parameter_descriptions", ".substitutions"):
     sys.modules[f"launch_ros{name}"] = MagicMock()
 for path in sys.argv[1:]:
     runpy.run_path(path)["generate_launch_description"]()
-print(sys.modules["straightcomp_ros.nodes.launching"].__file__)
+print(sys.modules["straightcomp_ros.runtime.launch_files"].__file__)
 """
     files = sorted((prefix / "share" / "straightcomp_ros" / "launch").glob("*.launch.py"))
     done = subprocess.run(

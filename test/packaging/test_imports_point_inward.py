@@ -1,8 +1,10 @@
-"""Holds the direction of dependencies: nodes → everything; hardware, bags, analysis → model, control, straightness."""
+"""Imports point downward through the rooms that docs/architecture.md draws, and only the outer rooms know ROS."""
 
 from __future__ import annotations
 
 import ast
+import itertools
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -11,20 +13,10 @@ import pytest
 
 PACKAGE = "straightcomp_ros"
 SOURCE = Path(__file__).resolve().parents[2] / PACKAGE
-INNER = ("model", "control", "straightness")
-MIDDLE = ("hardware", "safety", "bags", "analysis", "timing", "monitoring")
-OUTER = ("nodes", "cli")
-FORBIDDEN = {
-    **dict.fromkeys(INNER, (*MIDDLE, "sweep", *OUTER)),
-    **dict.fromkeys(MIDDLE, ("sweep", *OUTER)),
-    **dict.fromkeys(("sweep", "paper", "identification", "replay", "bench", "opcua", "view", "doctor"), OUTER),
-    "nodes": ("cli",),
-    "cli": (),
-}
-"""What no module of a part reaches, be it through other modules."""
+ARCHITECTURE = (SOURCE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+WITH_ROS = ("runtime", "nodes", "trials")
 ROS_MODULES = ("rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_runtime_py")
 ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
-BESIDE_THE_PARTS = sorted(SOURCE.glob("*.py"))
 
 
 def imported(source: str, package: tuple[str, ...], *, only_at_start: bool = False) -> Iterator[str]:
@@ -48,13 +40,17 @@ def belongs_to_ros(name: str) -> bool:
 
 
 def part(name: str) -> str:
-    """The subpackage of ours that an imported name lies in, or an empty text."""
+    """The room of ours that an imported name lies in, or an empty text."""
     pieces = name.split(".")
     return pieces[1] if pieces[0] == PACKAGE and len(pieces) > 1 else ""
 
 
-def modules(*parts: str) -> list[Path]:
-    return sorted(path for name in parts for path in (SOURCE / name).rglob("*.py"))
+def room_of(path: Path) -> str:
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def modules() -> list[Path]:
+    return sorted(set(SOURCE.rglob("*.py")) - {SOURCE / "__init__.py"})
 
 
 def name_of(path: Path) -> str:
@@ -68,54 +64,47 @@ def imports_of(path: Path, *, only_at_start: bool = False) -> tuple[str, ...]:
 
 
 @cache
-def files_of(name: str) -> tuple[Path, ...]:
-    """The modules of ours that are executed when the dotted ``name`` is imported."""
-    pieces = name.split(".")
-    if pieces[0] != PACKAGE:
-        return ()
-    stems = (SOURCE.joinpath(*pieces[1 : depth + 1]) for depth in range(1, len(pieces)))
-    candidates = (path for stem in stems for path in (stem.with_suffix(".py"), stem / "__init__.py"))
-    return tuple(path for path in candidates if path.is_file())
+def rows() -> list[list[str]]:
+    """Names in each row of the picture, from the top."""
+    drawn = ARCHITECTURE.partition("## Rooms")[2].split("```")[1].removeprefix("text\n")
+    return [re.findall(r"\w+", row) for row in re.split(r"\n *│ *\n", drawn)]
 
 
-def reached_from(path: Path) -> set[str]:
-    """Names that are imported by a module, or by a module of ours that it imports, and so on."""
-    names: set[str] = set()
-    seen, pending = {path}, [path]
-    while pending:
-        new = set(imports_of(pending.pop())) - names
-        names |= new
-        files = {file for name in new for file in files_of(name)} - seen
-        seen |= files
-        pending += files
-    return names
+def test_the_picture_and_the_table_name_every_room_once() -> None:
+    drawn = list(itertools.chain(*rows()))
+    told = re.findall(r"^\| `(\w+)/?` \|", ARCHITECTURE, re.MULTILINE)
+    assert len(drawn) == len(set(drawn)) and len(told) == len(set(told))
+    assert set(drawn) == set(told) == {room_of(path) for path in modules()}
 
 
-@pytest.mark.parametrize("path", [*BESIDE_THE_PARTS, *modules(*(set(FORBIDDEN) - {"nodes"}))], ids=name_of)
-def test_only_nodes_know_ros(path: Path) -> None:
+@pytest.mark.parametrize("path", modules(), ids=name_of)
+def test_imports_point_downward_or_to_the_same_row(path: Path) -> None:
+    height = {name: -number for number, row in enumerate(rows()) for name in row}
+    rooms = {name: part(name) for name in imports_of(path) if part(name)}
+    assert [name for name, room in rooms.items() if height[room] > height[room_of(path)]] == []
+
+
+@pytest.mark.parametrize("path", [path for path in modules() if room_of(path) not in WITH_ROS], ids=name_of)
+def test_only_the_outer_rooms_know_ros(path: Path) -> None:
     assert [name for name in imports_of(path) if belongs_to_ros(name)] == []
 
 
-@pytest.mark.parametrize("path", modules("cli"), ids=name_of)
-def test_the_command_line_starts_without_ros_and_without_nodes(path: Path) -> None:
+@pytest.mark.parametrize(
+    "path", [path for path in modules() if "verbs" in path.parts or room_of(path) == "cli"], ids=name_of
+)
+def test_the_command_line_starts_without_ros(path: Path) -> None:
     at_start = imports_of(path, only_at_start=True)
-    assert [name for name in at_start if belongs_to_ros(name) or part(name) == "nodes"] == []
+    assert [name for name in at_start if belongs_to_ros(name) or part(name) in ("nodes", "runtime")] == []
 
 
-@pytest.mark.parametrize("path", modules(*FORBIDDEN), ids=name_of)
-def test_no_module_reaches_a_part_further_out(path: Path) -> None:
-    forbidden = FORBIDDEN[path.relative_to(SOURCE).parts[0]]
-    assert sorted(name for name in reached_from(path) if part(name) in forbidden) == []
+@pytest.mark.parametrize("path", [path for path in modules() if room_of(path) not in ("cli", "trials")], ids=name_of)
+def test_nothing_imports_the_trials_but_themselves_and_the_command_line(path: Path) -> None:
+    assert [name for name in imports_of(path) if part(name) == "trials"] == []
 
 
-@pytest.mark.parametrize("path", BESIDE_THE_PARTS, ids=name_of)
-def test_modules_beside_the_parts_know_neither_nodes_nor_command_line(path: Path) -> None:
-    assert [name for name in imports_of(path) if part(name) in OUTER] == []
-
-
-def test_every_subpackage_has_its_place_in_the_order() -> None:
-    found = {path.parent.name for path in SOURCE.glob("*/__init__.py")}
-    assert found <= set(FORBIDDEN), "state in FORBIDDEN what the new part may not import"
+def test_no_file_name_stands_for_two_things() -> None:
+    names = sorted(path.name for path in modules() if path.name != "__init__.py")
+    assert [name for name, following in itertools.pairwise(names) if name == following] == []
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         monkeypatch.setitem(sys.modules, name, module)
     yield
     # What the launch files share was imported with the stand-in.
-    sys.modules.pop("straightcomp_ros.nodes.launching", None)
+    sys.modules.pop("straightcomp_ros.runtime.launch_files", None)
 
 
 def kind(entity: Any) -> str:

@@ -1,53 +1,26 @@
-"""What the pages say of layers, topics, parameters and commands is what the code has."""
+"""What the pages say of topics, parameters and commands is what the code has."""
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from test_imports_point_inward import SOURCE, imports_of, part
+from test_imports_point_inward import SOURCE
 
 from straightcomp_ros import contract
 from straightcomp_ros.cli.main import make_parser
-from straightcomp_ros.configuration import NODE_PARAMETERS
-from straightcomp_ros.parameters import declarations
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.settings.declaration import declarations
 
 REPOSITORY = SOURCE.parent
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
 DESIGN = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
 PARAMETERS = {node: {one.name for one in declarations(kind)} for node, kind in NODE_PARAMETERS.items()}
 OF_ANY_NODE = set().union(*PARAMETERS.values())
-
-
-def layers() -> list[list[str]]:
-    """Names in each layer of docs/design.md, from the top."""
-    drawn = DESIGN.partition("## Layers")[2].split("```")[1].removeprefix("text\n")
-    return [re.findall(r"\w+", layer) for layer in re.split(r"\n *│ *\n", drawn)]
-
-
-def test_every_folder_and_module_of_the_package_stands_in_the_layers_of_the_design() -> None:
-    named = list(itertools.chain(*layers()))
-    folders = {path.parent.name for path in SOURCE.glob("*/__init__.py")}
-    modules = {path.stem for path in SOURCE.glob("*.py")} - {"__init__"}
-    assert len(named) == len(set(named))
-    assert set(named) == folders | modules
-
-
-def test_imports_point_downward_through_the_layers_of_the_design() -> None:
-    height = {name: -number for number, layer in enumerate(layers()) for name in layer}
-    upward = [
-        f"{path.relative_to(SOURCE)} imports {name}"
-        for path in SOURCE.rglob("*.py")
-        if path != SOURCE / "__init__.py"
-        for name in imports_of(path)
-        if height.get(part(name), -99) > height[path.relative_to(SOURCE).parts[0].removesuffix(".py")]
-    ]
-    assert upward == []
 
 
 def test_every_topic_of_the_contract_stands_in_the_design() -> None:

@@ -109,7 +109,7 @@ def test_what_is_wrong_is_said_in_one_sentence(words: str, expected: str, capsys
 def test_without_rclpy_every_verb_that_needs_it_says_the_same(
     words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("straightcomp_ros.launcher.ros_available", lambda: False)
+    monkeypatch.setattr("straightcomp_ros.cell.launcher.ros_available", lambda: False)
     assert "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install" in refusal(words, capsys)
 
 

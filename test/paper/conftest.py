@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.paper.machine import Machine, machine_from
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.paper.ideal_machine import Machine, machine_from
+from straightcomp_ros.settings.share import share_path
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import pytest
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT
 from straightcomp_ros.paper import figure_4, figure_5, figure_6
 from straightcomp_ros.paper.figure_3 import gain_error_limit, largest_gain_error
-from straightcomp_ros.paper.machine import UNCLAMPED
+from straightcomp_ros.paper.ideal_machine import UNCLAMPED
 from straightcomp_ros.paper.release import hold_still, release
 from straightcomp_ros.paper.sine import AMPLITUDE, OMEGA, evaluated, follow_sine, fundamental
 from straightcomp_ros.paper.surface import following_error_gain, lag, reaching_time

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.parameter_file import read_parameter_file
-from straightcomp_ros.share import share_path
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.settings.share import share_path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "plant.md").read_text(encoding="utf-8")

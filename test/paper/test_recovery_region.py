@@ -6,7 +6,7 @@ import pytest
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.paper import beyond_figure_4
 from straightcomp_ros.paper.figure_4 import RELEASED_AT
-from straightcomp_ros.paper.recovery import (
+from straightcomp_ros.paper.recovery_region import (
     fastest_outward,
     largest_release,
     least_peak,

@@ -4,8 +4,8 @@ import json
 import pytest
 
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.paper.all_figures import FIGURES, Reproduction
 from straightcomp_ros.paper.claims import Claim
-from straightcomp_ros.paper.reproduce import FIGURES, Reproduction
 
 # The package re-exports nothing; the module is patched, not the name.
 command = importlib.import_module("straightcomp_ros.cli.reproduce")

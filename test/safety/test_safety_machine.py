@@ -7,8 +7,8 @@ from pathlib import Path
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.safety.faults import LABELLED, Fault, table
-from straightcomp_ros.safety.machine import TRANSITIONS, Condition, Event, SafetyMachine
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.safety.state_machine import TRANSITIONS, Condition, Event, SafetyMachine
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
 

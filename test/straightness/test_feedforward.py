@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
-from straightcomp_ros.straightness.map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 
 PERIOD_NS = 500_000
 T = PERIOD_NS * 1e-9

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from straightcomp_ros.parameters import declarations
-from straightcomp_ros.straightness.map import MapParameters, StraightnessMap, find_survey, load_map
-from straightcomp_ros.straightness.run import Run
+from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, find_survey, load_map
 from straightcomp_ros.straightness.survey import Survey, SurveyError, write_survey
+from straightcomp_ros.straightness.survey_run import Run
 
 X = np.linspace(0.0, 1.76, 177)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.tables.formats import FORMATS
 
 

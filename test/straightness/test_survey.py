@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.straightness.run import Run, orient
 from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey, write_survey
+from straightcomp_ros.straightness.survey_run import Run, orient
 
 POSITIONS_MM = [10 * k for k in range(30)]
 

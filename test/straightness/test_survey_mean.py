@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.mean import SurveyReport, mean_of_directions, on_common_grid, report
-from straightcomp_ros.straightness.run import Direction, Run
 from straightcomp_ros.straightness.survey import Survey, SurveyError
+from straightcomp_ros.straightness.survey_run import Direction, Run
 
 X = np.linspace(0.0, 1.0, 101)
 

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from straightcomp_ros.straightness.map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
 from straightcomp_ros.straightness.survey import read_survey
 

@@ -8,7 +8,7 @@ import pytest
 
 from straightcomp_ros.timing.blame import NORMAL, REFUSED, HeldUp, blamed
 from straightcomp_ros.timing.cpu_wait import CpuWait
-from straightcomp_ros.timing.report import CPU_WAIT, SCHEDULING, held_up
+from straightcomp_ros.timing.node_timing import CPU_WAIT, SCHEDULING, held_up
 
 
 class Scheduler:

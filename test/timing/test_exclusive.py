@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.configuration import RealtimeParameters
-from straightcomp_ros.nodes import realtime
-from straightcomp_ros.timing import exclusive
+from straightcomp_ros.timing import exclusive, realtime
+from straightcomp_ros.timing.realtime import RealtimeParameters
 
 pytestmark = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one CPU has nothing to share out")
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import NOTHING, Distribution, Histogram
-from straightcomp_ros.timing.report import CPU_WAIT, Report, amplifier_on, summarise, written
+from straightcomp_ros.timing.node_timing import CPU_WAIT, Report, amplifier_on, summarise, written
 
 PERIOD = 500_000
 

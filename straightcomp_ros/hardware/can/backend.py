@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     COUNTER_MODULUS,
@@ -17,7 +18,6 @@ from straightcomp_ros.hardware.can.frames import (
 )
 from straightcomp_ros.hardware.can.hub_packet import ERROR, REMOTE, Frame
 from straightcomp_ros.hardware.can.link import Link
-from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.stage_frames import stage_payloads
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth

@@ -12,10 +12,10 @@ from typing import Protocol
 
 import can
 
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, Frame, from_packet, to_packet
 from straightcomp_ros.hardware.can.link import opened_bus
-from straightcomp_ros.hardware.can.parameters import CanParameters
 
 _AT_ONCE = 64
 _REOPEN_EVERY_S = 0.1

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import can
 
-from straightcomp_ros.hardware.can.parameters import LOG_ENDINGS
+from straightcomp_ros.hardware.can.can_parameters import LOG_ENDINGS
 from straightcomp_ros.hardware.interface import HardwareError
 
 _QUEUE_LIMIT = 20_000

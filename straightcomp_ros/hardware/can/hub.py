@@ -13,7 +13,7 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-from straightcomp_ros.hardware.can.faults import LinkCut
+from straightcomp_ros.hardware.can.bus_faults import LinkCut
 from straightcomp_ros.hardware.can.hub_packet import LONGEST, Frame, from_packet, priority, to_packet
 from straightcomp_ros.hardware.interface import HardwareError
 
@@ -31,7 +31,7 @@ class Hub:
     Args:
         path: of the socket, made here and removed by :meth:`close`.
         fault: ``fault(frame)`` gives the frames that arrive in the place of one, or raises
-            :class:`~straightcomp_ros.hardware.can.faults.LinkCut`.
+            :class:`~straightcomp_ros.hardware.can.bus_faults.LinkCut`.
         member: ``member(packet)`` gets the frames for a node that lives in the hub's own process, and sends by
             :meth:`put`.
 

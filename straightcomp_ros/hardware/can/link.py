@@ -16,11 +16,11 @@ from typing import Any
 
 import can
 
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import FrameLog
 from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
 from straightcomp_ros.hardware.can.hub_packet import ERROR, EXTENDED, FD_FRAME, Frame
-from straightcomp_ros.hardware.can.parameters import CanParameters
-from straightcomp_ros.parameters import ParameterError
+from straightcomp_ros.settings.declaration import ParameterError
 
 _SHORTEST_WAIT_S, _LONGEST_WAIT_S = 0.02, 1.0
 _AT_ONCE = 256

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import (
     BOOT_UP,
     CURRENT_COUNT,
@@ -22,7 +23,6 @@ from straightcomp_ros.hardware.can.frames import (
     encoders_valid,
     fault_of,
 )
-from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
 from straightcomp_ros.hardware.can.truth_frame import truth_of

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from straightcomp_ros.straightness.columns import SurveyError
+from straightcomp_ros.straightness.survey_columns import SurveyError
 from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions, ErrorTable, error_table
 from straightcomp_ros.straightness.text import decimal, number, read_text
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.columns import DEVIATION, SurveyError, X
-from straightcomp_ros.straightness.map import StraightnessMap
-from straightcomp_ros.straightness.run import Direction, Run
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.straightness.survey_columns import DEVIATION, SurveyError, X
+from straightcomp_ros.straightness.survey_run import Direction, Run
 
 UNITS = {"mm": 1e3, "inch": 1.0 / 0.0254, "m": 1.0, "um": 1e6}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""

@@ -18,7 +18,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from straightcomp_ros.straightness.columns import SurveyError
+from straightcomp_ros.straightness.survey_columns import SurveyError
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table
 from straightcomp_ros.straightness.text import decimal, number, read_text
 

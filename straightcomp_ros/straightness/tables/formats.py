@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from straightcomp_ros.straightness.columns import SurveyError
+from straightcomp_ros.straightness.survey_columns import SurveyError
 from straightcomp_ros.straightness.tables import aerotech, crosscomp, etalon, linuxcnc
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable
 

@@ -10,14 +10,14 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Command, Switch
 from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, REMOTE, Frame
-from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 PERIOD = 500_000

@@ -7,7 +7,7 @@ import pytest
 
 from straightcomp_ros.hardware.can import board_line
 from straightcomp_ros.hardware.can.board_line import BusLine
-from straightcomp_ros.hardware.can.parameters import CanParameters
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 
 
 class Bus:

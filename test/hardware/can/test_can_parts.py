@@ -5,9 +5,8 @@ import struct
 
 import pytest
 
-from straightcomp_ros.bench.can_fault_trial import position, run_trial
-from straightcomp_ros.bench.can_servo_trial import _START_NS, _TRANSIT_NS, _Trial
-from straightcomp_ros.hardware.can.faults import Faults
+from straightcomp_ros.hardware.can.bus_faults import Faults
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Identifiers
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.hub_packet import (
@@ -21,13 +20,14 @@ from straightcomp_ros.hardware.can.hub_packet import (
     priority,
     to_packet,
 )
-from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payloads
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.model.stage import Waypoint
-from straightcomp_ros.parameters import ParameterError
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.trials.bench.can_fault_trial import position, run_trial
+from straightcomp_ros.trials.bench.can_servo_trial import _START_NS, _TRANSIT_NS, _Trial
 
 PERIOD = 500_000
 

@@ -15,19 +15,19 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.can import frame_replay
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import FrameLog
 from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
 from straightcomp_ros.hardware.can.frames import Codec
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
 from straightcomp_ros.hardware.can.link import Link
-from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.parameters import ParameterError
-from straightcomp_ros.straightness.map import MapParameters, load_map
+from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 FORMATS = pytest.mark.parametrize("ending", [".log", ".blf"])

@@ -29,7 +29,7 @@ from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payload
 from straightcomp_ros.hardware.can.truth_frame import truth_of, truth_payload
 from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.share import share_path
+from straightcomp_ros.settings.share import share_path
 
 DBC = cantools.database.load_file(share_path("config/straightcomp.dbc"))
 CLASSIC, FD = Codec(1, fd=False), Codec(1, fd=True)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from straightcomp_ros.bench.can_fault_trial import position, run_trial
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import (
     COUNTER_MODULUS,
     Amplifier,
@@ -13,9 +13,9 @@ from straightcomp_ros.hardware.can.frames import (
     Encoder,
     status_bits,
 )
-from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.trials.bench.can_fault_trial import position, run_trial
 
 KINDS = ("drop", "duplicate", "reorder", "corrupt", "garble", "truncate", "wrong_id", "error_frame", "flood")
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])

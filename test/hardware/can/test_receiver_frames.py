@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     CURRENT_COUNT,
@@ -15,7 +16,6 @@ from straightcomp_ros.hardware.can.frames import (
     Encoder,
     status_bits,
 )
-from straightcomp_ros.hardware.can.parameters import CanParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.can.truth_frame import truth_payload

@@ -1,0 +1,155 @@
+"""The picture of a run: straightness before and after, compensation error, control current."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.metrics import Metrics, residual_over, true_error
+from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+
+# Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
+BLACK, BLUE, VERMILION, GREY = "#000000", "#0072B2", "#D55E00", "#A8A8A8"
+PALE_BLUE, PALE_VERMILION = "#9CCBE6", "#F2BE9A"
+LENGTH_OF_MEAN_MM = 10.0
+
+
+def plot_run(
+    record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, path: str | Path, title: str
+) -> Path:
+    """Draw ``record`` into one PNG.
+
+    Straightness over x, before and after on one scale and after on its own; then over time the
+    compensation error and the control current, motion shaded by direction.
+
+    Args:
+        record: the run.
+        straightness: the map of its reference.
+        metrics: the run's figures, for the legends.
+        path: the PNG, replaced if it exists.
+        title: stands over the picture.
+
+    Returns:
+        The path.
+
+    Raises:
+        MetricsError: the stage does not move in the record.
+    """
+    motion = find_motion(record)
+    figure = Figure(figsize=(10.0, 9.5), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=13)
+    rows = figure.add_gridspec(3, 2)
+    both, after = figure.add_subplot(rows[0, 0]), figure.add_subplot(rows[0, 1])
+    error = figure.add_subplot(rows[1, :])
+    current = figure.add_subplot(rows[2, :], sharex=error)
+
+    _straightness(both, after, record, straightness, metrics, motion)
+    _error(error, record, straightness, metrics, motion)
+    _current(current, record, metrics, motion)
+    for axes in (both, after, error, current):
+        axes.grid(color="#D8D8D8", linewidth=0.5)
+        axes.set_axisbelow(True)
+        axes.margins(x=0.01)
+    path = Path(path)
+    figure.savefig(path)
+    return path
+
+
+def _straightness(
+    both: Axes,
+    after: Axes,
+    record: StrokeRecord,
+    straightness: StraightnessMap,
+    metrics: Metrics,
+    motion: Motion,
+) -> None:
+    x, y, guide, true = record.best_known(straightness)
+    seen = "true" if true else "map + encoder"
+    moving = motion.samples()
+    x_mm = x[moving] * 1e3
+    before_um = residual_over(x, guide, record, motion) * 1e6
+    after_um = residual_over(x, guide + y, record, motion) * 1e6
+    forward = np.isin(moving, motion.samples("forward"))
+
+    both.plot(x_mm, before_um, color=BLACK, label=f"before: {metrics.uncompensated_pp * 1e6:.2f} µm p-p")
+    both.plot(x_mm, after_um, color=BLUE, label=f"after: {metrics.residual_pp * 1e6:.2f} µm p-p")
+    for name, mask, colour, pale, style in (
+        ("forward", forward, BLUE, PALE_BLUE, "-"),
+        ("backward", ~forward, VERMILION, PALE_VERMILION, "--"),
+    ):
+        if mask.any():
+            after.plot(x_mm[mask], after_um[mask], ".", color=pale, markersize=1.0, zorder=2)
+            centres, means = _mean_over(x_mm[mask], after_um[mask], LENGTH_OF_MEAN_MM)
+            label = f"{name}: {np.ptp(after_um[mask]):.2f} µm p-p"
+            after.plot(centres, means, color=colour, linestyle=style, linewidth=1.6, zorder=3, label=label)
+    both.set_title("Straightness before and after", fontsize=10)
+    after.set_title(f"After, enlarged ({seen}; lines: mean over {LENGTH_OF_MEAN_MM:g} mm)", fontsize=10)
+    for axes in (both, after):
+        axes.set_xlabel("slider position x / mm")
+        axes.set_ylabel("deviation / µm")
+        _headroom(axes)
+        axes.legend(loc="upper center", fontsize=8, ncols=2)
+
+
+def _error(axes: Axes, record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, motion: Motion) -> None:
+    window = motion.window
+    time = record.time[window]
+    _shade(axes, record, motion)
+    label = f"encoder: {metrics.encoder_pp * 1e6:.2f} µm p-p, {metrics.encoder_rms * 1e6:.3f} µm RMS"
+    truth = true_error(record, straightness)
+    colour = BLUE if truth is None else GREY
+    axes.plot(time, (record.r - record.y)[window] * 1e6, color=colour, linewidth=0.6, label=label)
+    if truth is not None and metrics.true_pp is not None and metrics.true_rms is not None:
+        label = f"true: {metrics.true_pp * 1e6:.2f} µm p-p, {metrics.true_rms * 1e6:.3f} µm RMS"
+        axes.plot(time, truth[window] * 1e6, color=BLUE, linewidth=0.8, label=label)
+    axes.set_title("Compensation error r − y", fontsize=10)
+    axes.set_xlabel("time / s")
+    axes.set_ylabel("error / µm")
+    _headroom(axes)
+    axes.legend(loc="upper center", fontsize=8, ncols=4)
+
+
+def _current(axes: Axes, record: StrokeRecord, metrics: Metrics, motion: Motion) -> None:
+    window = motion.window
+    _shade(axes, record, motion)
+    label = f"law {record.law}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
+    axes.plot(record.time[window], record.current[window] * 1e3, color=BLACK, linewidth=0.6, label=label)
+    axes.set_title("Control current", fontsize=10)
+    axes.set_xlabel("time / s")
+    axes.set_ylabel("control current $i_c$ / mA")
+    _headroom(axes)
+    axes.legend(loc="upper center", fontsize=8, ncols=3)
+
+
+def _shade(axes: Axes, record: StrokeRecord, motion: Motion) -> None:
+    """Mark the strokes, each direction named once."""
+    named: set[str] = set()
+    for stroke in motion.strokes:
+        colour = "#DCEBF5" if stroke.direction == "forward" else "#FBE9DD"
+        label = None if stroke.direction in named else f"{stroke.direction} stroke"
+        axes.axvspan(
+            record.time[stroke.start], record.time[stroke.stop - 1], color=colour, linewidth=0.0, label=label, zorder=0
+        )
+        named.add(stroke.direction)
+
+
+def _headroom(axes: Axes) -> None:
+    """Room above the curves for the legend, so that it covers none of them."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.25 * (high - low))
+
+
+def _mean_over(
+    x: NDArray[np.float64], y: NDArray[np.float64], length: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean of x and of y in each piece of ``length`` along x."""
+    _, piece = np.unique(np.floor(x / length), return_inverse=True)
+    count = np.bincount(piece)
+    return np.bincount(piece, x) / count, np.bincount(piece, y) / count

@@ -1,0 +1,80 @@
+"""What a bag says of the nodes that it recorded: their parameters, and the survey behind their map.
+
+Nothing is checked here, and nothing heavy imported: whoever runs a part with these values validates them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.control.former_names import present_names
+from straightcomp_ros.settings.declaration import belongs_to_ros, flatten
+
+if TYPE_CHECKING:
+    from straightcomp_ros.bags.writer import BagWriter
+
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+MAP_PARAMETERS = ("feedforward", "map.file")
+"""Node and parameter that name the survey."""
+
+
+def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str, dict[str, Any]]:
+    """Values by node and dotted name, under the names of today; empty when none are attached.
+
+    Args:
+        bag: named in errors.
+        attachments: from :func:`straightcomp_ros.bags.reader.read_attachments`.
+
+    Raises:
+        BagError: the attachment is no parameter file.
+    """
+    where = f"bag {bag}: {PARAMETERS_ATTACHMENT}"
+    try:
+        tree = yaml.load(attachments.get(PARAMETERS_ATTACHMENT, b""), Loader=_Loader) or {}
+    except (yaml.YAMLError, ValueError) as error:
+        raise BagError(f"{where} is no YAML ({' '.join(str(error).split())}); record the bag again") from error
+    values: dict[str, dict[str, Any]] = {}
+    for key, section in tree.items() if isinstance(tree, Mapping) else [(tree, None)]:
+        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
+            raise BagError(f"{where}: '{key}' has no 'ros__parameters:'; record the bag again")
+        own = flatten(section["ros__parameters"])
+        values.setdefault(str(key).rsplit("/", 1)[-1], {}).update(
+            {name: value for name, value in own.items() if not belongs_to_ros(name)}
+        )
+    if "controller" in values:
+        values["controller"] = present_names(values["controller"])
+    return values
+
+
+def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
+    """Attach the survey that the parameters name, as it is on this machine now.
+
+    Returns:
+        Why it is not attached, empty when it is.
+    """
+    from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
+    from straightcomp_ros.straightness.survey import SurveyError
+
+    node, name = MAP_PARAMETERS
+    try:
+        path = find_survey(str(values.get(node, {}).get(name, MapParameters().file)))
+        data = path.read_bytes()
+    except (SurveyError, OSError) as error:
+        return f"the map is not attached to the bag: {error}"
+    bag.attach(MAP_ATTACHMENT, "text/csv", data)
+    return ""
+
+
+def unpacked_map(attachments: Mapping[str, bytes], folder: Path) -> Path | None:
+    """Write the attached survey into ``folder``; returns the file, None where the bag has none attached."""
+    data = attachments.get(MAP_ATTACHMENT)
+    if data is None:
+        return None
+    path = folder / MAP_ATTACHMENT
+    path.write_bytes(data)
+    return path

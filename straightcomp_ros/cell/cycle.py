@@ -1,0 +1,98 @@
+"""The graph's processes for one cycle of the stage: started, followed to the cell's end, stopped."""
+
+from __future__ import annotations
+
+import select
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words
+
+RECORDED = ("driver", "feedforward", "controller", "logger")
+"""The nodes that run on as long as the cell does."""
+IN_THE_LOOP = ("driver", "feedforward", "controller")
+"""Those of them whose lateness moves the platform."""
+_SLACK_S = 90.0
+"""Start, discovery and a busy machine, beyond the duration of the cycle itself."""
+
+
+def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
+    """Text of a ROS 2 parameter file with these values, by node and dotted name."""
+    # An empty section is refused by rcl.
+    tree = {f"/**/{node}": {"ros__parameters": dict(section)} for node, section in values.items() if section}
+    return yaml.safe_dump(tree, sort_keys=False)
+
+
+def run_cycle(
+    bag: Path,
+    parameter_file: Path,
+    logs: Path,
+    duration: float,
+    progress: Callable[[float], object],
+    *,
+    started: Callable[[Mapping[str, int]], None] = lambda process_ids: None,
+    commands: Mapping[str, Sequence[str]] | None = None,
+    beside: Mapping[str, Sequence[str]] | None = None,
+    in_place_of_cell: Sequence[str] | None = None,
+) -> None:
+    """Run the graph until the cell has finished its cycle, and record it.
+
+    Args:
+        bag: folder that the logger makes.
+        parameter_file: of all nodes.
+        logs: folder for what the nodes print.
+        duration: of the cycle, s.
+        progress: called some 20 times a second with the fraction of the cycle that is done; True ends the cycle now.
+        started: called once with the process id of each node.
+        commands: by node, what to start in its place.
+        beside: further programs by name that the nodes need, started before them: a bus, an emulated board.
+        in_place_of_cell: a program that runs the cycle from outside the graph, and prints progress as the cell does.
+
+    Raises:
+        LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
+    """
+    commands, beside = commands or {}, beside or {}
+    with Graph(logs) as graph:
+        for name, command in beside.items():
+            graph.start_program(name, command)
+        ids = {}
+        for name in RECORDED:
+            extra = {"output": str(bag)} if name == "logger" else {}
+            ids[name] = graph.start(name, extra, parameter_file, command=commands.get(name)).pid
+        if in_place_of_cell:
+            cell = graph.start_program("cell", in_place_of_cell, read_output=True)
+        else:
+            cell = graph.start(
+                "cell", {"progress": True}, parameter_file, command=commands.get("cell"), read_output=True
+            )
+        started(ids)
+        _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
+        # The others send what waits in their last bursts as they end.
+        codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
+        if codes["logger"] != 0:
+            raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
+        # The bag is complete and the amplifier off by now: how the others ended does not touch the result.
+        for name, code in codes.items():
+            if code != 0:
+                print(f"node '{name}' did not stop cleanly: {exit_words(code)}", file=sys.stderr)
+
+
+def _follow(
+    graph: Graph, cell: Any, watched: Sequence[str], deadline: float, progress: Callable[[float], object]
+) -> None:
+    """Pass the cell's progress on until it ends or is enough; raise LaunchError if it or another node fails."""
+    while cell.poll() is None:
+        graph.check(watched)
+        if time.monotonic() > deadline:
+            raise LaunchError("the cycle did not end in time")
+        if select.select([cell.stdout], [], [], 0.2)[0]:
+            word, _, fraction = cell.stdout.readline().partition(" ")
+            if word == "progress" and progress(float(fraction)) is True:
+                return
+    if cell.returncode != 0:
+        raise LaunchError(f"cell: {graph.last_words('cell')}")

@@ -1,0 +1,142 @@
+"""The whole graph once: five nodes as processes, one cycle of the stage, a bag, and its evaluation."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.recorded_diagnostics import read_reports
+from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, as_parameter_file, run_cycle
+from straightcomp_ros.cell.launcher import LaunchError, verb_command
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.model.stage import cycles
+from straightcomp_ros.opcua.demonstrated import driven_by_opcua
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+from straightcomp_ros.timing.blame import blamed
+from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, summarise
+
+
+class DemonstrationFailed(RuntimeError):
+    """The run is not what was asked for; the message says which node or which figure, and why."""
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """A finished run: its bag, what it holds, the figures, and each node's timing while the amplifier was on."""
+
+    bag: Path
+    evaluation: BagEvaluation
+    map: StraightnessMap
+    metrics: Metrics
+    timing: Mapping[str, NodeTiming]
+
+    def figures(self) -> dict[str, Any]:
+        """Display values by name, as `straightcomp demo --json` prints them."""
+        evaluation = self.evaluation
+        return {
+            "law": evaluation.record.law,
+            "expected_samples": evaluation.expected_samples,
+            "received_samples": evaluation.received_samples,
+            "lost_samples": evaluation.lost_samples,
+            "lost_commands": evaluation.lost_commands,
+            **self.metrics.to_display(),
+            "latency_p50_us": evaluation.latency_us(50),
+            "latency_p99_us": evaluation.latency_us(99),
+            "bag": str(self.bag),
+            "timing": {node: timing.to_display() for node, timing in self.timing.items()},
+            "held_up": self.held_up,
+        }
+
+    @property
+    def held_up(self) -> str:
+        """Who got no CPU while the amplifier was on, and for how long; empty if nobody was held up for long."""
+        return blamed({node: timing.held_up for node, timing in self.timing.items() if node in IN_THE_LOOP})
+
+
+def demonstrate(
+    values: Mapping[str, Mapping[str, Any]],
+    output: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
+    opcua_strokes: int = 0,
+) -> Demonstration:
+    """Run the graph for one cycle and evaluate the bag.
+
+    Args:
+        values: parameters by node and dotted name.
+        output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; an earlier bag there is replaced.
+        progress: called with the fraction of the cycle that is done.
+        opcua_strokes: instead of one stroke run by the cell, so many run by a client of the OPC UA gateway.
+
+    Raises:
+        DemonstrationFailed: a node died, the cycle failed, or the bag is short.
+        ParameterError: a parameter is refused.
+        SurveyError: the map is refused.
+    """
+    bag, parameter_file = output / "bag", output / "parameters.yaml"
+    cell = node_parameters("cell", values["cell"])
+    duration = cycles(cell.motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
+    straightness = load_map(node_parameters("feedforward", values["feedforward"]).map)
+    output.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(bag, ignore_errors=True)
+    logs = output / "logs"
+    try:
+        with driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
+            parameter_file.write_text(as_parameter_file(values))
+            run_cycle(
+                bag,
+                parameter_file,
+                logs,
+                duration,
+                progress,
+                beside={**emulated_machine(values["driver"], parameter_file), **gateway},
+                in_place_of_cell=client,
+            )
+    except LaunchError as error:
+        raise DemonstrationFailed(f"{error} (logs in {logs})") from error
+    try:
+        evaluation = evaluate_bag(bag)
+        metrics = evaluate(evaluation.record, straightness)
+        reports = read_reports(bag)
+    except (BagError, MetricsError) as error:
+        raise DemonstrationFailed(str(error)) from error
+    recorded = float(evaluation.record.time[-1])
+    # A client of the gateway switches on and off when it likes: the rests before and after are its own.
+    least = 0.99 * duration - (2.0 * cell.motion.settle if opcua_strokes else 0.0)
+    if recorded < least:
+        raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
+    begin_ns, end_ns = amplifier_on(reports.get("driver", []))
+    timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
+    return Demonstration(bag, evaluation, straightness, metrics, timing)
+
+
+def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
+    """Parameters that take the driver's machine out of its process, to an emulated board on a hub at ``socket``."""
+    simulated = node_parameters("driver", driver).simulated
+    timeout = simulated.command_timeout
+    return {
+        "hardware": "can",
+        "can.interface": INTERFACE,
+        "can.channel": socket,
+        "can.simulated_stage": True,
+        "can.rate": simulated.rate,
+        # A board that forgives a stalled desktop needs a driver that does.
+        "can.command_timeout": timeout,
+        "can.sample_timeout": timeout,
+        "can.heartbeat_timeout": max(timeout, 3.0 * HEARTBEAT_PERIOD),
+    }
+
+
+def emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
+    """Commands of the programs that stand for the board and its bus where that is a hub, by name."""
+    parameters = node_parameters("driver", driver)
+    if parameters.hardware != "can" or parameters.can.interface != INTERFACE:
+        return {}
+    return {"board": verb_command("dsp", "--hub", "--params-file", str(parameter_file))}

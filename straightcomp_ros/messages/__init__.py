@@ -1,0 +1,1 @@
+"""The bytes of a message: fixed-layout CDR, and batches of samples. No ROS."""

@@ -1,0 +1,84 @@
+"""LuGre friction of the sliding platform (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995).
+
+    ż = v − σ0 |v| z / g(v),   F = σ0 z + σ1 ż + σ2 v,   g(v) = F_C + (F_S − F_C) exp(−(v/v_s)²)
+
+z is the mean deflection of the bristles in m; F opposes the motion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.settings.declaration import RefusedParameter, parameter
+
+
+class LuGre(NamedTuple):
+    """F_C, F_S in N, v_s in m/s, σ0 in N/m, σ1 and σ2 in N·s/m."""
+
+    coulomb: float
+    static: float
+    stribeck_velocity: float
+    bristle_stiffness: float
+    bristle_damping: float
+    viscous: float
+
+
+@dataclass(frozen=True)
+class FrictionParameters:
+    """LuGre friction between slider and platform."""
+
+    coulomb: float = parameter(0.43, "Coulomb friction F_C", unit="N", above=0.0, maximum=1e3)
+    static: float = parameter(0.645, "Static friction F_S, at least F_C", unit="N", above=0.0, maximum=1e3)
+    stribeck_velocity: float = parameter(20e-6, "Stribeck velocity v_s", unit="m/s", above=0.0, maximum=1.0)
+    bristle_stiffness: float = parameter(1e6, "Bristle stiffness σ0", unit="N/m", above=0.0, maximum=1e10)
+    bristle_damping: float = parameter(1000.0, "Bristle damping σ1", unit="N·s/m", minimum=0.0, maximum=1e6)
+    viscous: float = parameter(10.0, "Viscous friction σ2", unit="N·s/m", minimum=0.0, maximum=1e5)
+
+    def __post_init__(self) -> None:
+        if self.static < self.coulomb:
+            raise RefusedParameter(
+                "static",
+                f"{self.static!r} N is below Coulomb friction; allowed: >= {self.coulomb!r} N ('{{group}}coulomb')",
+            )
+
+    def constants(self) -> LuGre:
+        """The constants that the friction functions take."""
+        return LuGre(
+            self.coulomb,
+            self.static,
+            self.stribeck_velocity,
+            self.bristle_stiffness,
+            self.bristle_damping,
+            self.viscous,
+        )
+
+
+@compilable
+def stribeck_force(lugre: LuGre, velocity: float) -> float:
+    """g(v) in N: the steady-state friction without its viscous part."""
+    ratio = velocity / lugre.stribeck_velocity
+    return lugre.coulomb + (lugre.static - lugre.coulomb) * math.exp(-ratio * ratio)
+
+
+@compilable
+def friction_force(lugre: LuGre, bristle: float, velocity: float) -> float:
+    """F in N for bristle deflection z in m and velocity in m/s; it acts against the motion."""
+    bristle_rate = velocity - lugre.bristle_stiffness * abs(velocity) * bristle / stribeck_force(lugre, velocity)
+    return lugre.bristle_stiffness * bristle + lugre.bristle_damping * bristle_rate + lugre.viscous * velocity
+
+
+@compilable
+def bristle_after(lugre: LuGre, bristle: float, velocity: float, duration: float) -> float:
+    """z after ``duration`` s at constant velocity: exact, so that no velocity makes the step unstable.
+
+    At 0.1 m/s the bristle settles within 6 µs; an explicit step would need to be shorter than that.
+    """
+    if velocity == 0.0:
+        return bristle
+    level = stribeck_force(lugre, velocity)
+    settled = math.copysign(level / lugre.bristle_stiffness, velocity)
+    decay = math.exp(-lugre.bristle_stiffness * abs(velocity) / level * duration)
+    return settled + (bristle - settled) * decay

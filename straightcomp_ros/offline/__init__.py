@@ -1,0 +1,1 @@
+"""Runs without a graph: simulation, comparison of laws, replay, sweeps. No ROS."""

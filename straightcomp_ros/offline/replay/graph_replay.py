@@ -1,0 +1,117 @@
+"""Plays recorded samples to the real feedforward, controller and logger, without a driver."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
+from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words
+from straightcomp_ros.contract import COMMAND, ENCODER
+
+_PLAYED_TO = ("feedforward", "controller", "logger")
+_SLACK_S = 90.0
+
+
+@dataclass(frozen=True)
+class GraphReplay:
+    """What came back.
+
+    Attributes:
+        bag: what was recorded of the replay.
+        samples: samples in the played bag.
+        commands: samples that have a command in both bags.
+        equal, different: those whose command is the same to the bit, or not.
+    """
+
+    bag: Path
+    samples: int
+    commands: int
+    equal: int
+    different: int
+
+
+def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | None = None) -> GraphReplay:
+    """Play a bag to the graph, with the parameters and the map that are attached to it, and compare the commands.
+
+    The controller waits for each sample's reference (trigger ``sample``): what it answers then depends on the samples
+    alone, not on this machine's speed.
+
+    Args:
+        bag: rosbag2 folder or MCAP file.
+        output: folder that gets ``bag/`` and ``logs/``; an earlier bag there is replaced.
+        remap: the bag's topic for each of ours that is named otherwise there.
+
+    Raises:
+        BagError: the bag is refused.
+        LaunchError: a node could not be started, or failed.
+    """
+    streams = read_streams(bag, {stream.topic: stream.layout for stream in (ENCODER, COMMAND)}, remap)
+    attachments = read_attachments(bag)
+    recorded = recorded_parameters(bag, attachments)
+    stamps = streams[ENCODER.topic].stamp if ENCODER.topic in streams else np.zeros(1, np.int64)
+    duration = float(np.ptp(stamps)) * 1e-9
+    new = output / "bag"
+    output.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(new, ignore_errors=True)
+    with tempfile.TemporaryDirectory() as folder:
+        values = {name: dict(recorded.get(name, {})) for name in _PLAYED_TO[:2]}
+        survey = unpacked_map(attachments, Path(folder))
+        if survey is not None:
+            values["feedforward"]["map.file"] = str(survey)
+        values["controller"]["trigger"] = "sample"
+        values["player"] = {
+            "bag": str(Path(bag).absolute()),
+            "topic": (remap or {}).get(ENCODER.topic, ENCODER.topic),
+            "subscribers": len(_PLAYED_TO),
+            "ahead": 50,
+        }
+        # Real-time priority is of no use here: nothing is late.
+        for section in values.values():
+            section["realtime.priority"] = 0
+        values["logger"] = {"output": str(new), "nodes": "feedforward controller"}
+        file = Path(folder) / "parameters.yaml"
+        file.write_text(yaml.safe_dump({f"/**/{node}": {"ros__parameters": s} for node, s in values.items()}))
+        _play(file, output / "logs", duration)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        answers = read_streams(new, {COMMAND.topic: COMMAND.layout}).get(COMMAND.topic)
+    before = _by_stamp(streams.get(COMMAND.topic))
+    after = _by_stamp(answers)
+    common = before.keys() & after.keys()
+    equal = sum(before[stamp] == after[stamp] for stamp in common)
+    return GraphReplay(new, len(stamps), len(common), equal, len(common) - equal)
+
+
+def _play(parameter_file: Path, logs: Path, duration: float) -> None:
+    with Graph(logs) as graph:
+        for name in _PLAYED_TO:
+            graph.start(name, {}, parameter_file)
+        player = graph.start("player", {}, parameter_file)
+        deadline = time.monotonic() + duration + _SLACK_S
+        while player.poll() is None:
+            graph.check(_PLAYED_TO)
+            if time.monotonic() > deadline:
+                raise LaunchError("the play did not end in time")
+            time.sleep(0.05)
+        if player.returncode != 0:
+            raise LaunchError(f"player: {graph.last_words('player')}")
+        code = graph.stop(_PLAYED_TO)["logger"]
+        if code != 0:
+            raise LaunchError(f"logger: {exit_words(code)}: {graph.last_words('logger')}")
+
+
+def _by_stamp(stream: object) -> dict[int, bytes]:
+    if stream is None:
+        return {}
+    currents = stream.columns["control_current"]  # type: ignore[attr-defined]
+    return dict(zip(stream.stamp.tolist(), (value.tobytes() for value in currents), strict=True))  # type: ignore[attr-defined]

@@ -1,0 +1,129 @@
+"""Closes the loop anew around a recorded motion of the stage: with the recorded law, or with another."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
+from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.recorded_reference import RecordedReference
+from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.model.stage import Trajectory, Waypoint
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.straightness.guide_map import find_survey
+from straightcomp_ros.straightness.survey import SurveyError
+
+_WAYPOINT_EVERY = 0.01
+"""Time in s between waypoints: a corner of the speed profile, 0.2 m/s², is met within 3 µm of x, 1 nm of r."""
+_APPROACH_NS = 1_000_000_000
+"""Simulated stages stand at 0 at first; they reach the recorded start before the first sample."""
+
+Values = dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """A recorded run beside two simulated ones on its motion and its map.
+
+    Attributes:
+        recorded: the run's figures.
+        again: with the recorded parameters: what the simulation cannot tell shows as its difference from ``recorded``.
+        changed: with the changes; None when there were none.
+        laws: names of the laws of the three, in this order.
+    """
+
+    recorded: Metrics
+    again: Metrics
+    changed: Metrics | None
+    laws: tuple[str, str, str | None]
+
+
+def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[str, str] | None = None) -> WhatIf:
+    """Simulate a recorded run.
+
+    The plant is the one in the bag's parameters; the loop's delay is the recorded median. Where no truth was recorded
+    the guide is what the map says.
+
+    Args:
+        bag: rosbag2 folder or MCAP file.
+        changes: values by node and dotted name, over those of the bag.
+        remap: the bag's topic for each of ours that is named otherwise there.
+
+    Raises:
+        BagError, MetricsError: the bag is refused, or its stage does not move.
+        ParameterError: a parameter is refused.
+        SurveyError: the map is neither attached nor found, or is refused.
+    """
+    evaluation = evaluate_bag(bag, remap)
+    attachments = read_attachments(bag)
+    record = evaluation.record
+    with tempfile.TemporaryDirectory() as folder:
+        survey = unpacked_map(attachments, Path(folder))
+        values = recorded_values(recorded_parameters(bag, attachments), evaluation, survey)
+        motion = recorded_motion(record)
+        again, law = _simulated(values, motion)
+        changed, changed_law = None, None
+        if any(changes.values()):
+            for node, section in changes.items():
+                values.setdefault(node, {}).update(section)
+            changed, changed_law = _simulated(values, motion)
+    recorded = evaluate(record, RecordedReference(record))
+    return WhatIf(recorded, again, changed, (record.law, law, changed_law))
+
+
+def recorded_values(
+    parameters: Mapping[str, Mapping[str, Any]], evaluation: BagEvaluation, survey: Path | None
+) -> Values:
+    """Parameters for a simulation of a recorded run; ``survey`` is the attached one, None without."""
+    values = {node: dict(parameters.get(node, {})) for node in NODE_PARAMETERS}
+    if survey is not None:
+        values["feedforward"]["map.file"] = str(survey)
+    driver, record = values["driver"], evaluation.record
+    try:
+        if record.guide is None:
+            raise SurveyError("no truth")
+        find_survey(str(driver.get("guide.file", NODE_PARAMETERS["driver"]().guide.file)))
+    except SurveyError:
+        driver["guide.file"] = values["feedforward"].get("map.file", NODE_PARAMETERS["feedforward"]().map.file)
+    period = float(np.median(np.diff(evaluation.stamps))) * 1e-9
+    if len(evaluation.latency):
+        driver["lockstep_delay"] = float(np.clip(np.median(evaluation.latency) / period, 0.0, 10.0))
+    driver["simulated.initial_y"] = float(record.y[0])
+    # Nothing is late in simulated time, but a command that is applied a few samples later must not end the run.
+    driver["simulated.command_timeout"] = 1.0
+    return values
+
+
+def recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
+    """The recorded motion of the stage, and the time in ns at which its trajectory starts."""
+    x = record.x if record.true_x is None else record.true_x
+    step = max(round(_WAYPOINT_EVERY / float(np.median(np.diff(record.time)))), 1)
+    places = np.arange(0, len(x), step)
+    if places[-1] != len(x) - 1:
+        places = np.append(places, len(x) - 1)
+    before, after = np.maximum(places - step // 2, 0), np.minimum(places + step // 2, len(x) - 1)
+    speed = (x[after] - x[before]) / np.maximum(record.time[after] - record.time[before], 1e-9)
+    speed[0] = speed[-1] = 0.0
+    waypoints = [Waypoint(0, 0.0, 0.0)]
+    waypoints += [
+        Waypoint(_APPROACH_NS + round(time * 1e9), position, velocity)
+        for time, position, velocity in zip(
+            record.time[places].tolist(), x[places].tolist(), speed.tolist(), strict=True
+        )
+    ]
+    return Trajectory(waypoints), -_APPROACH_NS
+
+
+def _simulated(values: Values, motion: tuple[Trajectory, int]) -> tuple[Metrics, str]:
+    simulation = Simulation(values, motion=motion)
+    record = simulation.run()
+    return evaluate(record, simulation.map), record.law

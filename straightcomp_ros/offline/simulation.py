@@ -1,0 +1,144 @@
+"""The graph without ROS: driver, feedforward and controller in one loop, in simulated time.
+
+The parts are those that the nodes run, called in the order of `lockstep`, so that both give the same
+numbers to the last bit.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.configuration.node_parameters import (
+    CellNodeParameters,
+    ControllerNodeParameters,
+    DriverNodeParameters,
+    FeedforwardNodeParameters,
+    node_parameters,
+)
+from straightcomp_ros.control.law import Command, Law
+from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.learning import make_learning
+from straightcomp_ros.control.pairing import Pairing
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.hardware.interface import Sample, Truth
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.model.stage import Trajectory, forward_and_back
+from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.straightness.feedforward import Feedforward
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+
+_PROGRESS_EVERY = 2000
+
+
+class Simulation:
+    """Cycles of the stage, one after the other, under the parameters of the nodes.
+
+    Args:
+        values: parameters by node and dotted name, as `read_parameter_file` gives them.
+        law: steps in place of the one that the parameters name.
+        motion: of the stage, and its start in ns; the cell's cycle from 0 if None.
+
+    Raises:
+        ParameterError: a parameter is refused, or controller and machine disagree about the rate.
+        SurveyError: the map or the guide is refused.
+
+    Attributes:
+        map: what the feedforward looks the reference up in.
+        delay: command delay from the sample, in sampling periods.
+    """
+
+    map: StraightnessMap
+    delay: float
+
+    def __init__(
+        self,
+        values: Mapping[str, Mapping[str, Any]],
+        law: Law | None = None,
+        motion: tuple[Trajectory, int] | None = None,
+    ) -> None:
+        self._driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
+        feedforward: FeedforwardNodeParameters = node_parameters("feedforward", values.get("feedforward", {}))
+        self._controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
+        cell: CellNodeParameters = node_parameters("cell", values.get("cell", {}))
+        rate = self._driver.simulated.rate
+        if self._controller.rate != rate:
+            raise ParameterError(
+                f"node controller: parameter 'rate': {self._controller.rate} Hz; allowed: {rate} Hz, as the driver has"
+            )
+        self.map = load_map(feedforward.map)
+        self.delay = self._driver.lockstep_delay
+        self._hardware = SimulatedHardware(self._driver.simulated, load_map(self._driver.guide))
+        self._feedforward = Feedforward(self.map, feedforward.feedforward)
+        self._pairing = Pairing(self._controller.lead_ns, wait=True)
+        control = self._controller.control
+        self._learning = make_learning(self._controller.learning, control.law, rate)
+        self._servo = Servo(law or make_law(control, 1.0 / rate), learning=self._learning)
+        self._begin_ns = 0
+        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.motion)), 0)
+
+    def run(
+        self,
+        progress: Callable[[float], None] = lambda fraction: None,
+        observe: Callable[[Sample, Truth, Sequence[float], Command, float], None] | None = None,
+    ) -> StrokeRecord:
+        """Run the cycle once, from where the last one ended.
+
+        Args:
+            progress: called now and then with the fraction that is done.
+            observe: called with each sample, its truth, its reference, the answer, and the age in s of the reference
+                that the answer was computed from.
+        """
+        hardware, pairing = self._hardware, self._pairing
+        step, reference_at = self._servo.step, self._feedforward.step
+        period_ns = hardware.period_ns
+        delay_ns = round(self.delay * period_ns)
+        count = -(-(self._trajectory.end_ns + self._start_ns) // period_ns)
+        rows = array("d")
+        begin_ns = self._begin_ns
+        if begin_ns == 0:
+            hardware.enable()
+            hardware.start(0)
+        hardware.move(self._trajectory, begin_ns + self._start_ns)
+        self._begin_ns += count * period_ns
+        for index in range(count):
+            sample, truth = hardware.read(begin_ns + index * period_ns)[-1]
+            reference = reference_at(sample.stamp_ns, sample.x)
+            pairing.add_reference(sample.stamp_ns, reference)
+            pairing.add_sample(sample.stamp_ns, (sample.x, sample.y, sample.current))
+            ((stamp_ns, (x, y, coil_current), served, age_ns),) = pairing.take()
+            command = step(stamp_ns, y, coil_current, served, x)
+            # A sample of the simulated machine is finite and newer than the last.
+            assert command is not None
+            hardware.write(command.current, sample.stamp_ns + delay_ns)
+            rows.extend((sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation))
+            if observe is not None:
+                observe(sample, truth, reference, command, age_ns * 1e-9)
+            if index % _PROGRESS_EVERY == 0:
+                progress(index / count)
+        progress(1.0)
+        x, y, r, current, true_x, true_y, guide = np.frombuffer(rows).reshape(count, -1).T.copy()
+        return StrokeRecord(
+            time=np.arange(count) * (period_ns * 1e-9),
+            x=x,
+            y=y,
+            r=r,
+            current=current,
+            true_x=true_x,
+            true_y=true_y,
+            guide=guide,
+            law=self._controller.control.law,
+        )
+
+    def save_learning(self) -> None:
+        """Write what was learned to the file that the parameters name, if they do.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        if self._learning is not None:
+            self._learning.save()

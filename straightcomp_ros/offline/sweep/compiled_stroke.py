@@ -1,0 +1,101 @@
+"""One cycle of the stage, compiled: what `Simulation` gives, to the last bit, in a fifth of its time.
+
+It runs a first cycle only, without learning: the compiled loop starts from rest and keeps nothing of itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.configuration.node_parameters import (
+    ControllerNodeParameters,
+    DriverNodeParameters,
+    node_parameters,
+)
+from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
+from straightcomp_ros.offline.sweep.references import readings, references, served
+from straightcomp_ros.offline.sweep.scenario import LOWEST_RATE, make_scenario
+from straightcomp_ros.offline.sweep.trial import laws_of
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+
+
+def can_run(values: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether a cycle under these parameters is within what the compiled loop models.
+
+    Args:
+        values: parameters by node and dotted name, as `Simulation` takes them.
+
+    Raises:
+        ParameterError: a parameter of driver or controller is refused.
+    """
+    driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
+    controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
+    rate = driver.simulated.rate
+    # The oldest that a command becomes on the board.
+    oldest = (driver.lockstep_delay + 1.0) / rate
+    return (
+        rate == controller.rate
+        and rate >= LOWEST_RATE
+        and oldest < driver.simulated.command_timeout
+        and not controller.learning.learn
+    )
+
+
+def run_stroke(
+    values: Mapping[str, Mapping[str, Any]], delays: NDArray[np.int64] | None = None
+) -> tuple[StrokeRecord, StraightnessMap]:
+    """The first cycle under ``values``, for which :func:`can_run` must hold, and the controller's map.
+
+    Args:
+        values: parameters by node and dotted name.
+        delays: of the first commands in ns, in place of ``lockstep_delay``, which the others have.
+
+    Raises:
+        ParameterError: a parameter is refused.
+        SurveyError: the map or the guide is refused.
+        ValueError: the platform's position, or the current, was not finite.
+    """
+    driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
+    controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
+    law = controller.control.law
+    scenario = make_scenario(values, [law])
+    machine, period_ns = driver.simulated, scenario.period_ns
+    straightness = StraightnessMap(scenario.survey, scenario.map_parameters)
+    stamps = np.arange(scenario.samples, dtype=np.int64) * period_ns
+    true_x = np.array([scenario.trajectory.position(stamp) for stamp in stamps.tolist()])
+    x = readings(machine.plant.encoder.resolution, true_x)
+    given = references(straightness, scenario.feedforward, stamps, x)
+    given_delays = np.full(stamps.size, round(driver.lockstep_delay * period_ns))
+    if delays is not None:
+        given_delays[: delays.size] = delays[: stamps.size]
+    cycle = run_cycle(
+        laws_of(scenario)[law],
+        machine.plant,
+        Conditions(
+            stamps=stamps,
+            delays=given_delays,
+            references=served(given, stamps, scenario.lead_ns),
+            noise=np.zeros(stamps.size),
+        ),
+        machine.initial_y,
+        machine.hold,
+    )
+    if cycle.y.size < stamps.size:
+        raise ValueError(f"law '{law}': position or control current is not finite after {cycle.y.size} samples")
+    record = StrokeRecord(
+        time=np.arange(stamps.size) * (period_ns * 1e-9),
+        x=x,
+        y=cycle.y,
+        r=given[:, 0].copy(),
+        current=cycle.current,
+        true_x=true_x,
+        true_y=cycle.true_y,
+        guide=load_map(driver.guide).deviations(true_x),
+        law=law,
+    )
+    return record, straightness

@@ -1,0 +1,172 @@
+"""The OPC UA server, on a thread of its own: clients cannot hold up who feeds it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import queue
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+
+from asyncua import Server, ua
+from asyncua.crypto.truststore import TrustStore
+
+from straightcomp_ros.opcua import APPLICATION
+from straightcomp_ros.opcua.address_space import AddressSpace
+from straightcomp_ros.opcua.certificates import own_certificate, trusted_certificates
+from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
+from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
+from straightcomp_ros.opcua.orders import Order
+from straightcomp_ros.opcua.packml import Command
+from straightcomp_ros.opcua.snapshot import Snapshot
+from straightcomp_ros.opcua.users import Users
+
+_PERIOD_S = 0.1
+_ANSWER_WITHIN_S = 2.0
+_MAP_READ_WITHIN_S = 10.0
+_START_WITHIN_S = 60.0
+_MOST_WAITING = 16
+_ACTIVATE_WITHIN_S = 10.0
+_LARGEST_MESSAGE = 1 << 20
+_NICENESS = 10
+_ENCRYPTED = [
+    ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt,
+    ua.SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
+    ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
+]
+# They write a line for whatever a client does wrong: a flood of such would fill the disk.
+_TALKATIVE = ("asyncua.server.uaprocessor", "asyncua.server.binary_server_asyncio", "asyncua.server.internal_session")
+
+
+@dataclass
+class Request:
+    """What a client asks for; ``answer`` takes why it is refused, or an empty text."""
+
+    asked: Command | Order
+    argument: int
+    answer: Future[str] = field(default_factory=Future)
+
+
+class GatewayServer:
+    """Serves snapshots, collects commands.
+
+    Args:
+        parameters: where, and for whom.
+        nodes: of the graph whose state is shown.
+
+    Raises:
+        OSError: the address cannot be had.
+        UsersError: the users' file is refused.
+        CertificateError: certificates cannot be made or read.
+    """
+
+    def __init__(self, parameters: OpcuaParameters, nodes: Sequence[str]) -> None:
+        self._parameters, self._nodes = parameters, tuple(nodes)
+        self._users = Users(parameters.users)
+        self._requests: queue.Queue[Request] = queue.Queue(_MOST_WAITING)
+        self._snapshot = Snapshot()
+        self._started: Future[None] = Future()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stopping = asyncio.Event()
+        logging.getLogger("asyncua").setLevel(logging.ERROR)
+        for name in _TALKATIVE:
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self._thread = threading.Thread(target=self._run, name="opc ua", daemon=True)
+        self._thread.start()
+        self._started.result(_START_WITHIN_S)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the server runs."""
+        return self._thread.is_alive()
+
+    def show(self, snapshot: Snapshot) -> None:
+        """What clients are to see from now on."""
+        self._snapshot = snapshot
+
+    def requests(self) -> Iterator[Request]:
+        """What has been asked for since the last call; each is to be answered.
+
+        Who has gone, or was told that it took too long, is left out: nothing is done that nobody waits for any more.
+        """
+        while True:
+            try:
+                request = self._requests.get_nowait()
+            except queue.Empty:
+                return
+            # From here on nobody can cancel it: an answer that nobody takes does no harm.
+            if request.answer.set_running_or_notify_cancel():
+                yield request
+
+    def close(self) -> None:
+        """Disconnect all clients and stop."""
+        if self._loop is not None and self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._stopping.set)
+            self._thread.join(10.0)
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except Exception as error:
+            if self._started.done():
+                raise
+            self._started.set_exception(error)
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        server = await self._make_server()
+        self._space = AddressSpace(server)
+        await self._space.build(self._nodes, self._command)
+        async with server:
+            self._started.set_result(None)
+            if sys.platform == "linux":
+                # Clients that ask much get what the control loop leaves over.
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+            while not self._stopping.is_set():
+                await self._space.write(self._snapshot)
+                await asyncio.sleep(_PERIOD_S)
+
+    async def _make_server(self) -> Server:
+        parameters = self._parameters
+        trust: TrustStore | None = None
+        if parameters.trusted:
+            trust = await trusted_certificates(parameters.trusted)
+        internal = GuardedServer(Access(self._users, encrypted=parameters.encrypted, trust=trust))
+        internal.max_connections = parameters.max_clients
+        internal.max_pending_activation_seconds = _ACTIVATE_WITHIN_S
+        internal.allow_remote_admin = False
+        server = Server(iserver=internal)
+        server.limits.max_message_size = _LARGEST_MESSAGE
+        server.limits.max_chunk_count = _LARGEST_MESSAGE // server.limits.max_recv_buffer + 1
+        await server.init()
+        server.set_endpoint(parameters.endpoint)
+        server.set_server_name("straightcomp_ros")
+        await server.set_application_uri(APPLICATION)
+        if parameters.encrypted:
+            certificate, key = await own_certificate(parameters.certificates, APPLICATION)
+            await server.load_certificate(certificate)
+            await server.load_private_key(key)
+            server.set_security_policy(_ENCRYPTED, LeftToTheSession())
+            server.set_identity_tokens([ua.UserNameIdentityToken])
+        else:
+            server.set_security_policy([ua.SecurityPolicyType.NoSecurity], LeftToTheSession())
+            server.set_identity_tokens([ua.AnonymousIdentityToken, ua.UserNameIdentityToken])
+        return server
+
+    async def _command(self, asked: Command | Order, argument: int) -> str:
+        request = Request(asked, argument)
+        within = _MAP_READ_WITHIN_S if asked is Order.RELOAD_MAP else _ANSWER_WITHIN_S
+        try:
+            self._requests.put_nowait(request)
+        except queue.Full:
+            return "too many commands at once"
+        try:
+            refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), within)
+        except asyncio.TimeoutError as error:
+            raise TimeoutError from error
+        await self._space.write(self._snapshot)
+        return refusal

@@ -1,0 +1,1 @@
+"""What a 2 kHz rclpy node needs: loops, streams, lifecycle, parameters, scheduling."""

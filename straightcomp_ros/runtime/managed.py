@@ -1,0 +1,260 @@
+"""A lifecycle node (ROS 2 managed node) around one part that does the work.
+
+    unconfigured ──configure──▶ inactive ──activate──▶ active
+                 ◀──cleanup────          ◀─deactivate─
+
+*Configure* reads the parameters and makes the part: files, hardware, topics, services. *Activate* starts it,
+*deactivate* stops it with its outputs safe, *cleanup* and *shutdown* release all that the part has made. A part that
+fails is released too, and the node is unconfigured again. With the parameter ``autostart`` the node goes to active by
+itself, and its process ends when it fails, as that of a plain node does.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import serialize_message
+from rclpy.task import Future
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.contract import HEARTBEAT
+from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.runtime.changes import ParameterChanges
+from straightcomp_ros.runtime.declare import declare
+from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service
+from straightcomp_ros.runtime.periodic import Loop
+from straightcomp_ros.runtime.timers import WithSteadyTimers
+from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.straightness.survey import SurveyError
+
+REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
+"""What is raised where parameters, files or the machine are not as they must be."""
+RUN_FAILURES = (BagError, HardwareError, OSError)
+"""What may be raised later."""
+EXIT_FAILURE = 1
+"""Exit code of a node that failed while it ran."""
+
+
+_HEARTBEAT_S = 0.1
+
+
+class Part(Protocol):
+    """What a managed node does. It is made by *configure*, and is at rest then."""
+
+    loop: Loop | None
+    """Runs while the node is active, in the place of the executor, which gets the idle time."""
+
+    def activate(self) -> None:
+        """Start."""
+
+    def deactivate(self) -> None:
+        """Stop, with all outputs safe."""
+
+    def prepare(self, parameters: Any) -> Callable[[], None]:
+        """Make ready for other values of the dynamic parameters; the function returned takes them over.
+
+        Raises:
+            one of :data:`REFUSALS`: they cannot be; nothing has changed then.
+        """
+
+    def close(self) -> None:
+        """Release everything, saved and safe. The ROS context may be gone already."""
+
+
+MakePart = Callable[["ManagedNode", Any], Part]
+
+
+class ManagedNode(WithSteadyTimers, LifecycleNode):
+    """The transitions; what they mean is the part's.
+
+    Args:
+        name: of the node.
+        parameter_set: of the node, with a field ``autostart`` and one ``realtime``.
+        make: ``make(node, parameters)`` makes the part.
+    """
+
+    def __init__(self, name: str, parameter_set: type, make: MakePart) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        self.node = self
+        self.done = Future()
+        """Its result is the process's exit code."""
+        self.turn = Future()
+        """Done when the state has changed: another loop, or none, is to run."""
+        self._parameter_set, self._make = parameter_set, make
+        self._part: Part | None = None
+        self._active = False
+        self._failure: Exception | None = None
+        self._own: dict[str, set[Any]] = {}
+        self._own_timers = 0
+        self._beats: dict[str, bytes] = {}
+        self.done.add_done_callback(lambda _: self._turn())
+        _refuse_wrong_transitions(self)
+
+    def begin(self) -> None:
+        """Declare the parameters, and with ``autostart`` go to active.
+
+        Raises:
+            one of :data:`REFUSALS`: why that is not possible.
+        """
+        parameters = declare(self, self._parameter_set, changeable=True)
+        self.realtime = parameters.realtime
+        self._autostart = parameters.autostart
+        self._changes = ParameterChanges(self, self._parameter_set, REFUSALS)
+        self._heartbeat = self.create_publisher(DiagnosticStatus, HEARTBEAT, 10)
+        self.create_timer(_HEARTBEAT_S, self._beat)
+        if self._autostart:
+            self.trigger_configure()
+            if self._part is not None:
+                self.trigger_activate()
+            if self._failure is not None:
+                raise self._failure
+
+    @property
+    def loop(self) -> Loop | None:
+        """What is to run now in the place of the executor."""
+        return self._part.loop if self._part is not None and self._active else None
+
+    @property
+    def active(self) -> bool:
+        """Whether the state is active."""
+        return self._active
+
+    def fail(self, error: Exception) -> None:
+        """The part has failed: end the process, or, where somebody manages this node, become unconfigured."""
+        if self._failure is not None:
+            return
+        self._failure = error
+        self.get_logger().error(str(error))
+        if self._autostart:
+            self.done.set_result(EXIT_FAILURE)
+        elif self._active:
+            self.trigger_deactivate()
+
+    def close(self) -> None:
+        """Stop and release the part, where there is one."""
+        if self._active and self._part is not None:
+            self._active = False
+            self._part.deactivate()
+        self._release()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._failure = None
+        # What the node has of its own stays when the part goes.
+        self._own = {kind: set(map(id, getattr(self, kind))) for kind in _DESTROY}
+        self._own_timers = self.steady_timers.mark()
+
+        def configure() -> None:
+            self._part = self._make(self, self._changes.parameters())
+
+        code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
+        if code is TransitionCallbackReturn.SUCCESS and self._part is not None:
+            self._changes.follow(self._part.prepare)
+        else:
+            self._destroy_entities()
+        return code
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        def activate() -> None:
+            assert self._part is not None
+            self._part.activate()
+            self._active = True
+
+        code = self._attempt(activate, TransitionCallbackReturn.ERROR)
+        # What was made since the start is long-lived too.
+        gc.collect()
+        gc.freeze()
+        self._turn()
+        return code
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._active = False
+        self._turn()
+        code = self._attempt(self._part.deactivate if self._part is not None else None, TransitionCallbackReturn.ERROR)
+        return TransitionCallbackReturn.ERROR if self._failure is not None else code
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._attempt(self._release, TransitionCallbackReturn.ERROR)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._turn()
+        return self._attempt(self.close, TransitionCallbackReturn.ERROR)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._turn()
+        self._attempt(self.close, TransitionCallbackReturn.ERROR)
+        # Whatever happened, nothing of the part is left: the node can be configured anew.
+        return TransitionCallbackReturn.SUCCESS
+
+    def _attempt(self, work: Callable[[], None] | None, otherwise: Any) -> TransitionCallbackReturn:
+        """Do ``work``; rclpy would swallow an exception without a word."""
+        try:
+            if work is not None:
+                work()
+        except REFUSALS as error:
+            self._failure = error
+            self.get_logger().error(str(error))
+            return otherwise
+        return TransitionCallbackReturn.SUCCESS
+
+    def _release(self) -> None:
+        part, self._part = self._part, None
+        self._active = False
+        self._changes.follow(None)
+        try:
+            if part is not None:
+                part.close()
+        finally:
+            self._destroy_entities()
+            # What activation froze is to be found again.
+            gc.unfreeze()
+            gc.collect()
+
+    def _destroy_entities(self) -> None:
+        self.steady_timers.cancel_after(self._own_timers)
+        for kind, destroy in _DESTROY.items():
+            own = self._own.get(kind, set())
+            for entity in list(getattr(self, kind)):
+                if id(entity) not in own:
+                    getattr(self, destroy)(entity)
+
+    def _beat(self) -> None:
+        state = lifecycle_state(self)
+        if state not in self._beats:
+            # Serialised once: with cold caches that takes longer than to send it.
+            beat = DiagnosticStatus(name=self.get_name(), message=state, hardware_id=self.get_fully_qualified_name())
+            self._beats[state] = serialize_message(beat)
+        self._heartbeat.publish(self._beats[state])
+
+    def _turn(self) -> None:
+        before, self.turn = self.turn, Future()
+        if not before.done():
+            before.set_result(None)
+
+
+_DESTROY = {
+    "services": "destroy_service",
+    "clients": "destroy_client",
+    "subscriptions": "destroy_subscription",
+    "publishers": "destroy_publisher",
+}
+"""Kinds of entities that a part makes, and what destroys one."""
+
+
+def _refuse_wrong_transitions(node: LifecycleNode) -> None:
+    """A transition that the state does not have is answered with no success; rclpy lets it end the process."""
+    service = state_service(node)
+    change = service.callback
+
+    def answer(request: Any, response: Any) -> Any:
+        try:
+            return change(request, response)
+        except RuntimeError as error:
+            node.get_logger().warning(f"transition refused: {error}".splitlines()[0])
+            response.success = False
+            return response
+
+    service.callback = answer

@@ -1,0 +1,119 @@
+"""A loop at a fixed rate on the process's main thread, with absolute wake-up times."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from straightcomp_ros.timing.histogram import Histogram
+from straightcomp_ros.timing.node_timing import OVERRUNS, TIMER_ERROR, written
+
+_PR_SET_TIMERSLACK = 29
+IDLE_EVERY_NS = 6_000_000
+"""Time between two turns of the work that can wait: short turns, that a cycle after them is not late. A turn that would
+have less than half a period left waits for the next period, but no longer than as much again."""
+_EARLIER_NS = 50
+"""Step by which the loop follows how late the machine wakes up: 50 µs take half a second."""
+
+
+class Loop(Protocol):
+    """What runs in the place of an executor."""
+
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
+        """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
+
+    def report(self) -> dict[str, object]:
+        """Values for the diagnostics: overruns, and how late the cycles since the last report were."""
+
+
+class PeriodicLoop:
+    """Calls ``cycle`` once in each period. After a stall it goes on with the next period and counts what it
+    missed; it never calls twice to catch up.
+
+    A timer of the executor costs a thread and two context switches in each period; here it is one wake-up.
+
+    Args:
+        period_ns: length of a period.
+        cycle: the work of one period; gets the monotonic time in ns at which the period was to start.
+        punctual: sleep less long by as much as this machine usually wakes up late, and wait for the rest: a tenth of a
+            period, that every answer would be later by.
+    """
+
+    def __init__(self, period_ns: int, cycle: Callable[[int], object], punctual: bool = False) -> None:
+        self._period_ns = period_ns
+        self._most_early_ns = period_ns // 8 if punctual else 0
+        self._early_ns = 0
+        self._cycle = cycle
+        self.cycles = 0
+        """Periods that were worked."""
+        self.overruns = 0
+        """Periods that were missed."""
+        self._timer_errors = Histogram()
+
+    def report(self) -> dict[str, object]:
+        """Values for the diagnostics: overruns, and how late the wake-ups since the last report were."""
+        return {OVERRUNS: self.overruns, **written(TIMER_ERROR, self._timer_errors.take())}
+
+    def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
+        """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
+        _exact_sleep()
+        period_ns, cycle = self._period_ns, self._cycle
+        monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
+        give_way = os.sched_yield
+        wake_ns = monotonic_ns()
+        idle_turn = IdleWork(idle, wake_ns, period_ns)
+        while not stopped():
+            wait_ns = wake_ns - self._early_ns - monotonic_ns()
+            if wait_ns > 0:
+                sleep(wait_ns * 1e-9)
+                self._follow(monotonic_ns() - (wake_ns - self._early_ns))
+            else:
+                # At a real-time priority a loop that never sleeps would keep the middleware's threads from running.
+                give_way()
+            while monotonic_ns() < wake_ns:
+                pass
+            record(monotonic_ns() - wake_ns)
+            cycle(wake_ns)
+            self.cycles += 1
+            idle_turn(wake_ns, wake_ns + period_ns - monotonic_ns())
+            wake_ns += period_ns
+            behind_ns = monotonic_ns() - wake_ns
+            if behind_ns > 0:
+                missed = behind_ns // period_ns
+                self.overruns += missed
+                wake_ns += missed * period_ns
+
+    def _follow(self, late_ns: int) -> None:
+        """Sleep less long, or longer: half of all wake-ups are to be later than that."""
+        step_ns = _EARLIER_NS if late_ns > self._early_ns else -_EARLIER_NS
+        self._early_ns = min(max(0, self._early_ns + step_ns), self._most_early_ns)
+
+
+class IdleWork:
+    """Gives the work that can wait its turns; see :data:`IDLE_EVERY_NS`.
+
+    Args:
+        idle: one turn.
+        first_ns: when the first is due, in ns of a monotonic clock.
+        period_ns: of the loop.
+    """
+
+    def __init__(self, idle: Callable[[], None], first_ns: int, period_ns: int) -> None:
+        self._idle, self._next_ns, self._enough_ns = idle, first_ns, period_ns // 2
+
+    def __call__(self, now_ns: int, left_ns: int) -> None:
+        """After a cycle that began at ``now_ns``, with ``left_ns`` until the next."""
+        late_ns = now_ns - self._next_ns
+        if late_ns >= 0 and (left_ns >= self._enough_ns or late_ns >= IDLE_EVERY_NS):
+            self._idle()
+            self._next_ns = now_ns + IDLE_EVERY_NS
+
+
+def _exact_sleep() -> None:
+    # Linux wakes a normal thread up to 50 µs late on purpose, to save power; a tenth of our period.
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)

@@ -1,0 +1,132 @@
+"""The driver's services and topics of its safety state machine: what an operator or a cell controller sees of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import SetBool, Trigger
+
+from straightcomp_ros.contract import SAFETY_STATE, TRIP
+from straightcomp_ros.runtime.clock import now_ns
+from straightcomp_ros.runtime.managed import ManagedNode
+from straightcomp_ros.safety.faults import LABELLED, Fault
+from straightcomp_ros.safety.state_machine import Condition, Latched, SafetyMachine
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Who comes later gets the last message too."""
+_CONDITION, _CODE = "condition", "code"
+
+
+class SafetyState(NamedTuple):
+    """What a message on `safety_state` says.
+
+    Attributes:
+        condition: of the driver's safety state machine.
+        fault: its name and reason; empty without one.
+        code: its number; 0 without one.
+    """
+
+    condition: Condition = Condition.OFF
+    fault: str = ""
+    code: int = 0
+
+    @classmethod
+    def of(cls, message: DiagnosticStatus) -> SafetyState:
+        """Read a message. One that says no condition counts as a fault."""
+        said = {value.key: value.value for value in message.values}
+        condition = {known.value: known for known in Condition}.get(said.get(_CONDITION, ""), Condition.FAULT)
+        code = said.get(_CODE, "")
+        fault = f"{message.name}: {message.message}" if message.name else ""
+        return cls(condition, fault, int(code) if code.isdecimal() else 0)
+
+    @property
+    def amplifier_on(self) -> bool:
+        """Whether the amplifier is on."""
+        return self.condition is Condition.ON
+
+
+def safety_status(condition: Condition, fault: Latched | None, hardware_id: str) -> DiagnosticStatus:
+    """The message on `safety_state`."""
+    values = {
+        _CONDITION: condition.value,
+        _CODE: str(fault.fault.code if fault else 0),
+        "time_ns": str(fault.time_ns if fault else now_ns()),
+    }
+    return DiagnosticStatus(
+        level=DiagnosticStatus.ERROR if fault else DiagnosticStatus.OK,
+        name=fault.fault.label if fault else "",
+        message=fault.reason if fault else f"amplifier {condition.value}",
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+class SafetyPanel:
+    """``~/enable``, ``~/reset_fault``, the topic `safety_state`, and the topic `trip` for requests to switch off.
+
+    Args:
+        node: the driver.
+        safety: its state machine.
+        refusal: why the amplifier may not be switched on now, apart from faults; empty if it may.
+        switched_on: called before the amplifier is switched on.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        safety: SafetyMachine,
+        refusal: Callable[[], str],
+        switched_on: Callable[[], None],
+    ) -> None:
+        self._node, self._safety = node, safety
+        self._refusal, self._switched_on = refusal, switched_on
+        self._publisher = node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
+        self._reported: tuple[Condition, str] | None = None
+        node.create_service(SetBool, "~/enable", self._on_enable)
+        node.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
+        node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
+        self.report()
+
+    def report(self) -> None:
+        """Publish the state, and log a fault, if it is not as reported last."""
+        fault, condition = self._safety.fault, self._safety.condition
+        now = (condition, self._safety.reason)
+        if now == self._reported:
+            return
+        self._reported = now
+        self._publisher.publish(safety_status(condition, fault, self._node.get_fully_qualified_name()))
+        if fault:
+            self._node.get_logger().error(f"fault, amplifier off: {self._safety.reason}")
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Switch the amplifier on (refused while a fault is latched or no fresh command comes in), or off."""
+        if not request.data:
+            self._safety.disable()
+            response.success, response.message = True, "amplifier off"
+        else:
+            refusal = "" if self._safety.fault else self._refusal()
+            if not refusal:
+                self._switched_on()
+                refusal = self._safety.enable()
+            response.success, response.message = not refusal, refusal or "amplifier on"
+            self._node.get_logger().info(f"enable: {response.message}")
+        self.report()
+        return response
+
+    def _on_reset_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Clear the latched fault; the amplifier stays off."""
+        reason = self._safety.reason
+        self._safety.reset()
+        self.report()
+        response.success, response.message = True, f"cleared: {reason}" if reason else "there was no fault"
+        return response
+
+    def _on_trip(self, message: DiagnosticStatus) -> None:
+        # Off it is anyway while the driver is not active; what happened then is not to be reset by anybody.
+        if self._node.active:
+            fault = LABELLED.get(message.name, Fault.TRIPPED)
+            self._safety.trip(fault, message.message or "no reason given", now_ns())
+            self.report()

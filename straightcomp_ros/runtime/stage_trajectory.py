@@ -1,0 +1,46 @@
+"""The stage's trajectory as a trajectory_msgs/JointTrajectory, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from builtin_interfaces.msg import Duration
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from straightcomp_ros.contract import STAGE
+from straightcomp_ros.messages.cdr import NANOSECONDS
+from straightcomp_ros.model.stage import Trajectory, Waypoint
+
+
+def message_from_waypoints(waypoints: Sequence[Waypoint]) -> JointTrajectory:
+    """A message with one point for each waypoint; stamp zero: the trajectory starts when it arrives."""
+    message = JointTrajectory(joint_names=[STAGE])
+    for point in waypoints:
+        sec, nanosec = divmod(point.time_ns, NANOSECONDS)
+        message.points.append(
+            JointTrajectoryPoint(
+                positions=[point.position],
+                velocities=[point.velocity],
+                time_from_start=Duration(sec=sec, nanosec=nanosec),
+            )
+        )
+    return message
+
+
+def trajectory_from_message(message: JointTrajectory) -> Trajectory:
+    """Read a trajectory of the stage; points without velocities are at rest.
+
+    Raises:
+        ValueError: the stage is not among the joints, or a point lacks its position.
+    """
+    if STAGE not in message.joint_names:
+        raise ValueError(f"joints {list(message.joint_names)} do not include '{STAGE}'")
+    place = list(message.joint_names).index(STAGE)
+    waypoints = []
+    for number, point in enumerate(message.points):
+        if len(point.positions) <= place:
+            raise ValueError(f"point {number} has no position for '{STAGE}'")
+        time_ns = point.time_from_start.sec * NANOSECONDS + point.time_from_start.nanosec
+        velocity = point.velocities[place] if len(point.velocities) > place else 0.0
+        waypoints.append(Waypoint(time_ns, point.positions[place], velocity))
+    return Trajectory(waypoints)

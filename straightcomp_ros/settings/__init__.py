@@ -1,0 +1,1 @@
+"""Parameters: declared once, found with what the package installs. No ROS."""

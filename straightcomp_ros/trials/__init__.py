@@ -1,0 +1,1 @@
+"""Tests the machine: faults, long runs, benches. No node imports it."""

@@ -1,0 +1,60 @@
+"""How many injected faults of a bus are found, and what the machine does about them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from straightcomp_ros.hardware.can.bus_faults import KINDS
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.trials.bench.can_fault_trial import run_trial
+from straightcomp_ros.trials.bench.can_servo_trial import run_servo_trial
+
+_RATE = 0.02
+_TOGETHER, _CUT = 0.002, 0.0002
+"""Rates of each kind when all come together, in a closed loop that is to be on for most of the time."""
+COUNTED = tuple(kind for kind in KINDS if kind != "cut")
+"""Kinds that hurt one frame. A cut hurts the link, and is tried on a real one."""
+_BUSES = {"classic": False, "fd": True}
+
+
+def fault_run(
+    guide: StraightnessMap, frames: int, seed: int, progress: Callable[[float], object]
+) -> tuple[dict[str, dict[str, int]], dict[str, dict[str, Any]], int]:
+    """Try each kind of fault alone on the receiver, and all together on the closed loop, on both kinds of bus.
+
+    Args:
+        guide: of the simulated machine.
+        frames: for each kind and bus, and for each closed loop.
+        seed: of the faults.
+        progress: called with the share that is done.
+
+    Returns:
+        By kind ``injected`` and ``detected``, both buses together; by bus what the closed loop did; wrong samples
+        that were used unflagged, in all of it.
+    """
+    counts = {kind: {"injected": 0, "detected": 0} for kind in COUNTED}
+    loops: dict[str, dict[str, Any]] = {}
+    wrong, done, steps = 0, 0, (len(COUNTED) + 1) * len(_BUSES)
+    for bus, fd in _BUSES.items():
+        for kind in COUNTED:
+            trial = run_trial({kind: _RATE}, fd=fd, frames=frames, seed=seed)
+            counts[kind]["injected"] += trial.injected[kind]
+            counts[kind]["detected"] += trial.detected(kind)
+            wrong += trial.unflagged_wrong
+            done += 1
+            progress(done / steps)
+        rates = {kind: _CUT if kind == "cut" else _TOGETHER for kind in KINDS}
+        loop = run_servo_trial(rates, guide, fd=fd, frames=frames, seed=seed)
+        wrong += loop.unflagged_wrong
+        loops[bus] = {
+            "frames": loop.frames,
+            "injected": sum(loop.injected.values()),
+            "state": loop.state.value,
+            "on": loop.on,
+            "latched": dict(loop.latched),
+            "unsafe": loop.unsafe,
+        }
+        done += 1
+        progress(done / steps)
+    return counts, loops, wrong

@@ -1,0 +1,125 @@
+"""Sends a known machine's frames through faults into the receiver, and compares what comes out with the truth."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from straightcomp_ros.hardware.can.bus_faults import FLOOD, Faults
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.frames import (
+    ALIVE_MODULUS,
+    CURRENT_EVERY,
+    POSITION_COUNT,
+    Amplifier,
+    BoardFault,
+    Codec,
+    Current,
+    Encoder,
+    status_bits,
+)
+from straightcomp_ros.hardware.can.hub_packet import Flag, Frame
+from straightcomp_ros.hardware.can.receiver import Receiver
+from straightcomp_ros.hardware.can.sample_clock import BLOCK
+
+_STATUS = status_bits(Amplifier.ON, BoardFault.NONE, True)
+_LEAD_IN = 4 * BLOCK
+_START_NS = 1_700_000_000_000_000_000
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What was done to the frames of the encoder and what the receiver made of it.
+
+    ``unflagged_wrong`` counts samples whose number, place or time is not that of a sample that was taken.
+    """
+
+    frames: int
+    injected: Mapping[str, int]
+    delivered: int
+    unflagged_wrong: int
+    receiver: Receiver
+
+    def detected(self, kind: str) -> int:
+        """How many faults of a kind the receiver counted, in a trial with this kind alone."""
+        counts, sequence = self.receiver.counts, self.receiver.sequence
+        checks = counts["length"] + counts["crc"] + counts["alive"] + counts["state"] + counts["implausible"]
+        return {
+            "drop": sequence.lost,
+            "duplicate": sequence.repeated,
+            "reorder": sequence.out_of_order,
+            "corrupt": checks,
+            "garble": checks,
+            "truncate": checks,
+            "wrong_id": counts["foreign"] + checks,
+            "error_frame": counts["error_frames"],
+            "flood": counts["foreign"] // FLOOD,
+        }[kind]
+
+
+def position(index: int) -> tuple[int, int]:
+    """Counts of x and y at the sample ``index``: the stage at 0.3 m/s, the platform at 1.4 mm/s."""
+    return _to_and_fro(1500 * index, 17_600_000), _to_and_fro(7 * index, 440) - 220
+
+
+def _to_and_fro(way: int, length: int) -> int:
+    way %= 2 * length
+    return min(way, 2 * length - way)
+
+
+def run_trial(
+    rates: Mapping[str, float], *, fd: bool, frames: int = 20_000, first: int = 0, drift: float = 100e-6, seed: int = 1
+) -> Trial:
+    """Send ``frames`` samples, of which those after the clock has settled suffer faults.
+
+    Args:
+        rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
+        fd: frames of CAN FD.
+        frames: samples to send.
+        first: number of the first sample.
+        drift: of the board's clock.
+        seed: of jitter and faults.
+    """
+    # Strikes end a real run; here every single fault is to be seen.
+    parameters = CanParameters(fd=fd, strike_limit=1000, sample_memory=100_000)
+    receiver, codec = Receiver(parameters), Codec(parameters.node, fd)
+    faults, chance = Faults(rates, seed), random.Random(seed)
+    period_ns = 500_000 * (1.0 + drift)
+    taken: dict[int, int] = {}
+    for k in range(frames):
+        index = first + k
+        sampled_ns = _START_NS + round(k * period_ns)
+        taken[index] = sampled_ns
+        arrival_ns = sampled_ns + 110_000 + round(chance.expovariate(1 / 40e3))
+        for frame in _frames(codec, index, arrival_ns):
+            # Faults of the slow frame are not counted with those of the encoder's.
+            hurt = k > _LEAD_IN and frame.identifier == codec.encoder_id and k < frames - 2
+            for arrived in faults(frame) if hurt else [frame]:
+                _hand_over(receiver, arrived)
+    wrong = 0
+    for index, sample, _ in receiver.samples:
+        x, y = position(index)
+        true_ns = taken.get(index, 0)
+        good = (sample.x, sample.y) == (x * POSITION_COUNT, y * POSITION_COUNT)
+        wrong += not (good and abs(sample.stamp_ns - true_ns - 110_000) < 100_000)
+    return Trial(frames, faults.injected, len(receiver.samples), wrong, receiver)
+
+
+def _frames(codec: Codec, index: int, stamp_ns: int) -> list[Frame]:
+    x, y = position(index)
+    alive = index % ALIVE_MODULUS
+    flags = Flag.FD | Flag.BIT_RATE_SWITCH if codec.fd else Flag(0)
+    payload = codec.pack_encoder(Encoder(alive, _STATUS, x, y, 100, index))
+    frames = [Frame(stamp_ns, codec.encoder_id, flags, payload)]
+    if not codec.fd and index % CURRENT_EVERY == 0:
+        payload = codec.pack_current(Current(index // CURRENT_EVERY % ALIVE_MODULUS, 100, index))
+        frames.append(Frame(stamp_ns, codec.ids.current, Flag(0), payload))
+    return frames
+
+
+def _hand_over(receiver: Receiver, frame: Frame) -> None:
+    if frame.flags & Flag.ERROR:
+        receiver.receive_error_frame(frame.identifier, frame.data)
+    else:
+        receiver.receive(frame.identifier, frame.data, frame.stamp_ns)

@@ -1,0 +1,194 @@
+"""The closed loop over a bad bus, in simulated time: host and emulated board whole, the bus between them spoilt.
+
+:mod:`straightcomp_ros.trials.bench.can_fault_trial` shows that each single fault is found; here is what the machine
+does about it: it runs on, or it stands in the latched safe state until it is reset, and then runs again.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.hardware.can.backend import CanHardware
+from straightcomp_ros.hardware.can.board import Board
+from straightcomp_ros.hardware.can.bus_faults import Faults, LinkCut
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.frames import POSITION_COUNT, Amplifier, Codec
+from straightcomp_ros.hardware.can.hub_packet import ERROR, Flag, Frame
+from straightcomp_ros.hardware.interface import HardwareError, State
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+
+_START_NS = 1_700_000_000_000_000_000
+_TRANSIT_NS = 100_000
+_DEAD_NS = 20_000_000
+"""A cut: the shortest time after which both ends have opened the bus again."""
+_REST_NS = 100_000_000
+"""How long the trial leaves a latched fault before it resets."""
+_SWITCH_OFF_S = 0.002
+"""Beyond the board's command timeout: until its amplifier must be off after the host has latched a fault."""
+_REFERENCE = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ServoTrial:
+    """What the machine did.
+
+    Attributes:
+        frames: samples that the board sent.
+        injected: faults by kind, both directions together.
+        state: of the amplifier at the end, as the host sees it.
+        on: share of the time in which the servo was on.
+        latched: how often a fault was latched, by its words without times.
+        unsafe: samples that the board took with the amplifier on although the host had latched a fault longer ago than
+            the board's command timeout.
+        unflagged_wrong: samples that the servo was given and that the board had not taken so, or at another time.
+    """
+
+    frames: int
+    injected: Mapping[str, int]
+    state: State
+    on: float
+    latched: Mapping[str, int]
+    unsafe: int
+    unflagged_wrong: int
+
+
+def run_servo_trial(
+    rates: Mapping[str, float], guide: StraightnessMap, *, fd: bool, frames: int = 20_000, seed: int = 1
+) -> ServoTrial:
+    """Hold the platform for ``frames`` samples while the stage moves and each frame of either side suffers faults.
+
+    The amplifier is switched on as soon as that is allowed, and again after each latched fault.
+
+    Args:
+        rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
+        guide: of the simulated machine.
+        fd: frames of CAN FD.
+        frames: samples to take.
+        seed: of the faults.
+    """
+    trial = _Trial(rates, guide, fd, seed)
+    for _ in range(frames):
+        trial.period()
+    injected = Counter(trial.to_host.injected) + Counter(trial.to_board.injected)
+    return ServoTrial(
+        frames,
+        {kind: injected[kind] for kind in rates},
+        trial.host.state,
+        trial.on / frames,
+        dict(trial.latched),
+        trial.unsafe,
+        trial.wrong,
+    )
+
+
+class _Trial:
+    """Clock, bus and operator; also stands for the host's :class:`~straightcomp_ros.hardware.can.link.Link`."""
+
+    openings, transmit_full, overloads, problem, log = 1, 0, 0, "", None
+
+    def __init__(self, rates: Mapping[str, float], guide: StraightnessMap, fd: bool, seed: int) -> None:
+        self.now = _START_NS
+        self.to_host, self.to_board = Faults(rates, seed), Faults(rates, seed + 1)
+        self._dead_until = 0
+        self._codec = Codec(1, fd)
+        self.host = CanHardware(CanParameters(fd=fd), lambda: self.now, self._link)
+        parameters = SimulatedParameters()
+        machine = SimulatedHardware(parameters, guide)
+        self._period_ns = machine.period_ns
+        self._board = Board(machine, self._codec, parameters.plant.drive.current_range, self._from_board, self.now)
+        machine.move(Trajectory(forward_and_back(MotionParameters())), self.now)
+        self._servo = Servo(make_law(ControlParameters(), self._period_ns * 1e-9))
+        self._answers: list[tuple[int, float]] = []
+        self._taken: list[tuple[float, float]] = []
+        self._fault_ns = 0
+        self._unsafe_after_ns = machine.command_timeout_ns + round(_SWITCH_OFF_S * 1e9)
+        self.latched: Counter[str] = Counter()
+        self.on = self.unsafe = self.wrong = 0
+
+    def start(self) -> None:
+        """The bus is there from the beginning."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def _link(
+        self,
+        parameters: CanParameters,
+        identifiers: Sequence[int],
+        receive: Callable[[Frame, int], None],
+        clock: Callable[[], int],
+    ) -> _Trial:
+        self._identifiers, self._receive = identifiers, receive
+        return self
+
+    def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
+        """From the host to the board."""
+        for frame in self._arriving(self.to_board, identifier, payload, fd):
+            if not frame.flags & ERROR:
+                self._board.receive(frame.identifier, frame.data, self.now)
+        return True
+
+    def _from_board(self, identifier: int, payload: bytes, fd: bool) -> None:
+        if identifier == self._codec.encoder_id:
+            sent = self._codec.unpack_encoder(payload)
+            self._taken.append((sent.x * POSITION_COUNT, sent.y * POSITION_COUNT))
+        for frame in self._arriving(self.to_host, identifier, payload, fd):
+            if frame.flags & ERROR or frame.identifier in self._identifiers:
+                self._receive(frame, self.now + _TRANSIT_NS)
+
+    def _arriving(self, faults: Faults, identifier: int, payload: bytes, fd: bool) -> list[Frame]:
+        if self.now < self._dead_until:
+            return []
+        try:
+            return faults(Frame(self.now, identifier, Flag.FD if fd else Flag(0), payload))
+        except LinkCut:
+            self._dead_until = self.now + _DEAD_NS
+            return []
+
+    def period(self) -> None:
+        """One period: commands half a period after their samples, then the next sample."""
+        self.now += self._period_ns // 2
+        for stamp_ns, current in self._answers:
+            self.host.write(current, self.now, stamp_ns)
+        self.now += self._period_ns - self._period_ns // 2
+        self._board.cycle(self.now)
+        self._answers = []
+        for sample, _ in self.host.read(self.now):
+            self._check(sample.stamp_ns, (sample.x, sample.y))
+            command = self._servo.step(sample.stamp_ns, sample.y, sample.current, _REFERENCE)
+            if command:
+                self._answers.append((sample.stamp_ns, command.current))
+        self._operate()
+
+    def _check(self, stamp_ns: int, place: tuple[float, float]) -> None:
+        number = round((stamp_ns - _TRANSIT_NS - _START_NS) / self._period_ns)
+        late_ns = stamp_ns - _TRANSIT_NS - _START_NS - number * self._period_ns
+        known = 0 <= number < len(self._taken) and self._taken[number] == place
+        self.wrong += not (known and abs(late_ns) < _TRANSIT_NS)
+
+    def _operate(self) -> None:
+        state = self.host.state
+        self.on += state is State.ON
+        if state is not State.FAULT:
+            self._fault_ns = 0
+            if state is State.OFF and self._answers:
+                try:
+                    self.host.enable()
+                except HardwareError:
+                    # Not yet: the board has to be heard first.
+                    return
+            return
+        if not self._fault_ns:
+            self._fault_ns = self.now
+            self.latched[re.sub(" (for|within) .*", "", self.host.fault)] += 1
+        age_ns = self.now - self._fault_ns
+        self.unsafe += age_ns > self._unsafe_after_ns and self._board.amplifier is Amplifier.ON
+        if age_ns > _REST_NS:
+            self.host.reset_fault()

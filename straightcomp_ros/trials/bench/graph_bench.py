@@ -1,0 +1,223 @@
+"""Measures the running graph: rate, lateness, CPU, memory of each node; latency and losses of the whole."""
+
+from __future__ import annotations
+
+import math
+import socket
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.recorded_diagnostics import read_reports
+from straightcomp_ros.cell.cycle import RECORDED, as_parameter_file, run_cycle
+from straightcomp_ros.cell.launcher import LaunchError, verb_command
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, ControllerNodeParameters, node_parameters
+from straightcomp_ros.contract import DEFAULT_RATE, PACKAGE, STROKE
+from straightcomp_ros.hardware.simulated import SimulatedParameters
+from straightcomp_ros.model.stage import forward_and_back
+from straightcomp_ros.timing.node_timing import NodeTiming, summarise
+from straightcomp_ros.trials.bench.processes import cores, usage
+from straightcomp_ros.trials.bench.recorded_window import Recording, read_window
+from straightcomp_ros.trials.bench.window import Window, growth_mb_per_hour
+
+_SETTLE_S = 1.5
+"""Motion before the window: the caches are filled by then, and the loops are locked to each other."""
+_REST_S = 1.0
+"""Time after the window, so that its last samples are answered and recorded."""
+_PAUSE_S = 0.5
+_DRIVER_TIMEOUT_S = 1.0
+"""The machine forgives this much: a stall is to be measured, not to switch the law off."""
+_SCALED = {
+    "driver": {"simulated.sample_memory": SimulatedParameters().sample_memory},
+    "controller": {"reference_lead": ControllerNodeParameters().reference_lead},
+}
+"""Lengths of time that are given in samples: they stay what they are in seconds."""
+
+
+class BenchFailed(RuntimeError):
+    """There is nothing to measure; the message says which node failed, and how."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One measured run.
+
+    Attributes:
+        timing: each node in the window, from its diagnostics.
+        cpu_cores: CPU cores that each node kept busy.
+        rss_mb: resident memory of each node at begin and end, MB.
+        growth_mb_per_hour: slope of that memory; says something only over many minutes.
+        recording: what the bag has of the window.
+        seconds: length of the window.
+    """
+
+    timing: Mapping[str, NodeTiming]
+    cpu_cores: Mapping[str, float]
+    rss_mb: Mapping[str, tuple[float, float]]
+    growth_mb_per_hour: Mapping[str, float]
+    recording: Recording
+    seconds: float
+
+    def to_display(self) -> dict[str, Any]:
+        """All figures by name, as `straightcomp bench graph --json` prints them."""
+        figures: dict[str, Any] = {}
+        for node, timing in self.timing.items():
+            shown = timing.to_display()
+            figures[node] = {key: shown[key] for key in ("rate_hz", "overruns", "timer_error_us")}
+            figures[node] |= {
+                "cpu_cores": self.cpu_cores[node],
+                "rss_mb": list(self.rss_mb[node]),
+            }
+        recording = self.recording
+        return {
+            **figures,
+            "lost_samples": recording.lost_samples,
+            "overruns": sum(timing.overruns for timing in self.timing.values()),
+            "latency_us": recording.latency_us(),
+            "cpu_cores": sum(self.cpu_cores.values()),
+            "seconds": self.seconds,
+            "bag": {
+                "complete": not any(recording.missing.values()),
+                "expected_samples": recording.expected,
+                "missing": dict(recording.missing),
+                "amplifier_on": recording.amplifier_on,
+            },
+        }
+
+
+def bench_parameters(
+    values: Mapping[str, Mapping[str, Any]], *, rate: int, seconds: float, priority: int
+) -> dict[str, dict[str, Any]]:
+    """Parameters of a measured run.
+
+    Args:
+        values: by node and dotted name, what the run starts from.
+        rate: samples per second, of machine and controller.
+        seconds: that are measured; the stage moves all the time, and a little longer.
+        priority: SCHED_FIFO priority of all nodes, with CPUs kept awake; 0 for normal scheduling.
+
+    Raises:
+        ParameterError: a value is refused.
+    """
+    chosen = {node: dict(section) for node, section in values.items()}
+    for node in NODE_PARAMETERS:
+        chosen.setdefault(node, {})["realtime.priority"] = priority
+    for node, scaled in _SCALED.items():
+        for name, default in scaled.items():
+            chosen[node][name] = round(chosen[node].get(name, default) * rate / DEFAULT_RATE)
+    chosen["driver"] |= {
+        "simulated.rate": rate,
+        "simulated.command_timeout": _DRIVER_TIMEOUT_S,
+        "realtime.keep_awake": priority > 0,
+    }
+    chosen["controller"]["rate"] = rate
+    stroke_s = 0.5 * (_SETTLE_S + seconds + _REST_S - _PAUSE_S)
+    stroke, acceleration = min(STROKE, 0.2 * stroke_s), 1.0
+    # A trapezoid takes stroke/speed + speed/acceleration.
+    speed = 0.5 * acceleration * (stroke_s - math.sqrt(stroke_s**2 - 4.0 * stroke / acceleration))
+    chosen["cell"] |= {
+        "motion.start": 0.0,
+        "motion.stroke": stroke,
+        "motion.speed": speed,
+        "motion.acceleration": acceleration,
+        "motion.settle": 0.0,
+        "motion.pause": _PAUSE_S,
+    }
+    for node, section in chosen.items():
+        node_parameters(node, section)
+    return chosen
+
+
+_CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}.trials.bench.steady_cell"]}
+
+
+def baseline_commands() -> dict[str, Sequence[str]]:
+    """What starts the plain rclpy nodes instead of the project's."""
+    return {node: [sys.executable, "-m", f"{PACKAGE}.trials.bench.baseline", node] for node in RECORDED}
+
+
+def view_beside(priority: int) -> dict[str, Sequence[str]]:
+    """The live view and a page that is open on it, as programs to run beside the graph.
+
+    Args:
+        priority: SCHED_FIFO priority of the graph's nodes, and so of the view's.
+    """
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    return {
+        "view": verb_command("view", "--port", port, "--priority", str(priority)),
+        "page": [sys.executable, "-m", f"{PACKAGE}.view.page_reader", port],
+    }
+
+
+def measure(
+    values: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    seconds: float,
+    *,
+    progress: Callable[[float], None] = lambda fraction: None,
+    commands: Mapping[str, Sequence[str]] | None = None,
+    beside: Mapping[str, Sequence[str]] | None = None,
+    look_interval: float = 10.0,
+) -> Measurement:
+    """Run the graph once and measure it.
+
+    Args:
+        values: from :func:`bench_parameters`, for the same ``seconds``.
+        folder: gets bag, logs and parameter file; must not hold a bag.
+        seconds: length of the window.
+        progress: called with the fraction of the stage's motion that is done.
+        commands: by node, what to start in its place.
+        beside: further programs by name that run meanwhile.
+        look_interval: time between two looks at the nodes' memory, s.
+
+    Raises:
+        BenchFailed: a node died or the bag cannot be read.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    bag, parameter_file = folder / "bag", folder / "parameters.yaml"
+    parameter_file.write_text(as_parameter_file(values))
+    duration = forward_and_back(node_parameters("cell", values["cell"]).motion)[-1].time_ns * 1e-9
+    process_ids: dict[str, int] = {}
+    window = Window(lambda: usage(process_ids), settle=_SETTLE_S, seconds=seconds, interval=look_interval)
+
+    finished: list[float] = []
+
+    def follow(fraction: float) -> bool:
+        now = time.monotonic()
+        window(now)
+        progress(fraction)
+        if window.finished:
+            finished.append(now)
+        # The window's last samples are answered and recorded then.
+        return bool(finished) and now >= finished[0] + _REST_S
+
+    try:
+        run_cycle(
+            bag,
+            parameter_file,
+            folder / "logs",
+            duration,
+            follow,
+            started=process_ids.update,
+            commands={**_CELL, **(commands or {})},
+            beside=beside,
+        )
+        begin, end = window.looks[0], window.looks[-1]
+        recording = read_window(bag, values["driver"]["simulated.rate"], begin.time_ns, end.time_ns)
+        reports = read_reports(bag)
+    except (LaunchError, BagError, OSError) as error:
+        raise BenchFailed(str(error)) from error
+    return Measurement(
+        timing={node: summarise(reports.get(node, []), begin.time_ns, end.time_ns) for node in RECORDED},
+        cpu_cores=cores(begin, end),
+        rss_mb={node: (begin.rss_mb[node], end.rss_mb[node]) for node in RECORDED},
+        growth_mb_per_hour=growth_mb_per_hour(window.looks),
+        recording=recording,
+        seconds=(end.time_ns - begin.time_ns) * 1e-9,
+    )

@@ -1,0 +1,157 @@
+"""Are the strokes that the stage made in the bags?
+
+A stroke that counts is one movement of the stage one way, rest to rest, that was commanded and took place as a whole
+while the recording was known to be whole: the driver ran and was active from its beginning to its end, a logger was
+recording, as its reports say, and neither was stopped, paused, killed, brought down or exchanged meanwhile. When it was
+commanded follows from when the stage was seen to leave its rest and from the trajectory that it was given, not from
+the bags. It is found if a bag's encoder stream has a stroke (:func:`straightcomp_ros.analysis.record.motion_of`) of the
+same direction that covers more than half of its time and takes no more than half as long again; samples that are
+missing within it are not judged here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from straightcomp_ros.analysis.record import MetricsError, motion_of
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.recovery import default_output, recover
+from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.straightness.survey_run import Direction
+
+_LONGEST = 1.5
+"""A recorded stroke that takes longer than so many commanded ones is several that were taken for one."""
+
+
+class Stroke(NamedTuple):
+    """A movement one way: begin and end, ns since the epoch."""
+
+    begin_ns: int
+    end_ns: int
+    direction: Direction
+
+
+class Commanded:
+    """Notes when the stage moved and when that was recorded.
+
+    Args:
+        stroke_ns: duration of a stroke; forward and backward in turn, the first forward.
+        strokes: how many a motion has.
+    """
+
+    def __init__(self, stroke_ns: int, strokes: int) -> None:
+        self._stroke_ns, self._strokes = stroke_ns, strokes
+        self._motions: list[tuple[int, int]] = []
+        self._recordings: list[tuple[int, int]] = []
+        self._moving_ns = self._recording_ns = 0
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion has begun and not ended."""
+        return self._moving_ns > 0
+
+    @property
+    def recording(self) -> bool:
+        """Whether the recording is known to be whole."""
+        return self._recording_ns > 0
+
+    def begin(self, at_ns: int) -> None:
+        """A motion began."""
+        self._moving_ns = at_ns
+
+    def end(self, at_ns: int) -> None:
+        """It ended, by itself or not; without one, nothing."""
+        if self._moving_ns:
+            last_ns = self._moving_ns + self._strokes * self._stroke_ns
+            self._motions.append((self._moving_ns, min(at_ns, last_ns)))
+        self._moving_ns = 0
+
+    def over(self, now_ns: int) -> bool:
+        """Whether the motion has made all its strokes."""
+        return self.moving and now_ns > self._moving_ns + self._strokes * self._stroke_ns
+
+    def record(self, at_ns: int) -> None:
+        """From now on everything is recorded."""
+        self._recording_ns = self._recording_ns or at_ns
+
+    def interrupt(self, at_ns: int) -> None:
+        """From now on that is not known, or not so."""
+        if self._recording_ns and at_ns > self._recording_ns:
+            self._recordings.append((self._recording_ns, at_ns))
+        self._recording_ns = 0
+
+    def strokes(self) -> list[Stroke]:
+        """Those that count, of all motions and recordings that have ended."""
+        return [
+            stroke
+            for stroke in self._made()
+            if any(begin <= stroke.begin_ns and stroke.end_ns <= end for begin, end in self._recordings)
+        ]
+
+    def motions(self) -> list[tuple[int, int]]:
+        """Begin and end of each, ns since the epoch."""
+        return list(self._motions)
+
+    def _made(self) -> list[Stroke]:
+        return [
+            Stroke(begin, begin + self._stroke_ns, "backward" if number % 2 else "forward")
+            for first, end in self._motions
+            for number, begin in enumerate(range(first, end - self._stroke_ns + 1, self._stroke_ns))
+        ]
+
+
+def strokes_in(bag: Path, motions: Sequence[tuple[int, int]]) -> list[Stroke]:
+    """The strokes in a bag, each motion for itself: between two the stage may stand elsewhere at once.
+
+    Raises:
+        BagError: the bag cannot be read.
+    """
+    streams = read_streams(bag, {ENCODER.topic: ENCODER.layout})
+    if ENCODER.topic not in streams:
+        return []
+    stamps, first = np.unique(streams[ENCODER.topic].stamp, return_index=True)
+    x = streams[ENCODER.topic].columns["x"][first]
+    found = []
+    for begin_ns, end_ns in motions:
+        inside = (stamps >= begin_ns) & (stamps <= end_ns)
+        of_motion = stamps[inside]
+        try:
+            motion = motion_of((of_motion - begin_ns) * 1e-9, x[inside])
+        except MetricsError:
+            continue
+        found += [
+            Stroke(int(of_motion[stroke.start]), int(of_motion[stroke.stop - 1]), stroke.direction)
+            for stroke in motion.strokes
+        ]
+    return found
+
+
+def missing(commanded: Sequence[Stroke], found: Sequence[Stroke]) -> list[Stroke]:
+    """Strokes that were commanded and not found."""
+    return [stroke for stroke in commanded if not any(_is(stroke, other) for other in found)]
+
+
+def _is(stroke: Stroke, found: Stroke) -> bool:
+    duration = stroke.end_ns - stroke.begin_ns
+    common = min(stroke.end_ns, found.end_ns) - max(stroke.begin_ns, found.begin_ns)
+    same = stroke.direction == found.direction
+    return same and common > 0.5 * duration and found.end_ns - found.begin_ns <= _LONGEST * duration
+
+
+def readable(bag: Path) -> tuple[Path, bool]:
+    """The bag itself where it was finished, otherwise what `recover` makes of it; and whether it was finished.
+
+    Raises:
+        BagError: nothing in it can be saved.
+    """
+    if (bag / "metadata.yaml").exists():
+        return bag, True
+    output = default_output(bag)
+    if not recover(bag, output).saved:
+        raise BagError(f"bag {bag}: no message could be saved")
+    return output, False

@@ -1,0 +1,222 @@
+"""Times the way from an emulated board to its host and back, with hub, board and host in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import signal
+import statistics
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.cell.cycle import as_parameter_file
+from straightcomp_ros.cell.demonstration import on_hub
+from straightcomp_ros.cell.launcher import Graph, LaunchError, verb_command
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, Command, Switch
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.hardware.can.hub_packet import Frame
+from straightcomp_ros.hardware.can.link import Link
+from straightcomp_ros.hardware.can.receiver import Receiver
+from straightcomp_ros.trials.bench.processes import cores, usage
+
+_BURST, _BURSTS = 100, 20
+_PATIENCE_S = 30.0
+_LOOK_S = 0.1
+
+
+class RoundTripFailed(RuntimeError):
+    """There is nothing to measure; the message says what failed."""
+
+
+@dataclass(frozen=True)
+class RoundTrip:
+    """What was measured.
+
+    Attributes:
+        times: s, from the moment at which the board sent a sample to that at which another node of the bus had read the
+            host's answer.
+        send_us: median µs to hand a frame to python-can's interface of the hub.
+        receive_us: median µs to take one from it.
+        hub_cores: CPU cores that the hub kept busy meanwhile.
+        lost: samples that did not come; cuts do not count.
+        cuts: times that the hub cut the link.
+        reopened: times that the host found it cut and opened it again.
+    """
+
+    times: NDArray[np.float64]
+    send_us: float
+    receive_us: float
+    hub_cores: float
+    lost: int
+    cuts: int
+    reopened: int
+
+
+def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, seconds: float, cuts: int) -> RoundTrip:
+    """Answer each sample of an emulated board for ``seconds``, then cut the link ``cuts`` times.
+
+    Args:
+        values: parameters by node and dotted name: the board is the driver's machine, on its kind of bus.
+        folder: an empty one with a short path.
+        seconds: length of the measurement.
+        cuts: how often to cut the link.
+
+    Raises:
+        RoundTripFailed: a process ended, or nothing comes.
+        ParameterError: a parameter is refused.
+    """
+    driver = {**values["driver"], **on_hub(values["driver"], str(folder / "bus"))}
+    parameters = node_parameters("driver", driver).can
+    file = folder / "parameters.yaml"
+    file.write_text(as_parameter_file({"driver": driver}))
+    priority = str(node_parameters("driver", driver).realtime.priority)
+    programs = {
+        "hub": verb_command("can", "hub", "--socket", parameters.channel, "--priority", priority, "--json"),
+        "board": verb_command("dsp", "--params-file", str(file)),
+    }
+    host = _Host(parameters)
+    try:
+        with Graph(folder / "logs") as graph:
+            hub = graph.start_program("hub", programs["hub"])
+            _until(lambda: (folder / "bus").is_socket(), "the hub makes no socket", graph, ["hub"])
+            send_us, receive_us = _costs(parameters)
+            host.start()
+            graph.start_program("board", programs["board"])
+            _until(lambda: bool(host.answers), "no sample came from the board", graph, ["hub", "board"])
+            begin = usage({"hub": hub.pid})
+            times = _times(parameters, host, seconds)
+            end = usage({"hub": hub.pid})
+            graph.check(["hub", "board"])
+            lost = host.receiver.sequence.lost
+            for _ in range(cuts):
+                _cut(hub, host, graph)
+            host.close()
+            graph.stop(["board", "hub"])
+            counters = json.loads(graph.last_words("hub"))
+    except (LaunchError, OSError, can.CanError) as error:
+        raise RoundTripFailed(str(error)) from error
+    finally:
+        host.close()
+    if not len(times):
+        raise RoundTripFailed("no answer came through the hub")
+    return RoundTrip(
+        times, send_us, receive_us, cores(begin, end)["hub"], lost, counters["cuts"], host.link.openings - 1
+    )
+
+
+class _Host:
+    """Answers each sample with "off" in a thread of its own, as the driver's loop does."""
+
+    def __init__(self, parameters: CanParameters) -> None:
+        self.receiver = Receiver(parameters)
+        self.codec = self.receiver.codec
+        self.link = Link(parameters, self.receiver.identifiers, self._receive, time.time_ns)
+        self.answers = 0
+        self.sent_s: dict[int, float] = {}
+        """When the board sent a sample, by the echo in the answer."""
+        self._echoes = 2**32 if parameters.fd else 256
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="host", daemon=True)
+
+    def start(self) -> None:
+        """Open the bus and answer, until :meth:`close`."""
+        self.link.start()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.link.close()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            self.link.wait(_LOOK_S)
+
+    def _receive(self, frame: Frame, arrival_ns: int) -> None:
+        self.receiver.receive(frame.identifier, frame.data, arrival_ns)
+        samples = self.receiver.samples
+        if samples:
+            number, *_ = samples.pop()
+            samples.clear()
+            self.sent_s[number % self._echoes] = frame.stamp_ns * 1e-9
+            command = Command(self.answers % ALIVE_MODULUS, Switch.NO, Switch.NO, 0, number)
+            self.link.send(self.codec.command_id, self.codec.pack_command(command), fd=self.codec.fd)
+            self.answers += 1
+
+
+def _bus(parameters: CanParameters, identifier: int) -> can.BusABC:
+    filters: list[Any] = [{"can_id": identifier, "can_mask": 0x7FF, "extended": False}]
+    return can.Bus(interface=INTERFACE, channel=parameters.channel, fd=parameters.fd, can_filters=filters)
+
+
+def _costs(parameters: CanParameters) -> tuple[float, float]:
+    """Median µs of a frame for sender and receiver; the receiver finds its frames waiting."""
+    identifier, payload = 0x123, bytes(16 if parameters.fd else 8)
+    sending, receiving = [], []
+    with _bus(parameters, identifier) as sender, _bus(parameters, identifier) as receiver:
+        for _ in range(_BURSTS):
+            begin = time.perf_counter_ns()
+            for _ in range(_BURST):
+                sender.send(
+                    can.Message(
+                        arbitration_id=identifier,
+                        is_extended_id=False,
+                        is_fd=parameters.fd,
+                        bitrate_switch=parameters.fd,
+                        data=payload,
+                    )
+                )
+            sending.append((time.perf_counter_ns() - begin) * 1e-3 / _BURST)
+            time.sleep(0.01)
+            begin = time.perf_counter_ns()
+            for _ in range(_BURST):
+                if receiver.recv(_PATIENCE_S) is None:
+                    raise RoundTripFailed("a frame did not come through the hub")
+            receiving.append((time.perf_counter_ns() - begin) * 1e-3 / _BURST)
+    return statistics.median(sending), statistics.median(receiving)
+
+
+def _times(parameters: CanParameters, host: _Host, seconds: float) -> NDArray[np.float64]:
+    codec, times = host.codec, []
+    with _bus(parameters, codec.command_id) as node:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            message = node.recv(0.1)
+            if message is not None:
+                now = time.time()
+                sent = host.sent_s.pop(codec.unpack_command(bytes(message.data)).echo, None)
+                if sent is not None:
+                    times.append(now - sent)
+    return np.array(times)
+
+
+def _cut(hub: subprocess.Popen[str], host: _Host, graph: Graph) -> None:
+    openings, answers = host.link.openings, host.answers
+    hub.send_signal(signal.SIGUSR1)
+    _until(
+        lambda: host.link.openings > openings and host.answers > answers + 100,
+        "the bus did not come back after a cut",
+        graph,
+        ["hub", "board"],
+    )
+
+
+def _until(condition: Callable[[], bool], words: str, graph: Graph, programs: list[str]) -> None:
+    end = time.monotonic() + _PATIENCE_S
+    while not condition():
+        graph.check(programs)
+        if time.monotonic() > end:
+            raise RoundTripFailed(f"{words} within {_PATIENCE_S:g} s")
+        time.sleep(0.005)

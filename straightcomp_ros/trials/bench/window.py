@@ -1,0 +1,50 @@
+"""The part of a run that is measured: begins and ends between reports of progress, looks at the processes in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from straightcomp_ros.trials.bench.processes import Usage
+
+
+class Window:
+    """Call it again and again while the graph runs; it takes looks at the processes at the right times.
+
+    Args:
+        look: gives the present usage.
+        settle: time in s from the first call to the begin.
+        seconds: from begin to end.
+        interval: time in s between looks.
+    """
+
+    def __init__(self, look: Callable[[], Usage], *, settle: float, seconds: float, interval: float = 10.0) -> None:
+        self._look = look
+        self._settle, self._seconds, self._interval = settle, seconds, interval
+        self._begin: float | None = None
+        self._next = 0.0
+        self.looks: list[Usage] = []
+        self.finished = False
+
+    def __call__(self, now: float) -> None:
+        """It is ``now``, in s of a monotonic clock."""
+        if self._begin is None:
+            self._begin = self._next = now + self._settle
+        over = now >= self._begin + self._seconds
+        if not self.finished and (over or now >= self._next):
+            self.looks.append(self._look())
+            self._next += self._interval
+            self.finished = over
+
+
+def growth_mb_per_hour(looks: list[Usage]) -> Mapping[str, float]:
+    """Slope of each process's memory over all looks (least squares), MB/h; NaN with fewer than two."""
+    if len(looks) < 2:
+        return {name: float("nan") for look in looks[:1] for name in look.rss_mb}
+    hours = np.array([look.time_ns - looks[0].time_ns for look in looks]) / 3.6e12
+    hours -= hours.mean()
+    return {
+        name: float(hours @ np.array([look.rss_mb[name] for look in looks]) / (hours @ hours))
+        for name in looks[0].rss_mb
+    }

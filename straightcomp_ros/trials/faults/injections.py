@@ -1,0 +1,281 @@
+"""Makes each fault in the running graph, again and again, and measures until it is latched."""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
+from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.safety.faults import ALLOWANCE_MS, Fault
+from straightcomp_ros.trials.faults.faulty_driver import CLOCK_STEP, LATE_COMMANDS
+from straightcomp_ros.trials.faults.rows import Row
+from straightcomp_ros.trials.faults.stand import Stand
+
+COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
+"""s, in the trials."""
+_PATIENCE_S = 8.0
+_ANSWER_S, _REQUESTS = 1.0, 8
+"""A node that has just come up may lose a request, or its answer."""
+_AGAIN = 3
+"""Injections in the place of one in whose time the machine stood still, so that another fault came first."""
+_OTHERS = {
+    Fault.COMMAND_TIMEOUT: COMMAND_TIMEOUT * 1e3 - 5.0,
+    Fault.SAMPLE_TIMEOUT: SAMPLE_TIMEOUT * 1e3 - 1000.0,
+}
+"""What these trials' parameters add to the faults' own times, which are those of the defaults."""
+
+
+def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Parameters by node and dotted name for the trials, from those to start from."""
+    chosen = {node: dict(values[node]) for node in RECORDED}
+    chosen["driver"] |= {"hardware": "simulated", "lockstep": False, "simulated.command_timeout": COMMAND_TIMEOUT}
+    chosen["controller"] |= {"sample_timeout": SAMPLE_TIMEOUT, "trigger": "timer"}
+    return chosen
+
+
+class Trial(NamedTuple):
+    """One way to make a fault.
+
+    Attributes:
+        name: of the row.
+        fault: that must be found.
+        make: makes it; returns when, ns since the epoch, or None where the driver tells.
+        judge: waits until it is found; returns when, or None. Then it looks at what must follow, adding what does not
+            to the list, and leaves the graph so that it can be switched on again.
+    """
+
+    name: str
+    fault: Fault
+    make: Callable[[Stand], int | None]
+    judge: Callable[[Stand, Trial, list[str]], int | None]
+
+
+def _latched(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    """The driver has latched it."""
+    if not stand.until(lambda: stand.fault is not None, _PATIENCE_S) or stand.fault.fault is not trial.fault:
+        return None
+    found = stand.fault.time_ns
+    _check_refusal(stand, failures)
+    return found
+
+
+def _latched_and_going_on(stopped: str) -> Callable[[Stand, Trial, list[str]], int | None]:
+    """The same; then the stopped node goes on."""
+
+    def judge(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+        found = _latched(stand, trial, failures)
+        stand.signal(stopped, signal.SIGCONT)
+        return found
+
+    return judge
+
+
+def _latched_and_restarted(killed: str) -> Callable[[Stand, Trial, list[str]], int | None]:
+    """The same; then the killed node is started again."""
+
+    def judge(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+        found = _latched(stand, trial, failures)
+        failures += stand.restart(killed)
+        return found
+
+    return judge
+
+
+def _driver_missed(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    """The controller misses the samples."""
+    if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S) or stand.tripped.fault is not trial.fault:
+        return None
+    return stand.tripped.time_ns
+
+
+def _driver_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    found = _driver_missed(stand, trial, failures)
+    stand.signal("driver", signal.SIGCONT)
+    if not stand.until(lambda: stand.condition == "fault", _PATIENCE_S):
+        failures.append("the driver went on with the amplifier on")
+    _check_refusal(stand, failures)
+    return found
+
+
+def _driver_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    found = _driver_missed(stand, trial, failures)
+    stand.condition = ""
+    failures += stand.restart("driver")
+    if not stand.until(lambda: stand.condition != "", 30.0) or stand.condition == "on":
+        failures.append(f"the new driver's amplifier is '{stand.condition}'")
+    return found
+
+
+def _logger_missed(stand: Stand) -> int | None:
+    """Its heartbeat is missed."""
+    return time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"], _PATIENCE_S) else None
+
+
+def _logger_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    """The same, and the loop goes on."""
+    found = _logger_missed(stand)
+    _check_going_on(stand, failures)
+    stand.signal("logger", signal.SIGCONT)
+    return found
+
+
+def _logger_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    """The same, and the loop goes on."""
+    found = _logger_missed(stand)
+    _check_going_on(stand, failures)
+    failures += stand.restart("logger")
+    return found
+
+
+def _recording_ended(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    """The logger has failed, with a whole bag, and the loop goes on."""
+    if not stand.until(lambda: stand.exit_code("logger") is not None, _PATIENCE_S):
+        return None
+    found = time.time_ns()
+    if not (stand.bag / "metadata.yaml").exists():
+        failures.append(f"bag {stand.bag.name} is not whole")
+    _check_going_on(stand, failures)
+    stand.start("logger")
+    return found
+
+
+def _check_going_on(stand: Stand, failures: list[str]) -> None:
+    if stand.condition != "on":
+        reason = stand.fault.fault.label if stand.fault else "no fault"
+        failures.append(f"without a logger the amplifier is '{stand.condition}': {reason}")
+
+
+def _check_refusal(stand: Stand, failures: list[str]) -> None:
+    if stand.enable():
+        failures.append("the fault was not latched: the amplifier could be switched on")
+
+
+def _injected(kind: str) -> Callable[[Stand], None]:
+    return lambda stand: stand.inject(kind)
+
+
+def _signalled(name: str, number: signal.Signals) -> Callable[[Stand], int]:
+    return lambda stand: stand.signal(name, number)
+
+
+def _commanded(current: float) -> Callable[[Stand], int]:
+    def make(stand: Stand) -> int:
+        at_ns = time.time_ns()
+        # Newer than the controller's, so that it is not taken for a second answer.
+        stand.command(at_ns, current)
+        return at_ns
+
+    return make
+
+
+def _echoed(stand: Stand) -> None:
+    stand.echo(True)
+
+
+def _latched_and_silent(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    found = _latched(stand, trial, failures)
+    stand.echo(False)
+    return found
+
+
+def _disk_full(stand: Stand) -> int:
+    client = stand.node.create_client(SetParameters, "logger/set_parameters")
+    stand.until(client.service_is_ready, _PATIENCE_S)
+    value = Parameter("min_free_bytes", value=10**18).to_parameter_msg()
+    at_ns = time.time_ns()
+    for _ in range(_REQUESTS):
+        answered = client.call_async(SetParameters.Request(parameters=[value])).done
+        if stand.until(partial(_answered_or_ended, stand, answered), _ANSWER_S):
+            break
+    stand.node.destroy_client(client)
+    return at_ns
+
+
+def _answered_or_ended(stand: Stand, answered: Callable[[], bool]) -> bool:
+    return answered() or stand.exit_code("logger") is not None
+
+
+_STOP, _KILL = signal.SIGSTOP, signal.SIGKILL
+TRIALS = (
+    Trial("sample NaN", Fault.SAMPLE_NOT_FINITE, _injected("sample_nan"), _latched),
+    Trial("sample infinite", Fault.SAMPLE_NOT_FINITE, _injected("sample_infinite"), _latched),
+    Trial("y out of range", Fault.Y_OUT_OF_RANGE, _injected("y_out_of_range"), _latched),
+    Trial("encoder y frozen", Fault.Y_FROZEN, _injected("y_frozen"), _latched),
+    Trial("encoder x frozen", Fault.X_FROZEN, _injected("x_frozen"), _latched),
+    Trial("jump in x", Fault.X_JUMP, _injected("x_jump"), _latched),
+    Trial("map missing for this x", Fault.MAP_MISSING, _injected("x_beyond_map"), _latched),
+    Trial("board reports a fault", Fault.BOARD, _injected("board"), _latched),
+    Trial("clock jump", Fault.CLOCK_JUMP, _injected(CLOCK_STEP), _latched),
+    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _commanded(math.nan), _latched),
+    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _commanded(-math.inf), _latched),
+    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0), _latched),
+    Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS), _latched),
+    Trial("two controllers on one topic", Fault.TWO_CONTROLLERS, _echoed, _latched_and_silent),
+    *(
+        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), _latched_and_going_on(name))
+        for name in ("controller", "feedforward")
+    ),
+    Trial("driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), _driver_missed_and_going_on),
+    Trial("logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), _logger_missed_and_going_on),
+    *(
+        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), _latched_and_restarted(name))
+        for name in ("controller", "feedforward")
+    ),
+    Trial("driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), _driver_missed_and_restarted),
+    Trial("logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), _logger_missed_and_restarted),
+    Trial("disk full under the logger", Fault.RECORDING_STOPPED, _disk_full, _recording_ended),
+)
+"""All that is tried, in this order."""
+
+
+def run_trials(
+    values: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    repeats: int,
+    progress: Callable[[str, float], None] = lambda name, fraction: None,
+    trials: Sequence[Trial] = TRIALS,
+) -> list[Row]:
+    """Run all trials.
+
+    Args:
+        values: from :func:`trial_parameters`.
+        folder: for bags and logs.
+        repeats: injections of each fault.
+        progress: called before each injection with the row's name and the fraction that is done.
+        trials: which.
+
+    Raises:
+        LaunchError: the graph does not come up, or not again.
+    """
+    rows = []
+    with Stand(folder, values) as stand:
+        for place, trial in enumerate(trials):
+            fault = trial.fault.value
+            limit = fault.within_ms + _OTHERS.get(trial.fault, 0.0) + ALLOWANCE_MS
+            row = Row(trial.name, limit, fault.reaction, fault.reset)
+            rows.append(row)
+            for repeat in range(repeats):
+                progress(trial.name, (place + repeat / repeats) / len(trials))
+                _repeat(stand, trial, row)
+    return rows
+
+
+def _repeat(stand: Stand, trial: Trial, row: Row) -> None:
+    row.injected += 1
+    for _ in range(_AGAIN):
+        stand.switch_on()
+        made_ns = trial.make(stand)
+        found_ns = trial.judge(stand, trial, row.failures)
+        if found_ns is not None:
+            if made_ns is None:
+                stand.until(lambda: stand.injected_ns > 0, _PATIENCE_S)
+            row.times_ms.append((found_ns - (made_ns or stand.injected_ns)) * 1e-6)
+            return

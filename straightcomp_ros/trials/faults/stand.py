@@ -1,0 +1,279 @@
+"""The running graph as a stand for trials of faults: starts it, moves the stage, makes faults, sees what is latched."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from straightcomp_ros.cell.cycle import RECORDED, as_parameter_file
+from straightcomp_ros.cell.launcher import LaunchError, exit_words, isolated_environment
+from straightcomp_ros.contract import COMMAND, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
+from straightcomp_ros.model.stage import Waypoint, trapezoid
+from straightcomp_ros.runtime.heartbeats import Heartbeats
+from straightcomp_ros.runtime.middleware import own_profile
+from straightcomp_ros.runtime.safety_panel import LATCHED
+from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints, trajectory_from_message
+from straightcomp_ros.runtime.streams import Inbox, publisher, unspun_node
+from straightcomp_ros.safety.faults import LABELLED, Fault
+from straightcomp_ros.timing import realtime
+from straightcomp_ros.timing.realtime import RealtimeParameters
+from straightcomp_ros.trials.faults.faulty_driver import INJECT, INJECTED, NEW_MACHINE
+from straightcomp_ros.trials.faults.nursery_client import Nursery
+
+_START_S = 90.0
+"""A busy machine takes its time to start a node, and the middleware to connect it."""
+_ANSWER_S = 3.0
+_REPLY_S = 1.0
+"""A request to a node that was killed is lost: it goes to whoever is known."""
+_SETTLE_S = 0.1
+_REFUSALS = 2
+_SENDS = 3
+_AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
+_STROKE, _SPEED, ACCELERATION = 0.1, 0.1, 0.4
+MOTION_STROKES, STROKE_S = 600, _STROKE / _SPEED + _SPEED / ACCELERATION
+"""How many strokes a motion has, and how long each takes in s: forward and backward in turn, without a rest."""
+_STOP_S = 30.0
+
+
+class Seen(NamedTuple):
+    """A fault, and when it was latched, ns since the epoch."""
+
+    fault: Fault
+    time_ns: int
+
+
+class Stand:
+    """Use it as a context manager: the end stops all processes.
+
+    Args:
+        folder: gets bags, logs and the parameter file.
+        values: parameters by node and dotted name.
+
+    Raises:
+        LaunchError: the graph does not come up.
+    """
+
+    def __init__(self, folder: Path, values: Mapping[str, Mapping[str, Any]]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder, self._file = folder, folder / "parameters.yaml"
+        self._realtime = RealtimeParameters(priority=values["driver"].get("realtime.priority", 0))
+        self._file.write_text(as_parameter_file(values))
+        os.environ.update(isolated_environment())
+        self._nursery = Nursery()
+        self.processes: dict[str, int] = {}
+        self.started: dict[str, float] = {}
+        self.bags = 0
+        self.condition, self.fault, self.tripped = "", None, None
+        self.injected_ns = 0
+        self._sends = 0
+        self._echoed: Inbox | None = None
+        with own_profile():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            self.node = Node("fault_stand")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self.heartbeats = Heartbeats(self.node, RECORDED)
+        self.node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
+        self.node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
+        self.node.create_subscription(DiagnosticStatus, INJECTED, self._on_injected, 10)
+        self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
+        self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
+        self.command = publisher(self.node, COMMAND)
+        self._clients: dict[str, Any] = {}
+
+    def __enter__(self) -> Stand:
+        for name in RECORDED:
+            self.start(name)
+        # Who talks with nodes of real-time priority needs the same one.
+        realtime.apply(self._realtime)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._nursery.close()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def start(self, name: str) -> None:
+        """Start a node, again if it has ended."""
+        module = "faulty_driver" if name == "driver" else f"{name}_node"
+        words = [module, "--ros-args", "--params-file", str(self._file)]
+        if name == "driver":
+            # More than once: the first may come before the driver is connected; it refuses those that it does not need.
+            self._sends = _SENDS
+        if name == "logger":
+            self.bags += 1
+            words += ["-p", f"output:={self.bag}"]
+        self.heartbeats.forget(name)
+        self.started[name] = time.monotonic()
+        self.processes[name] = self._nursery.start(words, self._folder / f"{name}.log")
+
+    @property
+    def bag(self) -> Path:
+        """Folder of the newest logger's bag."""
+        return self._folder / f"bag_{self.bags}"
+
+    def signal(self, name: str, number: signal.Signals) -> int:
+        """Send a signal to a node; returns when, ns since the epoch."""
+        at_ns = time.time_ns()
+        os.kill(self.processes[name], number)
+        return at_ns
+
+    def exit_code(self, name: str) -> int | None:
+        """How a node has ended, None while it runs."""
+        return self._nursery.exit_code(self.processes[name])
+
+    def alive(self, names: tuple[str, ...] = RECORDED) -> bool:
+        """Whether the processes of these nodes run."""
+        return all(self.exit_code(name) is None for name in names)
+
+    def spin(self, seconds: float) -> None:
+        """Let so much time pass."""
+        self.until(lambda: False, seconds)
+
+    def until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Wait for a condition, at most so long; returns whether it came true."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_once(timeout_sec=0.01)
+            if self._echoed is not None:
+                for stamp_ns, numbers, _ in self._echoed.fetch():
+                    self.injected_ns = self.injected_ns or time.time_ns()
+                    self.command(stamp_ns, numbers[0])
+        return True
+
+    def echo(self, on: bool) -> None:
+        """Be a second controller, or no longer: say each command again."""
+        if on:
+            self._unspun = unspun_node(self.node)
+            self._echoed = Inbox(self.node, self._unspun, COMMAND)
+        elif self._echoed is not None:
+            self._echoed = None
+            self._unspun.destroy_node()
+
+    def inject(self, kind: str) -> None:
+        """Ask the driver for a fault; an empty text ends it."""
+        self._inject.publish(DiagnosticStatus(name=kind))
+
+    def enable(self) -> bool:
+        """Ask for the amplifier; returns whether it was switched on."""
+        answer = self.call(SetBool, "driver/enable", SetBool.Request(data=True))
+        return answer is not None and answer.success
+
+    def move(self) -> None:
+        """Start the motion. The driver refuses it while the stage is not where the motion begins, so while it moves."""
+        self._trajectory.publish(_MOTION)
+
+    def kill(self, name: str) -> None:
+        """End a node's process, if it runs."""
+        if self.exit_code(name) is None:
+            self.signal(name, signal.SIGKILL)
+
+    def restart(self, name: str) -> list[str]:
+        """Start a node again that was killed, once it is gone; returns what else has gone wrong, in words."""
+        ended = not self.alive(tuple(other for other in RECORDED if other != name))
+        self.until(lambda: self.exit_code(name) is not None, _STOP_S)
+        self.start(name)
+        return ["another node has ended too"] if ended else []
+
+    def stop(self) -> dict[str, int | None]:
+        """Interrupt all nodes and wait until they have ended; returns their exit codes, None where one goes on."""
+        for name in RECORDED:
+            if self.exit_code(name) is None:
+                self.signal(name, signal.SIGINT)
+        self.until(lambda: not any(self.exit_code(name) is None for name in RECORDED), _STOP_S)
+        return {name: self.exit_code(name) for name in RECORDED}
+
+    def switch_on(self) -> None:
+        """Bring the whole graph to its working state: all nodes active, stage moving, amplifier on.
+
+        Raises:
+            LaunchError: that is not to be had.
+        """
+        deadline = time.monotonic() + _START_S
+        refusals = 0
+        while time.monotonic() < deadline:
+            self.inject("")
+            if not self.until(lambda: self.heartbeats.in_state("active"), _ANSWER_S):
+                self._check_alive()
+                continue
+            self.spin(0.03)
+            self.call(Trigger, "driver/reset_fault", Trigger.Request())
+            if self._sends:
+                self._sends -= 1
+                self.move()
+            refusals += 1
+            if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.fault in _AT_THE_STOP:
+                # The platform may have been driven to its stop, where no law gets it off.
+                self.inject(NEW_MACHINE)
+                self._sends = _SENDS
+                continue
+            if self.enable() and self.until(lambda: self.condition == "on", 1.0):
+                self.spin(_SETTLE_S)
+                if self.condition == "on":
+                    self.fault = self.tripped = None
+                    self.injected_ns = 0
+                    return
+        for name in self.heartbeats.silent():
+            if self.exit_code(name) is None:
+                self._nursery.tell_stacks(self.processes[name])
+        raise LaunchError(
+            f"the graph does not come up: nodes {self.heartbeats.states}, amplifier '{self.condition}', "
+            f"fault {self.fault} (logs in {self._folder})"
+        )
+
+    def _check_alive(self) -> None:
+        for name in RECORDED:
+            code = self.exit_code(name)
+            if code is not None:
+                words = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()
+                raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {words[-1] if words else ''}")
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Ask a service of a node; returns its answer, or None where none came."""
+        client = self._clients.get(service)
+        if client is None:
+            client = self._clients[service] = self.node.create_client(kind, service)
+            self.until(client.service_is_ready, _ANSWER_S)
+        future = client.call_async(request)
+        if self.until(future.done, _REPLY_S):
+            return future.result()
+        client.remove_pending_request(future)
+        return None
+
+    def _on_safety_state(self, message: DiagnosticStatus) -> None:
+        values = {value.key: value.value for value in message.values}
+        self.condition = values["condition"]
+        if message.name:
+            self.fault = Seen(LABELLED[message.name], int(values["time_ns"]))
+
+    def _on_trip(self, message: DiagnosticStatus) -> None:
+        self.tripped = Seen(LABELLED[message.name], time.time_ns())
+
+    def _on_injected(self, message: DiagnosticStatus) -> None:
+        self.injected_ns = int(message.values[0].value)
+
+
+def _strokes() -> JointTrajectory:
+    points = [Waypoint(0, 0.0, 0.0)]
+    for stroke in range(MOTION_STROKES):
+        points += trapezoid(points[-1], 0.0 if stroke % 2 else _STROKE, _SPEED, ACCELERATION)
+    return message_from_waypoints(points)
+
+
+_MOTION = _strokes()
+MOTION = trajectory_from_message(_MOTION)
+"""What :meth:`Stand.move` starts."""

@@ -1,0 +1,205 @@
+"""What a soak run found: actions by kind, processes that grew, strokes, bags; and whether all was as it must be."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from straightcomp_ros.trials.bench.processes import Usage, descriptors, threads, usage
+from straightcomp_ros.trials.bench.window import growth_mb_per_hour
+
+MEMORY_SPAN_S = 240.0
+"""Time over which a process's memory must have been seen before its slope says anything."""
+MEMORY_LIMIT_MB_PER_HOUR = 60.0
+
+
+class Look(NamedTuple):
+    """One process at one time: ns since the epoch, open descriptors, threads, resident memory in MB (10⁶ bytes)."""
+
+    time_ns: int
+    descriptors: int
+    threads: int
+    rss_mb: float
+
+
+def look(process_id: int) -> Look:
+    """Look now.
+
+    Raises:
+        OSError: the process has ended.
+    """
+    memory = usage({"": process_id}).rss_mb[""]
+    return Look(time.time_ns(), descriptors(process_id), threads(process_id), memory)
+
+
+@dataclass
+class Life:
+    """One process from its warm-up to its end; all looks are taken with the whole graph at work.
+
+    Attributes:
+        name: of the node.
+        process_id: of it.
+        looks: oldest first.
+        survived: it was there at the run's end; the others were killed.
+    """
+
+    name: str
+    process_id: int
+    looks: list[Look] = field(default_factory=list)
+    survived: bool = False
+
+    @property
+    def seconds(self) -> float:
+        """From the first look to the last."""
+        return (self.looks[-1].time_ns - self.looks[0].time_ns) * 1e-9
+
+    @property
+    def slope_mb_per_hour(self) -> float:
+        """Of its memory, least squares over all looks; NaN with fewer than two."""
+        of_all = [Usage(look.time_ns, {}, {self.name: look.rss_mb}) for look in self.looks]
+        return growth_mb_per_hour(of_all)[self.name]
+
+    def failures(self) -> list[str]:
+        """Growth that must not be, in words.
+
+        Descriptors and threads: the last look has more than the first. A single look may be taken while a peer that was
+        killed is still known beside its successor; such a peak is passed over unless it is there at the end.
+        """
+        first, last = self.looks[0], self.looks[-1]
+        who = f"{self.name} (process {self.process_id}, {self.seconds:.0f} s)"
+        found = [
+            f"{who} has {getattr(last, what)} {words} after {getattr(first, what)}"
+            for what, words in (("descriptors", "open descriptors"), ("threads", "threads"))
+            if getattr(last, what) > getattr(first, what)
+        ]
+        if self.seconds >= MEMORY_SPAN_S and self.slope_mb_per_hour > MEMORY_LIMIT_MB_PER_HOUR:
+            slope, limit = self.slope_mb_per_hour, MEMORY_LIMIT_MB_PER_HOUR
+            found.append(f"the memory of {who} grows by {slope:.0f} MB/h; allowed: {limit:g}")
+        return found
+
+    def to_display(self) -> dict[str, Any]:
+        """Values by name, as `straightcomp soak --json` prints them."""
+        first, last = self.looks[0], self.looks[-1]
+        return {
+            "name": self.name,
+            "survived": self.survived,
+            "seconds": self.seconds,
+            "descriptors": [first.descriptors, last.descriptors],
+            "threads": [first.threads, last.threads],
+            "rss_mb": [first.rss_mb, last.rss_mb],
+            "slope_mb_per_hour": self.slope_mb_per_hour if self.seconds >= MEMORY_SPAN_S else None,
+        }
+
+
+class Lives:
+    """All processes of a run, and what they held of Fast DDS's shared memory."""
+
+    def __init__(self) -> None:
+        self._all: dict[int, Life] = {}
+
+    def see(self, process_ids: Mapping[str, int]) -> None:
+        """Take a look at each; a process that is new is taken up with this one.
+
+        Raises:
+            OSError: one has ended.
+        """
+        for name, process_id in process_ids.items():
+            self._all.setdefault(process_id, Life(name, process_id)).looks.append(look(process_id))
+
+    def __contains__(self, process_id: int) -> bool:
+        return process_id in self._all
+
+    def finished(self, survivors: Sequence[int]) -> list[Life]:
+        """Those of which there is more than one look, with a note of who survived."""
+        for process_id, life in self._all.items():
+            life.survived = process_id in survivors
+        return [life for life in self._all.values() if len(life.looks) > 1]
+
+
+@dataclass
+class Actions:
+    """One kind of action: how often done, how often something was not as it must be, and what, in words."""
+
+    done: int = 0
+    failed: int = 0
+    failures: list[str] = field(default_factory=list)
+
+    def add(self, failures: Sequence[str]) -> None:
+        """Count one."""
+        self.done += 1
+        self.failed += bool(failures)
+        self.failures += failures
+
+
+@dataclass
+class Soak:
+    """A run.
+
+    Attributes:
+        seed, seconds: of the run.
+        actions: by kind.
+        faults: faults that were latched as they must, or may, by name.
+        stalls: faults that were latched by themselves while this machine stood still
+            (:mod:`straightcomp_ros.trials.bench.stalls`), by name; without that they are failures.
+        answers_lost: requests to services that were not answered in time, and were made again.
+        enable_s, back_s: times from asking for the amplifier to 'on', and from an action to the whole graph at work.
+        lives: processes.
+        strokes: of which kind see :mod:`straightcomp_ros.trials.bench.recorded_strokes`: ``commanded``, ``found``.
+        bags: ``finished`` and ``recovered``, numbers.
+        failures: what belongs to no action.
+    """
+
+    seed: int
+    seconds: float = 0.0
+    actions: dict[str, Actions] = field(default_factory=dict)
+    faults: Counter[str] = field(default_factory=Counter)
+    stalls: Counter[str] = field(default_factory=Counter)
+    answers_lost: int = 0
+    enable_s: list[float] = field(default_factory=list)
+    back_s: list[float] = field(default_factory=list)
+    lives: list[Life] = field(default_factory=list)
+    strokes: dict[str, int] = field(default_factory=dict)
+    bags: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+
+    def all_failures(self) -> list[str]:
+        """Every failure in words."""
+        of_actions = [f"{kind}: {words}" for kind, actions in self.actions.items() for words in actions.failures]
+        return of_actions + [words for life in self.lives for words in life.failures()] + self.failures
+
+    @property
+    def passed(self) -> bool:
+        """Whether something was done and nothing failed."""
+        return any(actions.done for actions in self.actions.values()) and not self.all_failures()
+
+    def to_display(self) -> dict[str, Any]:
+        """Values by name, as `straightcomp soak --json` prints them."""
+        return {
+            "seed": self.seed,
+            "seconds": self.seconds,
+            "passed": self.passed,
+            "actions": {
+                kind: {"done": actions.done, "failed": actions.failed} for kind, actions in self.actions.items()
+            },
+            "faults": dict(self.faults),
+            "faults_in_stalls": dict(self.stalls),
+            "answers_lost": self.answers_lost,
+            "longest_enable_s": max(self.enable_s, default=None),
+            "longest_back_to_work_s": max(self.back_s, default=None),
+            "processes": [life.to_display() for life in self.lives],
+            "strokes": self.strokes,
+            "bags": dict(self.bags),
+            "failures": self.all_failures(),
+        }
+
+
+def exits(codes: Mapping[str, int | None]) -> list[str]:
+    """Which nodes did not end with 0 when they were told to stop, in words."""
+    return [
+        f"{name} did not stop" if code is None else f"{name} stopped with exit code {code}"
+        for name, code in codes.items()
+        if code != 0
+    ]

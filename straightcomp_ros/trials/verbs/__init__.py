@@ -1,0 +1,1 @@
+"""`straightcomp bench | faults | soak`: one module for each verb."""

@@ -1,0 +1,45 @@
+"""What recording, reading and judging bags costs, what a SIGKILL takes, and whether an audit finds all the same."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from straightcomp_ros.cli.law_tables import figures_table
+from straightcomp_ros.cli.output import CommandFailed, check_range, console, print_json, progress_bar
+
+SUMMARY = "recording, reading, evaluation, SIGKILL, audit"
+_MOST_KILL_RUNS = 10_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--bag", metavar="BAG", help="a recorded stroke (default: a full stroke is simulated)")
+    parser.add_argument(
+        "--kill-runs", type=int, default=20, metavar="N", help="recordings to kill (default: %(default)s)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and print."""
+    from straightcomp_ros.bags import BagError
+    from straightcomp_ros.cell.launcher import LaunchError
+    from straightcomp_ros.trials.bench.bag_costs import flattened, run
+
+    check_range("--kill-runs", options.kill_runs, 0, _MOST_KILL_RUNS)
+    try:
+        with progress_bar() as bar:
+            task = bar.add_task("starting", total=1.0)
+            figures = run(
+                Path(options.bag) if options.bag else None,
+                options.kill_runs,
+                progress=lambda text, done: bar.update(task, description=text, completed=done),
+            )
+    except (BagError, LaunchError) as error:
+        raise CommandFailed(str(error)) from error
+    if options.json:
+        print_json(figures)
+        return 0
+    console.print(figures_table("Bags", flattened(figures)))
+    return 0

@@ -1,0 +1,98 @@
+"""Measure the CAN path: what frames cost, how long the way round is, and whether every fault is found.
+
+The round trip runs from an emulated board through the hub to a host and back to another node of the bus, each in a
+process of its own. The fault run sends frames of known samples through injected faults, each kind alone and all
+together with the closed loop, on both kinds of bus; cuts are made on the link of the round trip."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.cli.law_tables import can_tables
+from straightcomp_ros.cli.output import CommandFailed, check_range, console, print_json, progress_bar
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.straightness.guide_map import load_map
+from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.trials.bench.bus_faults_found import fault_run
+from straightcomp_ros.trials.bench.codec import codec_costs, per_frame
+from straightcomp_ros.trials.bench.round_trip import RoundTripFailed, measure_round_trip
+
+SUMMARY = "µs per CAN frame, round trip through the hub, faults injected and found"
+_REPEATS = 25
+_LIMITS = {"frames": (1000, 10_000_000), "seconds": (0.5, 3600.0), "cuts": (1, 1000)}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_parameter_options(parser)
+    parser.add_argument(
+        "--frames", type=int, default=20_000, help="samples sent for each kind of fault (default: %(default)s)"
+    )
+    parser.add_argument("--seconds", type=float, default=10.0, help="length of the round trip (default: %(default)s)")
+    parser.add_argument("--cuts", type=int, default=10, help="times that the link is cut (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the faults (default: %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print; exit code 1 if a fault was not found or a wrong sample was used."""
+    for name, (least, most) in _LIMITS.items():
+        check_range(f"--{name}", getattr(options, name), least, most)
+    values = chosen_parameters(options)
+    try:
+        figures = _figures(values, options)
+    except (ParameterError, SurveyError) as error:
+        raise CommandFailed(str(error), exit_code=2) from error
+    except RoundTripFailed as error:
+        raise CommandFailed(str(error)) from error
+    if options.json:
+        print_json(figures)
+    else:
+        for table in can_tables(figures):
+            console.print(table)
+    missed = any(count["injected"] != count["detected"] for count in figures["faults"].values())
+    unsafe = any(loop["unsafe"] for loop in figures["closed_loop"].values())
+    return int(missed or unsafe or figures["unflagged_wrong"] > 0)
+
+
+def _figures(values: dict[str, dict[str, Any]], options: argparse.Namespace) -> dict[str, Any]:
+    driver = node_parameters("driver", values["driver"])
+    fd = driver.can.fd
+    guide = load_map(driver.guide)
+    costs = codec_costs(_REPEATS)
+    # A socket's path has room for about a hundred characters.
+    with tempfile.TemporaryDirectory(prefix="straightcomp_") as folder, progress_bar() as bar:
+        task = bar.add_task("round trip", total=None)
+        trip = measure_round_trip(values, Path(folder), options.seconds, options.cuts)
+        bar.update(task, description="faults", total=1.0)
+        counts, loops, wrong = fault_run(
+            guide, options.frames, options.seed, lambda done: bar.update(task, completed=done)
+        )
+    times_us = trip.times * 1e6
+    return {
+        "fd": fd,
+        "pack_us": per_frame(costs, "pack_us", fd=fd),
+        "unpack_us": per_frame(costs, "unpack_us", fd=fd),
+        "codec": costs,
+        "send_us": trip.send_us,
+        "receive_us": trip.receive_us,
+        "round_trip_us": {
+            "p50": float(np.percentile(times_us, 50)),
+            "p99": float(np.percentile(times_us, 99)),
+            "max": float(times_us.max()),
+            "samples": len(times_us),
+            "lost_samples": trip.lost,
+        },
+        "hub_cpu_cores": trip.hub_cores,
+        "frames": options.frames,
+        "faults": {**counts, "cut": {"injected": trip.cuts, "detected": trip.reopened}},
+        "closed_loop": loops,
+        "unflagged_wrong": wrong,
+    }

@@ -1,0 +1,209 @@
+"""Run driver, feedforward, controller and logger as they run on a machine, stage moving, and measure them.
+
+Prints for each node its rate, overruns, how late its loop woke up, CPU and memory; for the graph the latency from
+sample to command and what was lost. The window begins when all nodes are connected and have settled."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.cli.law_tables import rounded, titled_table
+from straightcomp_ros.cli.output import (
+    CommandFailed,
+    check_range,
+    console,
+    notes,
+    output_folder,
+    print_json,
+    progress_bar,
+    require_ros,
+)
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.contract import DEFAULT_RATE
+from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.trials.bench.graph_bench import (
+    BenchFailed,
+    Measurement,
+    baseline_commands,
+    bench_parameters,
+    measure,
+    view_beside,
+)
+
+SUMMARY = "rate, lateness, latency, losses, CPU and memory of the running graph"
+_SHORTEST_S, _LONGEST_S = 2.0, 86400.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_parameter_options(parser)
+    parser.add_argument("--rate", type=int, default=DEFAULT_RATE, help="samples per second (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of the window (default: %(default)s)")
+    parser.add_argument(
+        "--soak",
+        type=float,
+        metavar="MINUTES",
+        help="a window of so many minutes, to see whether memory grows; the bag takes about 1 MB/s",
+    )
+    parser.add_argument(
+        "--priority",
+        "--fifo",
+        type=int,
+        default=0,
+        metavar="N",
+        help="run all nodes at SCHED_FIFO priority N and keep the CPUs awake (default: normal scheduling)",
+    )
+    parser.add_argument(
+        "--baseline", action="store_true", help="afterwards the same with plain rclpy nodes, and the ratio of both"
+    )
+    parser.add_argument("--view", action="store_true", help="afterwards the same with the live view open beside it")
+    parser.add_argument("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print."""
+    require_ros()
+    check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
+    seconds = options.seconds
+    if options.soak is not None:
+        check_range("--soak", options.soak, _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
+        seconds = 60.0 * options.soak
+    try:
+        values = bench_parameters(
+            chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.priority
+        )
+    except ParameterError as error:
+        raise CommandFailed(str(error), exit_code=2) from error
+    with ExitStack() as stack:
+        folder = (
+            output_folder("--output", options.output)
+            if options.output
+            else Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="straightcomp_bench_")))
+        )
+        measured = _measured(values, folder / "graph", seconds, "graph")
+        figures = measured.to_display()
+        if options.soak is not None:
+            figures["soak"] = {"minutes": options.soak, "growth_mb_per_hour": dict(measured.growth_mb_per_hour)}
+        if options.view:
+            beside = view_beside(options.priority)
+            figures["with_view"] = _measured(values, folder / "view", seconds, "with view", beside=beside).to_display()
+        if options.baseline:
+            try:
+                plain = _measured(values, folder / "baseline", seconds, "baseline", baseline_commands())
+                figures["baseline"] = plain.to_display()
+                figures["ratio"] = ratios(figures, figures["baseline"])
+            except CommandFailed as failure:
+                # That the plain graph does not live at this rate is a result too.
+                figures["baseline"] = {"failed": str(failure)}
+    if options.json:
+        print_json(figures)
+    else:
+        _print(figures, options)
+    return 0
+
+
+def _measured(
+    values: dict[str, dict[str, Any]],
+    folder: Path,
+    seconds: float,
+    words: str,
+    commands: Any = None,
+    beside: Any = None,
+) -> Measurement:
+    if (folder / "bag").exists():
+        raise CommandFailed(f"--output: {folder} holds a bag; name another folder", exit_code=2)
+    try:
+        with progress_bar() as bar:
+            task = bar.add_task(f"measuring {words}", total=1.0)
+            return measure(
+                values,
+                folder,
+                seconds,
+                progress=lambda done: bar.update(task, completed=done),
+                commands=commands,
+                beside=beside,
+            )
+    except BenchFailed as error:
+        raise CommandFailed(f"{words}: {error}") from error
+
+
+def ratios(ours: dict[str, Any], baseline: dict[str, Any]) -> dict[str, float]:
+    """Ours divided by the baseline's: CPU in all and per sample that the controller handled, the controller's rate,
+    losses, latency; NaN where the baseline has zero."""
+
+    def ratio(a: float, b: float) -> float:
+        return a / b if b else float("nan")
+
+    return {
+        "cpu_cores": ratio(ours["cpu_cores"], baseline["cpu_cores"]),
+        "cpu_per_sample": ratio(
+            ours["cpu_cores"] * baseline["controller"]["rate_hz"],
+            baseline["cpu_cores"] * ours["controller"]["rate_hz"],
+        ),
+        "rate_hz": ratio(ours["controller"]["rate_hz"], baseline["controller"]["rate_hz"]),
+        "lost_samples": ratio(ours["lost_samples"], baseline["lost_samples"]),
+        "latency_p50": ratio(ours["latency_us"]["p50"], baseline["latency_us"]["p50"]),
+        "latency_p99": ratio(ours["latency_us"]["p99"], baseline["latency_us"]["p99"]),
+    }
+
+
+def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
+    scheduling = f"SCHED_FIFO {options.priority}" if options.priority else "normal scheduling"
+    console.print(_table(figures, f"Graph at {options.rate} Hz, {scheduling}, {figures['seconds']:.1f} s; late in µs"))
+    _print_whole(figures)
+    if "soak" in figures:
+        slopes = figures["soak"]["growth_mb_per_hour"]
+        console.print("growth of memory [MB/h]: " + ", ".join(f"{node} {slopes[node]:.1f}" for node in RECORDED))
+    if "with_view" in figures:
+        console.print(_table(figures["with_view"], "With the live view open"))
+        _print_whole(figures["with_view"])
+    baseline = figures.get("baseline")
+    if baseline and "failed" in baseline:
+        console.print(f"baseline failed: {baseline['failed']}", markup=False)
+    elif baseline:
+        console.print(_table(baseline, "Baseline: plain rclpy nodes, SingleThreadedExecutor"))
+        _print_whole(baseline)
+        shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["ratio"].items())
+        console.print(f"ours / baseline: {shown}", markup=False)
+    if options.output:
+        notes.print(f"bags and logs: {options.output}")
+
+
+def _table(figures: dict[str, Any], title: str) -> Table:
+    table = titled_table(title, "node", "Hz", "overruns", "late p50", "p99", "p99.9", "max", "CPU", "MB")
+    for node in RECORDED:
+        values = figures[node]
+        late = values["timer_error_us"]
+        table.add_row(
+            node,
+            rounded(values["rate_hz"]),
+            str(values["overruns"]),
+            *(rounded(late[key]) for key in ("p50", "p99", "p999", "max")),
+            rounded(values["cpu_cores"], 3),
+            "→".join(rounded(value) for value in values["rss_mb"]),
+        )
+    return table
+
+
+def _print_whole(figures: dict[str, Any]) -> None:
+    latency, bag = figures["latency_us"], figures["bag"]
+    shown = ", ".join(f"{name} {rounded(latency[key])}" for name, key in _LATENCY_WORDS.items())
+    missing = ", ".join(f"{topic} {count}" for topic, count in bag["missing"].items() if count) or "nothing"
+    console.print(
+        f"sample → command [µs]: {shown}\n"
+        f"samples without a command: {figures['lost_samples']} of {bag['expected_samples']}; "
+        f"missing in the bag: {missing}\n"
+        f"CPU: {figures['cpu_cores']:.2f} cores; amplifier on in {100 * bag['amplifier_on']:.1f} % of the window",
+        highlight=False,
+    )
+
+
+_LATENCY_WORDS = {"p50": "p50", "p99": "p99", "p99.9": "p999", "max": "max"}

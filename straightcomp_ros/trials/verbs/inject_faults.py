@@ -1,0 +1,90 @@
+"""Make every fault in the running graph, measure how soon it is latched, and say whether that is soon enough.
+
+Starts driver, feedforward, controller and logger on the simulated machine, and injects each fault with the stage moving
+and the amplifier on. Exit code 0 if every row is green."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from straightcomp_ros.cell.launcher import LaunchError
+from straightcomp_ros.cli.law_tables import rounded
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.trials.faults.rows import summary
+
+SUMMARY = "inject every fault in the running graph and measure its detection"
+_REPEATS, _QUICK = 20, 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_parameter_options(parser)
+    parser.add_argument("--quick", action="store_true", help=f"{_QUICK} injections of each instead of {_REPEATS}")
+    parser.add_argument("--only", metavar="TEXT", default="", help="only faults with this text in their name")
+    parser.add_argument("--output", "-o", metavar="FOLDER", help="keep bags and logs there")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and print."""
+    require_ros()
+    from straightcomp_ros.trials.faults.injections import TRIALS, run_trials, trial_parameters
+
+    chosen = [trial for trial in TRIALS if options.only in trial.name]
+    if not chosen:
+        names = ", ".join(trial.name for trial in TRIALS)
+        raise CommandFailed(f"--only {options.only!r}: no fault has this in its name; known: {names}", exit_code=2)
+    values = trial_parameters(chosen_parameters(options))
+    begin = time.monotonic()
+    folder = Path(options.output or tempfile.mkdtemp(prefix="straightcomp_faults_"))
+    with ExitStack() as end, progress_bar() as bar:
+        if not options.output:
+            end.callback(shutil.rmtree, folder, ignore_errors=True)
+        task = bar.add_task("starting", total=1.0)
+        try:
+            rows = run_trials(
+                values,
+                folder,
+                _QUICK if options.quick else _REPEATS,
+                lambda name, done: bar.update(task, description=name, completed=done),
+                chosen,
+            )
+        except LaunchError as error:
+            # It names the folder's logs, so they stay.
+            end.pop_all()
+            raise CommandFailed(str(error)) from error
+    figures = summary(rows, time.monotonic() - begin)
+    if options.json:
+        print_json(figures)
+    else:
+        console.print(_table(figures))
+        for row in figures["faults"]:
+            for failure in row["failures"]:
+                console.print(f"{row['name']}: {failure}", markup=False)
+    return 0 if figures["all_green"] else 1
+
+
+def _table(figures: dict[str, Any]) -> Table:
+    table = Table(title=f"Faults in the running graph; {figures['seconds']:.0f} s", title_justify="left")
+    table.add_column("fault")
+    for column in ("injected", "detected", "median [ms]", "max [ms]", "limit [ms]"):
+        table.add_column(column, justify="right")
+    table.add_column("")
+    for row in figures["faults"]:
+        table.add_row(
+            row["name"],
+            str(row["injected"]),
+            str(row["detected"]),
+            *(rounded(row[key], 3) for key in ("median_ms", "max_ms", "limit_ms")),
+            "[green]ok[/green]" if row["green"] else "[red]RED[/red]",
+        )
+    return table

@@ -1,0 +1,27 @@
+"""Reads a view's news as an open page does, for measuring: python -m straightcomp_ros.view.page_reader PORT"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from http.client import HTTPConnection, HTTPException
+
+_AGAIN_S = 0.2
+
+
+def read(port: int) -> None:
+    """Read until interrupted; connect again, as a browser does, whenever the view is not there."""
+    while True:
+        connection = HTTPConnection("127.0.0.1", port, timeout=10.0)
+        with contextlib.closing(connection), contextlib.suppress(OSError, HTTPException):
+            connection.request("GET", "/news")
+            answer = connection.getresponse()
+            while answer.readline():
+                pass
+        time.sleep(_AGAIN_S)
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(KeyboardInterrupt):
+        read(int(sys.argv[1]))

@@ -1,0 +1,174 @@
+"""The page's server: the standard library's, on the loopback interface only; news by server-sent events.
+
+Reading needs the page's address alone. Buttons need the token that `straightcomp view` prints, and come as POST
+requests of JSON: another site's page can send neither the token nor, without asking first, JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any
+
+from straightcomp_ros.settings.plain_json import plain
+from straightcomp_ros.view.series import Board
+
+_NEWS_EVERY_S = 0.1
+_MOST_CONNECTIONS = 16
+_LONGEST_BODY = 4096
+_IDLE_S = 30.0
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; img-src data:"
+
+Action = Callable[[], str]
+"""Does what a button says; gives the answer for the person who pressed it. Raises ActionRefused."""
+
+
+class ActionRefused(Exception):
+    """The graph refused; the message says why."""
+
+
+class ViewServer(ThreadingHTTPServer):
+    """Serves one page, its news, and its buttons, each on a thread of its own.
+
+    Args:
+        port: TCP port on 127.0.0.1; 0 takes a free one.
+        board: what is shown.
+        actions: by name, what the buttons do.
+
+    Raises:
+        OSError: the port cannot be had.
+    """
+
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(self, port: int, board: Board, actions: Mapping[str, Action]) -> None:
+        super().__init__(("127.0.0.1", port), _Handler)
+        self.board, self.actions = board, dict(actions)
+        self.token = secrets.token_urlsafe(16)
+        self.page = files(__package__).joinpath("page.html").read_bytes()
+        self.stopping = threading.Event()
+        self._places = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name="view", daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self.server_address[1])
+
+    @property
+    def url(self) -> str:
+        """The page, with the token; the part behind the # stays in the browser."""
+        return f"http://127.0.0.1:{self.port}/#{self.token}"
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection, unless there are too many."""
+        if not self._places.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection to its end."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A page that was closed is no error, and what else a client does wrong is none of ours."""
+
+    def close(self) -> None:
+        """Stop."""
+        self.stopping.set()
+        self.shutdown()
+        self.server_close()
+        self._thread.join(5.0)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: ViewServer
+    timeout = _IDLE_S
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        if not self._addressed_to_us():
+            return
+        if self.path == "/":
+            self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page)
+        elif self.path == "/news":
+            self._send_news()
+        else:
+            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found")
+
+    def do_POST(self) -> None:
+        # Whatever is left unread of a refused request must not be taken for the next one.
+        self.close_connection = True
+        if not self._addressed_to_us():
+            return
+        given = self.headers.get("X-Token", "")
+        if not secrets.compare_digest(given.encode(), self.server.token.encode()):
+            self._answer(HTTPStatus.FORBIDDEN, "wrong or no token; open the address that `straightcomp view` printed")
+            return
+        if self.headers.get_content_type() != "application/json":
+            self._answer(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "allowed: application/json")
+            return
+        try:
+            length = int(self.headers.get("Content-Length", ""))
+            if not 0 <= length <= _LONGEST_BODY:
+                raise ValueError
+            wanted = json.loads(self.rfile.read(length))["action"]
+            action = self.server.actions[wanted]
+        except (ValueError, KeyError, TypeError):
+            self._answer(HTTPStatus.BAD_REQUEST, f'allowed: {{"action": one of {sorted(self.server.actions)}}}')
+            return
+        try:
+            self._answer(HTTPStatus.OK, action())
+        except ActionRefused as refusal:
+            self._answer(HTTPStatus.CONFLICT, str(refusal))
+
+    def _addressed_to_us(self) -> bool:
+        """A name that somebody else's DNS leads here is refused: its page would count as ours."""
+        if self.headers.get("Host", "") in (f"{name}:{self.server.port}" for name in ("127.0.0.1", "localhost")):
+            return True
+        self.close_connection = True
+        self._answer(HTTPStatus.FORBIDDEN, "allowed hosts: 127.0.0.1, localhost")
+        return False
+
+    def _send_news(self) -> None:
+        self.close_connection = True
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "text/event-stream")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        seen: dict[str, int] = {}
+        while not self.server.stopping.wait(_NEWS_EVERY_S):
+            text = json.dumps(plain(self.server.board.news(seen)), separators=(",", ":"), allow_nan=False)
+            self.wfile.write(f"data: {text}\n\n".encode())
+
+    def _answer(self, status: HTTPStatus, message: str) -> None:
+        self._send(status, "application/json", json.dumps({"message": message}).encode())
+
+    def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
+        self.send_response(status)
+        for name, value in {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Content-Security-Policy": _POLICY,
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
+            "Referrer-Policy": "no-referrer",
+            "Cache-Control": "no-store",
+        }.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: Any) -> None:
+        """Nothing: ten lines a second would be."""

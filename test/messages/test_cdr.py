@@ -1,0 +1,58 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+
+from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
+from straightcomp_ros.messages.cdr import LayoutMismatch, header_stamp_ns, joint_state, read_by_names
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+STAMPS = st.integers(0, 2**31 * 10**9 - 1)
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: stream.topic)
+@given(data=st.data(), stamp=STAMPS)
+def test_packed_messages_are_read_by_an_independent_deserialiser(stream, data, stamp):
+    layout = stream.layout
+    numbers = data.draw(st.lists(NUMBERS, min_size=len(layout.columns), max_size=len(layout.columns)))
+    packed = layout.pack(stamp, *numbers)
+    np.testing.assert_array_equal(read_by_names(layout, TYPES.deserialize_cdr(packed, layout.type_name))[1], numbers)
+    read_stamp, read = layout.unpack(packed)
+    assert read_stamp == header_stamp_ns(packed) == stamp
+    np.testing.assert_array_equal(read, numbers)
+
+
+@pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: stream.topic)
+def test_the_numpy_view_finds_stamp_and_numbers_where_pack_put_them(stream):
+    layout = stream.layout
+    numbers = [0.5 + k for k in range(len(layout.columns))]
+    row = np.frombuffer(layout.pack(7_000_000_009, *numbers), dtype=layout.dtype)[0]
+    assert (row["sec"], row["nanosec"]) == (7, 9)
+    assert [row[name] for name in layout.columns] == numbers
+
+
+@pytest.mark.parametrize("stream", STREAMS, ids=lambda stream: stream.topic)
+def test_cut_off_messages_are_refused_at_every_length(stream):
+    packed = stream.layout.pack(1, *([0.0] * len(stream.layout.columns)))
+    for length in range(len(packed)):
+        with pytest.raises(LayoutMismatch):
+            stream.layout.unpack(packed[:length])
+
+
+def test_a_message_with_other_names_is_refused_and_then_read_by_its_names():
+    other = joint_state(["platform_y", "stage_x"], position=["y", "x"], effort=["current", "stage"])
+    packed = other.pack(5, 2.0, 1.0, 0.25, math.nan)
+    with pytest.raises(LayoutMismatch):
+        ENCODER.layout.unpack(packed)
+    stamp, numbers = read_by_names(ENCODER.layout, TYPES.deserialize_cdr(packed, other.type_name))
+    assert stamp == 5 and numbers[:2] == [1.0, 2.0] and numbers[3] == 0.25
+
+
+def test_a_message_that_lacks_a_joint_is_refused_with_its_name():
+    packed = joint_state(["other"], effort=["e"]).pack(5, 1.0)
+    with pytest.raises(LayoutMismatch, match="effort of 'platform_y'"):
+        read_by_names(COMMAND.layout, TYPES.deserialize_cdr(packed, "sensor_msgs/msg/JointState"))

@@ -1,0 +1,63 @@
+"""Single late commands: in the compiled cycle, and in the script that prints what they cost."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
+from straightcomp_ros.settings.share import share_path
+
+PERIOD = 500_000
+
+
+@pytest.fixture(scope="module")
+def script():
+    path = Path(__file__).resolve().parents[3] / "scripts" / "late_commands.py"
+    spec = importlib.util.spec_from_file_location("late_commands", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def shipped():
+    values = read_parameter_file(share_path("config/straightcomp.yaml"))
+    values["cell"]["motion.stroke"] = 0.1
+    values["driver"]["lockstep_delay"] = 1.0
+    return values
+
+
+def test_delays_are_those_of_the_first_commands_and_the_rest_have_the_constant_one(shipped):
+    constant, _ = run_stroke(shipped)
+    n = constant.time.size
+    same, _ = run_stroke(shipped, np.full(100, PERIOD))
+    np.testing.assert_array_equal(same.true_y, constant.true_y)
+    late, _ = run_stroke(shipped, np.where(np.arange(2 * n) == n // 2, 3 * PERIOD, PERIOD))
+    np.testing.assert_array_equal(late.true_y[: n // 2], constant.true_y[: n // 2])
+    assert (late.true_y[n // 2 :] != constant.true_y[n // 2 :]).any()
+
+
+def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(script, shipped):
+    def rms(delays):
+        return evaluate(*run_stroke(shipped, delays)).to_display()["true_rms_um"]
+
+    irregular = np.random.default_rng(2).integers(0, PERIOD, 8000)
+    assert rms(np.maximum(irregular, PERIOD)) == rms(np.full(8000, PERIOD))
+    assert rms(irregular) > 1.1 * rms(np.full(8000, PERIOD))
+    assert script.typical_delays(PERIOD).max() < PERIOD
+
+
+def test_what_a_stalled_host_has_to_answer_comes_when_the_stall_is_over(script):
+    delays, starts = script.stalled(PERIOD, 2.0, 1000)
+    assert (np.diff(starts) == starts[1] - 1000).all()
+    arrivals = (np.arange(delays.size) * PERIOD + delays)[1000:1006] // PERIOD
+    assert arrivals.tolist() == [1004, 1004, 1004, 1004, 1005, 1006]
+
+
+def test_a_bag_that_is_not_there_ends_the_script_with_a_sentence(script, tmp_path, capsys):
+    assert script.main(["--bag", str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err

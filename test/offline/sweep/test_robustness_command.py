@@ -1,0 +1,76 @@
+import json
+import math
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
+from straightcomp_ros.offline.sweep.sweep_summary import summarise
+from straightcomp_ros.offline.sweep.trial import TrialResult
+
+SHORT = ["--set", "cell.motion.stroke=0.02", "--set", "cell.motion.settle=0.1", "--set", "cell.motion.pause=0.1"]
+
+
+def result(trial: int, pp: float, failure: str = "", law: str = "linear") -> TrialResult:
+    return TrialResult(trial, law, pp, pp / 6.0, 1.0, 0.0, 0.0, False, failure)
+
+
+def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_path):
+    plot = tmp_path / "robustness.png"
+    laws = ["--law", "linear", "--law", "smc"]
+    assert main(["robustness", *SHORT, *laws, "--trials", "3", "--jobs", "1", "--json", "--plot", str(plot)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed) == {"trials", "seed", "laws", "seconds"}
+    assert printed["trials"] == 3 and list(printed["laws"]) == ["linear", "smc"]
+    for figures in printed["laws"].values():
+        assert {"pp_um", "rms_um", "failures", "limit_cycles", "worst_trial"} <= set(figures)
+        assert 0.0 < figures["pp_um"]["p5"] <= figures["pp_um"]["p50"] <= figures["pp_um"]["max"] < 10.0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_table_names_the_laws_and_what_they_ran_under(capsys):
+    assert main(["robustness", *SHORT, "--law", "smc", "--trials", "2", "--jobs", "1", "--range", "mass=0.3"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "smc" in printed and "mass ±30%" in printed and "limit cycles" in printed
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["--range", "mess=0.1"], "'mess' is unknown; did you mean 'mass'"),
+        (["--range", "mass"], "NAME=VALUE"),
+        (["--range", "mass=heavy"], "'mass': 'heavy' is not a number"),
+        (["--set", "cell.motion.stroke=0.0"], "'motion.stroke'"),
+    ],
+)
+def test_wrong_parameters_are_named(capsys, arguments, message):
+    assert main(["robustness", "--trials", "1", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--trials", "0"], ["--seed", "-1"], ["--law", "magic"]])
+def test_wrong_options_are_refused(capsys, arguments):
+    with pytest.raises(SystemExit):
+        main(["robustness", *arguments])
+    assert arguments[1] in capsys.readouterr().err
+
+
+def test_every_percentile_is_a_trial_that_was_run():
+    errors = [1e-6, 2e-6, 4e-6, 8e-6]
+    (summary,) = summarise(result(trial, pp) for trial, pp in enumerate(errors))
+    assert set(summary.pp.values()) <= set(errors)
+    assert summary.pp["max"] == 8e-6 and summary.worst_trial == 3
+
+
+def test_a_cycle_that_broke_off_counts_and_is_null_in_json(tmp_path):
+    results = [result(0, 1e-6), result(1, math.inf, "position or current not finite")]
+    (summary,) = summarise(results)
+    shown = summary.to_display()
+    assert shown["pp_um"]["p50"] == pytest.approx(1.0) and shown["pp_um"]["max"] is None
+    assert shown["failures"] == 1
+    assert plot_sweep(results, [summary], tmp_path / "a.png", "broken off").is_file()
+
+
+def test_a_sweep_in_which_all_cycles_broke_off_can_be_drawn(tmp_path):
+    results = [result(0, math.inf, "position or current not finite")]
+    assert plot_sweep(results, summarise(results), tmp_path / "a.png", "none ended").is_file()

@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.control.laws import LAWS
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.sweep.many_trials import run_trials
+from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.offline.sweep.trial import laws_of, run_trial
+from straightcomp_ros.offline.sweep.uncertainty import EXACT
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_trial_without_uncertainty_has_the_figures_of_the_simulation(values, law):
+    simulation = Simulation({**values, "controller": {"control.law": law}})
+    expected = evaluate(simulation.run(), simulation.map)
+    (result,) = run_trials(make_scenario(values, [law], EXACT), 1, [0])
+    assert (result.pp, result.rms) == (expected.true_pp, expected.true_rms)
+    assert result.control_activity == expected.control_activity
+    assert result.failure == "" and not result.limit_cycle
+
+
+def test_trials_do_not_depend_on_their_order(scenario):
+    forward, backward = run_trials(scenario, 3, [0, 1, 2]), run_trials(scenario, 3, [2, 1, 0])
+    assert sorted(forward, key=repr) == sorted(backward, key=repr)
+    assert len({result.pp for result in forward}) == len(forward)
+
+
+def test_a_law_meets_the_same_machine_whichever_laws_run_beside_it(values, scenario):
+    alone = run_trials(make_scenario(values, ["smc"]), 3, [4])
+    assert alone == [result for result in run_trials(scenario, 3, [4]) if result.law == "smc"]
+
+
+def test_another_seed_is_another_machine(scenario):
+    laws = laws_of(scenario)
+    first, second = (run_trial(scenario, laws, seed, 0)[0] for seed in (1, 2))
+    assert first.pp != second.pp
+
+
+def test_a_platform_that_falls_onto_its_stop_has_failed(values):
+    # A milliampere does not hold it against the magnets' pull a tenth of a millimetre off the centre.
+    values["controller"] = {"control.current_limit": 1e-3}
+    values["driver"] = {"simulated.initial_y": 1e-4}
+    (result,) = run_trials(make_scenario(values, ["linear"], EXACT), 1, [0])
+    assert result.failure == "mechanical stop"
+    assert result.pp < np.inf
+
+
+def test_a_platform_that_does_not_follow_has_failed(values):
+    # A milliampere does not overcome friction, and the reference moves on by more than the limit.
+    values["controller"] = {"control.current_limit": 1e-3}
+    values["cell"]["motion.stroke"] = 1.2
+    (result,) = run_trials(make_scenario(values, ["linear"], EXACT), 1, [0])
+    assert result.failure == "error beyond 10 µm"

@@ -1,0 +1,80 @@
+"""The bench of the bags measures what it says; live parts are left out here."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import COMMAND, DEFAULT_RATE
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.trials.bench import bag_costs as bags
+from straightcomp_ros.trials.bench.traffic_streams import TRAFFIC, lost
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bags") / "run"
+    values = {
+        "controller": {"control.law": "smc"},
+        "cell": {"motion.stroke": 0.03, "motion.settle": 0.05, "motion.pause": 0.05},
+    }
+    simulation = Simulation(values)
+    with SimulatedRun(path, values, simulation.delay) as run:
+        simulation.run(observe=run.add)
+    return path
+
+
+@pytest.mark.no_cover  # its loops take three times as long under it
+def test_without_ros_all_but_the_live_figures_are_measured(bag, monkeypatch, capsys):
+    monkeypatch.setattr(bags, "ros_available", lambda: False)
+    assert main(["bench", "bags", "--bag", str(bag), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    commands = len(read_streams(bag, {COMMAND.topic: COMMAND.layout})[COMMAND.topic])
+    assert figures["audit"] == {"commands": commands, "different": 0}
+    assert figures["kill"] == {"runs": 0, "max_lost_s": None}
+    assert figures["record"]["lost"] is None and figures["record"]["cpu_cores"] is None
+    assert 10 < figures["record"]["bytes_per_message"] < 300
+    assert figures["read"]["equal"] is True
+    assert 0 < figures["read"]["ours_us"] < figures["read"]["rosbags_us"]
+    assert figures["evaluate_s"] > 0
+
+
+def test_one_other_bit_is_not_equal(bag):
+    stream = read_streams(bag, {COMMAND.topic: COMMAND.layout})[COMMAND.topic]
+    rows = [(stamp, [value]) for stamp, value in zip(stream.stamp.tolist(), *stream.columns.values(), strict=True)]
+    assert bags._same(stream, rows)
+    rows[7] = (rows[7][0], [rows[7][1][0] + 1e-15])
+    assert not bags._same(stream, rows)
+
+
+def test_a_bad_bag_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bags, "ros_available", lambda: False)
+    (tmp_path / "bad.mcap").write_bytes(b"nothing")
+    assert main(["bench", "bags", "--bag", str(tmp_path / "bad.mcap"), "--kill-runs", "0"]) == 1
+    assert "is not an MCAP file" in capsys.readouterr().err
+
+
+def test_what_was_published_and_is_not_in_the_bag_is_lost_be_it_a_whole_topic_or_the_end_of_one(tmp_path):
+    encoder, *others, missing = TRAFFIC
+    with BagWriter(tmp_path / "bag") as bag:
+        for stream in TRAFFIC:
+            bag.add_topic(f"/{stream.topic}", stream.layout.type_name)
+        stamps = dict.fromkeys((stream.topic for stream in others), range(10)) | {
+            encoder.topic: [0, 1, 4, 4, 4, 5, 6, 7],
+            missing.topic: [],
+        }
+        for stream in TRAFFIC:
+            for stamp in stamps[stream.topic]:
+                message = stream.layout.pack(stamp, *[0.0] * len(stream.layout.columns))
+                bag.write(f"/{stream.topic}", message, stamp, stamp)
+    assert lost(tmp_path / "bag", 10) == 4 + 10
+
+
+def test_the_load_is_16000_messages_a_second_of_eight_topics():
+    assert len({stream.topic for stream in TRAFFIC}) == 8
+    assert len(TRAFFIC) * DEFAULT_RATE == 16_000

@@ -1,0 +1,69 @@
+"""`straightcomp bench` as it is typed."""
+
+import json
+import math
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import STREAMS
+from straightcomp_ros.control.laws import LAWS
+from straightcomp_ros.trials.bench.step_costs import cost
+from straightcomp_ros.trials.verbs.bench_graph import ratios
+
+SHORT = ["--set", "cell.motion.stroke=0.05", "--set", "cell.motion.settle=0.1"]
+
+
+def test_each_law_each_stream_and_the_simulation_are_timed(capsys):
+    assert main(["bench", "step", "--json", "--repeats", "3", *SHORT]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert list(figures["laws"]) == list(LAWS)
+    assert list(figures["messages"]) == [stream.topic for stream in STREAMS]
+    simulate = figures["simulate"]
+    found = [*figures["laws"].values(), *(verb for both in figures["messages"].values() for verb in both.values())]
+    for values in [*found, simulate["sample"]]:
+        assert 0 < values["min_us"] <= values["median_us"] <= values["max_us"]
+    # One simulated sample is half a millisecond.
+    assert simulate["simulated_seconds_per_second"] * simulate["sample"]["median_us"] == pytest.approx(500.0)
+
+
+def test_the_table_names_every_part(capsys):
+    assert main(["bench", "step", "--repeats", "1", *SHORT]) == 0
+    printed = capsys.readouterr().out
+    assert all(law in printed for law in LAWS) and all(f"unpack '{stream.topic}'" in printed for stream in STREAMS)
+
+
+def test_the_cost_of_a_call_is_that_of_all_divided_by_their_number():
+    ticks = []
+    found = cost(lambda: ticks.append(sum(range(20_000))), 10, 4)
+    assert len(ticks) == 5 and 0 < found.least <= found.median <= found.largest
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["step", "--repeats", "0"], "--repeats 0; allowed: 1 to 10000"),
+        (["graph", "--seconds", "0.1"], "--seconds 0.1; allowed: 2 to 86400"),
+        (["graph", "--soak", "nan"], "--soak nan; allowed: 0.03333 to 1440"),
+        (["graph", "--rate", "5"], "parameter 'simulated.rate': 5 Hz is too small"),
+        (["graph", "--priority", "99"], "parameter 'realtime.priority': 99 is too large"),
+    ],
+)
+def test_a_refused_option_ends_with_code_2_and_what_is_allowed(capsys, arguments, words):
+    pytest.importorskip("rclpy")
+    assert main(["bench", *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_ratio_with_nothing_below_it_is_no_number():
+    def figures(cpu, lost):
+        return {
+            "cpu_cores": cpu,
+            "controller": {"rate_hz": 2000.0},
+            "lost_samples": lost,
+            "latency_us": {"p50": 100.0, "p99": 200.0},
+        }
+
+    found = ratios(figures(1.0, 3), figures(2.0, 0))
+    assert (found["cpu_cores"], found["rate_hz"]) == pytest.approx((0.5, 1.0))
+    assert math.isnan(found["lost_samples"])
