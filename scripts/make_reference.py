@@ -18,14 +18,12 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
 SERVES = {"recorder_services": "logger", "safety_panel": "driver"}
 """Modules with services of one node, and that node."""
-NO_PART_OF_THE_GRAPH = ("baseline", "traffic")
-"""Modules with nodes that only measurements start."""
-NODES = REPOSITORY / "straightcomp_ros" / "nodes"
+ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime")]
 HEAD = """\
 # Reference
 
-Made by `scripts/make_reference.py` from `contract.py`, `configuration.py` and the nodes; a test holds it to them.
-All numbers are SI. All names are relative: a namespace or a remapping moves them.
+Made by `scripts/make_reference.py` from `contract.py`, `configuration/node_parameters.py` and the nodes; a test holds it
+to them. All numbers are SI. All names are relative: a namespace or a remapping moves them.
 
 ## Topics
 
@@ -74,9 +72,7 @@ def _other_streams() -> list[contract.Stream]:
 
 def services() -> Iterator[tuple[str, str, str, str]]:
     """Node, name, type and meaning of each service, from the sources; NODE where each node offers it."""
-    for path in sorted(NODES.glob("*.py")):
-        if path.stem in NO_PART_OF_THE_GRAPH:
-            continue
+    for path in sorted((path for room in ROOMS for path in room.glob("*.py")), key=lambda path: path.name):
         name = SERVES.get(path.stem, path.stem.removesuffix("_node"))
         node = name if name in NODE_PARAMETERS else "NODE"
         tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -105,8 +105,8 @@ class ControllerPart:
 
     def deactivate(self) -> None:
         """No command goes out any more: the driver switches off. What was learned is kept."""
-        self._publish_command.flush()
-        self._publish_state.flush()
+        self._publish_command.finish()
+        self._publish_state.finish()
         if self._learning is not None:
             self._learning.save()
 

@@ -120,9 +120,9 @@ class DriverPart:
         """Amplifier off; no samples any more. A fault stays latched."""
         self._safety.disable()
         self._panel.report()
-        self._publish_sample.flush()
-        self._publish_truth.flush()
-        self._publish_state.flush()
+        self._publish_sample.finish()
+        self._publish_truth.finish()
+        self._publish_state.finish()
 
     def prepare(self, parameters: DriverNodeParameters) -> Callable[[], None]:
         """The limit of the commands may change."""

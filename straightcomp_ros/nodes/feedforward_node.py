@@ -71,6 +71,7 @@ class FeedforwardPart:
 
     def deactivate(self) -> None:
         """No reference goes out any more, so no command does: the driver switches off."""
+        self._publish.finish()
 
     def prepare(self, parameters: FeedforwardNodeParameters) -> Callable[[], None]:
         """Another map: the reference goes over to it without a bump."""

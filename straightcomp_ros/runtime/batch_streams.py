@@ -12,6 +12,7 @@ import itertools
 import time
 from collections.abc import Callable
 
+from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import UInt8MultiArray
 
@@ -35,6 +36,8 @@ _first_bursts = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
 """Lengths of the first bursts of a process's streams: those of a node must not all fall into the same cycle."""
 _FLUSH_S = 0.5
 """For the last samples, when no more come: a burst that nothing fills waits for so long at most."""
+_DELIVERY = Duration(seconds=0.2)
+"""For readers to say that they have the last bursts; one that stands still is not waited for any longer."""
 _LOOK_NS = 200_000_000
 _LONGEST_DELAY_NS = 1_000_000_000
 
@@ -43,9 +46,8 @@ class _Bursts:
     """What goes out in bursts: serialised messages, and when each was made."""
 
     def __init__(self, node: Node, stream: Stream) -> None:
-        self._publish = raw_publish(
-            node.create_publisher(UInt8MultiArray, stream.burst_topic, stream_qos(reliable=True))
-        )
+        self._publisher = node.create_publisher(UInt8MultiArray, stream.burst_topic, stream_qos(reliable=True))
+        self._publish = raw_publish(self._publisher)
         self._waiting: list[tuple[int, bytes]] = []
         self._room = next(_first_bursts)
 
@@ -66,6 +68,10 @@ class _Bursts:
         for first in range(0, len(waiting), _LONGEST):
             self._publish(pack_burst(waiting[first : first + _LONGEST]))
         return waiting
+
+    def delivered(self) -> None:
+        """Wait until the readers have what was published: a reader that learns first of its writer's end drops it."""
+        self._publisher.wait_for_all_acked(_DELIVERY)
 
 
 class BurstPublisher:
@@ -97,6 +103,11 @@ class BurstPublisher:
         if messages and self._publisher.get_subscription_count():
             for _, data in messages:
                 self._publish(data)
+
+    def finish(self) -> None:
+        """Publish what waits, and see it delivered: before the node ends."""
+        self.flush()
+        self._bursts.delivered()
 
 
 class CopiedPublisher:
@@ -130,6 +141,12 @@ class CopiedPublisher:
         """Publish what no burst has had yet."""
         if self._bursts is not None:
             self._bursts.flush()
+
+    def finish(self) -> None:
+        """The same, and see it delivered: before the node ends."""
+        if self._bursts is not None:
+            self._bursts.flush()
+            self._bursts.delivered()
 
 
 class BurstQueue:

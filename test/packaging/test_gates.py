@@ -32,7 +32,16 @@ def test_every_part_of_the_core_is_among_what_mypy_judges() -> None:
     # Python 3.10 has no tomllib; mypy brings tomli along there.
     tomllib = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
     judged = set(tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["mypy"]["files"])
-    parts = ("model", "control", "straightness", "analysis", "timing", "contract.py", "cdr.py", "parameters.py")
+    parts = (
+        "model",
+        "control",
+        "straightness",
+        "analysis",
+        "timing",
+        "messages",
+        "contract.py",
+        "settings/declaration.py",
+    )
     assert {f"straightcomp_ros/{part}" for part in parts} <= judged
 
 
