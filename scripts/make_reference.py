@@ -22,8 +22,8 @@ ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime")
 HEAD = """\
 # Reference
 
-Made by `scripts/make_reference.py` from `contract.py`, `configuration/node_parameters.py` and the nodes; a test holds it
-to them. All numbers are SI. All names are relative: a namespace or a remapping moves them.
+Made by `scripts/make_reference.py` from `contract.py`, `configuration/node_parameters.py` and the nodes; a test holds
+it to them. All numbers are SI. All names are relative: a namespace or a remapping moves them.
 
 ## Topics
 
