@@ -26,6 +26,7 @@ from straightcomp_ros.trials.soak.verdict import Actions, Lives, Soak, exits
 
 WARM_UP_S = 10.0
 """Age from which a process is looked at: until then it allocates what it keeps."""
+_NEXT_DIAGNOSTICS_S = 1.5
 _PAUSE_S = (0.2, 2.0)
 _NEW_GRAPHS = 3
 """Times that all nodes are started anew where the graph does not come up again, before the run is given up."""
@@ -133,8 +134,10 @@ def _look(scene: Scene, lives: Lives) -> None:
     # What has ended by itself, or does not answer, is found by the next action.
     with suppress(OSError, LaunchError):
         if "feedforward" in warm and warm["feedforward"] not in lives:
-            # Its thread for maps starts with the first that it is given, and stays.
+            # Its thread for maps starts with the first that it is given, and stays; so does the file that counts the
+            # thread's waits for a CPU, which the node opens with its next diagnostics.
             scene.ask(Trigger, "feedforward/reload_map", Trigger.Request())
+            stand.spin(_NEXT_DIAGNOSTICS_S)
         lives.see(warm)
 
 

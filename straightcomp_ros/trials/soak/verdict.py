@@ -95,7 +95,7 @@ class Life:
 
 
 class Lives:
-    """All processes of a run, and what they held of Fast DDS's shared memory."""
+    """All processes of a run."""
 
     def __init__(self) -> None:
         self._all: dict[int, Life] = {}
