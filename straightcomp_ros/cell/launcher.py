@@ -104,8 +104,9 @@ class Graph:
         return self.start_program(name, words, read_output=read_output)
 
     def start_program(self, name: str, command: Sequence[str], *, read_output: bool = False) -> subprocess.Popen[str]:
-        """Start another program beside the nodes, under a ``name`` of its own."""
-        with self.log(name).open("w") as log:
+        """Start another program beside the nodes, under a ``name`` of its own; one that is started again goes on with
+        its log."""
+        with self.log(name).open("a" if name in self._processes else "w") as log:
             process = subprocess.Popen(
                 command,
                 env=self._environment,
@@ -128,9 +129,13 @@ class Graph:
     def check(self, names: Sequence[str]) -> None:
         """Raise LaunchError if one of these nodes, which should run on, has ended."""
         for name in names:
-            code = self._processes[name].poll()
+            code = self.exit_code(name)
             if code is not None:
                 raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {self.last_words(name)}")
+
+    def exit_code(self, name: str) -> int | None:
+        """How a node has ended, None while it runs."""
+        return self._processes[name].poll()
 
     def last_words(self, name: str) -> str:
         """The last line that a node printed, for a message."""

@@ -1,7 +1,9 @@
 """The stand for trials of faults: what it asks of the nodes' heartbeats and of their processes."""
 
+import sys
+
+from straightcomp_ros.cell.launcher import Graph
 from straightcomp_ros.runtime.heartbeats import Heartbeats
-from straightcomp_ros.trials.faults.nursery_client import Nursery
 
 
 class Deaf:
@@ -29,8 +31,8 @@ def test_a_node_started_anew_is_silent_until_its_next_heartbeat():
     assert heartbeats.in_state("active")
 
 
-def test_the_exit_code_of_a_node_may_be_asked_for_again():
-    nursery = object.__new__(Nursery)
-    nursery._codes, answers = {}, [None, 1]
-    nursery._ask = lambda request: {"code": answers.pop(0)}
-    assert [nursery.exit_code(7) for _ in range(3)] == [None, 1, 1]
+def test_a_node_that_is_started_again_goes_on_with_its_log(tmp_path):
+    with Graph(tmp_path) as graph:
+        for word in ("first", "second"):
+            graph.start_program("node", [sys.executable, "-c", f"print('{word}')"]).wait(60)
+        assert graph.log("node").read_text().split() == ["first", "second"] and graph.exit_code("node") == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,7 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.cycle import RECORDED, as_parameter_file
-from straightcomp_ros.cell.launcher import LaunchError, exit_words, isolated_environment
+from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
 from straightcomp_ros.contract import COMMAND, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
 from straightcomp_ros.model.stage import Waypoint, trapezoid
 from straightcomp_ros.runtime.heartbeats import Heartbeats
@@ -29,9 +30,9 @@ from straightcomp_ros.runtime.streams import Inbox, publisher, unspun_node
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
-from straightcomp_ros.trials.faults.faulty_driver import INJECT, INJECTED, NEW_MACHINE
-from straightcomp_ros.trials.faults.nursery_client import Nursery
+from straightcomp_ros.trials.faults.faulty_driver import INJECT, INJECTED, NEW_MACHINE, FaultyDriver
 
+_FAULTY_DRIVER = (sys.executable, "-m", FaultyDriver.__module__)
 _START_S = 90.0
 """A busy machine takes its time to start a node, and the middleware to connect it."""
 _ANSWER_S = 3.0
@@ -71,7 +72,7 @@ class Stand:
         self._realtime = RealtimeParameters(priority=values["driver"].get("realtime.priority", 0))
         self._file.write_text(as_parameter_file(values))
         os.environ.update(isolated_environment())
-        self._nursery = Nursery()
+        self._graph = Graph(folder)
         self.processes: dict[str, int] = {}
         self.started: dict[str, float] = {}
         self.bags = 0
@@ -101,23 +102,23 @@ class Stand:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._nursery.close()
+        self._graph.stop()
         self.node.destroy_node()
         rclpy.try_shutdown()
 
     def start(self, name: str) -> None:
         """Start a node, again if it has ended."""
-        module = "faulty_driver" if name == "driver" else f"{name}_node"
-        words = [module, "--ros-args", "--params-file", str(self._file)]
+        parameters, command = {}, None
         if name == "driver":
+            command = _FAULTY_DRIVER
             # More than once: the first may come before the driver is connected; it refuses those that it does not need.
             self._sends = _SENDS
         if name == "logger":
             self.bags += 1
-            words += ["-p", f"output:={self.bag}"]
+            parameters["output"] = str(self.bag)
         self.heartbeats.forget(name)
         self.started[name] = time.monotonic()
-        self.processes[name] = self._nursery.start(words, self._folder / f"{name}.log")
+        self.processes[name] = self._graph.start(name, parameters, self._file, command=command).pid
 
     @property
     def bag(self) -> Path:
@@ -132,7 +133,7 @@ class Stand:
 
     def exit_code(self, name: str) -> int | None:
         """How a node has ended, None while it runs."""
-        return self._nursery.exit_code(self.processes[name])
+        return self._graph.exit_code(name)
 
     def alive(self, names: tuple[str, ...] = RECORDED) -> bool:
         """Whether the processes of these nodes run."""
@@ -208,7 +209,7 @@ class Stand:
         while time.monotonic() < deadline:
             self.inject("")
             if not self.until(lambda: self.heartbeats.in_state("active"), _ANSWER_S):
-                self._check_alive()
+                self._graph.check(RECORDED)
                 continue
             self.spin(0.03)
             self.call(Trigger, "driver/reset_fault", Trigger.Request())
@@ -227,20 +228,10 @@ class Stand:
                     self.fault = self.tripped = None
                     self.injected_ns = 0
                     return
-        for name in self.heartbeats.silent():
-            if self.exit_code(name) is None:
-                self._nursery.tell_stacks(self.processes[name])
         raise LaunchError(
             f"the graph does not come up: nodes {self.heartbeats.states}, amplifier '{self.condition}', "
             f"fault {self.fault} (logs in {self._folder})"
         )
-
-    def _check_alive(self) -> None:
-        for name in RECORDED:
-            code = self.exit_code(name)
-            if code is not None:
-                words = (self._folder / f"{name}.log").read_text(errors="replace").strip().splitlines()
-                raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {words[-1] if words else ''}")
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Ask a service of a node; returns its answer, or None where none came."""

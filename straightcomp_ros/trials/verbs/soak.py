@@ -2,7 +2,8 @@
 
 Starts driver, feedforward, controller and logger on the simulated machine with the stage moving. The actions:
 amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL and restart. After each the safety
-state and the work of the whole graph are checked; at the end bags, strokes, descriptors, threads and memory. Exit code 0 only if nothing failed."""
+state and the work of the whole graph are checked; at the end bags, strokes, descriptors, threads and memory. Exit code
+0 only if nothing failed."""
 
 from __future__ import annotations
 
