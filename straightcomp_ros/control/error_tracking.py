@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.law import Numbers
 from straightcomp_ros.control.observer import (
     Estimate,
     Interval,
@@ -136,20 +135,3 @@ def limited(g: Loop, current: float) -> float:
 def next_prior(g: Loop, action: Estimate, command: float) -> Estimate:
     """The next sample as it is predicted, with ``command`` A acting from the moment of action on."""
     return predicted(g.actuator, g.mass, g.after_action, action, command)
-
-
-@compilable
-def loop_from(k: Numbers, n: int) -> Loop:
-    """The loop of its flat numbers, the first of which is ``k[n]``."""
-    return Loop(
-        k[n],
-        k[n + 1],
-        Interval(k[n + 2], k[n + 3], k[n + 4]),
-        Interval(k[n + 5], k[n + 6], k[n + 7]),
-        k[n + 8],
-        k[n + 9],
-        k[n + 10],
-        k[n + 11],
-        ObserverGains(k[n + 12], k[n + 13], k[n + 14]),
-        Actuator(k[n + 15], k[n + 16], k[n + 17]),
-    )

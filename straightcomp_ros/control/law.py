@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
-Numbers = NDArray[np.float64]
+from straightcomp_ros.model.compiled import Compiled
+
+_FLAT_STEP = """
+def run(k, s, answer, y, r, r_dot, r_ddot, current):
+    state, command = step({gains}, {state}, y, r, r_dot, r_ddot, current)
+    {stored}
+"""
+"""What is compiled of a law's step, with places in arrays for the fields of its tuples."""
 
 
 class Command(NamedTuple):
@@ -38,8 +46,8 @@ class Law:
     """A control law, called once for each sample at a fixed period.
 
     A law is two functions on tuples of numbers, without side effects. A sweep over thousands of strokes compiles them
-    into its loop; for all others ``run`` is the step compiled by itself, which takes the numbers as arrays. In a loop
-    that finds its code in no cache, that costs a third of the same lines in Python.
+    into its loop; for all others the step is compiled by itself, on arrays of the same numbers. In a loop that finds
+    its code in no cache, that costs a third of the same lines in Python.
 
     Args:
         gains: the law's constants, a NamedTuple of floats.
@@ -47,9 +55,7 @@ class Law:
         step: ``step(gains, state, y, r, r_dot, r_ddot, current)`` gives (next state, Command) for one sample: encoder
             reading y in m, reference r in m with its rate in m/s and acceleration in m/s², measured control
             current of the coils in A (NaN where none is measured).
-        run: compiled ``run(gains, state, answer, y, r, r_dot, r_ddot, current)``: one step on the flat numbers of gains
-            and state, which is changed in place; ``answer``, (7,), gets the numbers of the Command. None calls
-            ``step`` as it is.
+        compiled: whether the step is `compilable`; without that, :meth:`step` calls it as it is.
     """
 
     def __init__(
@@ -57,12 +63,12 @@ class Law:
         gains: Any,
         start: Callable[[float], Any],
         step: Callable[..., tuple[Any, Command]],
-        run: Any = None,
+        compiled: bool = False,
     ) -> None:
         self.gains = gains
         self.start = start
         self.function = step
-        self._run = None if run is None else run.dispatcher
+        self._run = _flat_step(step, gains.__class__, start(0.0).__class__).dispatcher if compiled else None
         self._gains = np.array(flat(gains))
         self._answer = np.zeros(len(Command._fields))
         self.reset(0.0)
@@ -90,3 +96,39 @@ class Law:
 def flat(numbers: Any) -> list[float]:
     """All numbers of a tuple that may have tuples in it, in order."""
     return [inner for number in numbers for inner in (flat(number) if isinstance(number, tuple) else (number,))]
+
+
+@cache
+def _flat_step(step: Callable[..., Any], gains: type, state: type) -> Compiled:
+    """``run(gains, state, answer, y, r, r_dot, r_ddot, current)``: one step on flat numbers.
+
+    The state's array is changed in place; ``answer``, (7,), gets the numbers of the Command.
+    """
+    names: dict[str, Any] = {"step": step, "__name__": step.__module__}
+    stored = [f"s[{n}] = state{path}" for n, path in enumerate(_paths(state))]
+    stored += [f"answer[{n}] = command{path}" for n, path in enumerate(_paths(Command))]
+    source = _FLAT_STEP.format(
+        gains=_from_array("k", gains, itertools.count(), names),
+        state=_from_array("s", state, itertools.count(), names),
+        stored="\n    ".join(stored),
+    )
+    # The machine code is kept beside that of the other functions of the law's module: numba asks for a file's name.
+    exec(compile(source, step.__code__.co_filename, "exec"), names)
+    return Compiled(names["run"])
+
+
+def _from_array(array: str, kind: type, places: Iterator[int], names: dict[str, Any]) -> str:
+    """Source of a call that makes a tuple of ``kind`` from an array; ``names`` gets the names in it."""
+    parts = [
+        _from_array(array, field, places, names) if issubclass(field, tuple) else f"{array}[{next(places)}]"
+        for field in get_type_hints(kind).values()
+    ]
+    name = f"{kind.__name__}_{len(names)}"
+    names[name] = kind
+    return f"{name}({', '.join(parts)})"
+
+
+def _paths(kind: type) -> Iterator[str]:
+    """Where the numbers of a tuple of ``kind`` are, in order: ``.prior.y``."""
+    for name, field in get_type_hints(kind).items():
+        yield from (f".{name}{inner}" for inner in (_paths(field) if issubclass(field, tuple) else ("",)))

@@ -87,7 +87,7 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
             period=period,
             current_limit=parameters.current_limit,
         )
-        return Law(gains, sliding_mode.start, sliding_mode.step, sliding_mode.run)
+        return Law(gains, sliding_mode.start, sliding_mode.step, compiled=True)
 
     def loop(delay: float, bandwidth: float, gain_allowance: float) -> tracking.Loop:
         return tracking.loop(
@@ -108,8 +108,8 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
             super_twisting.gains(twisting.surface, twisting.disturbance_rate, believed),
             super_twisting.start,
             super_twisting.step,
-            super_twisting.run,
+            compiled=True,
         )
     believed = loop(observer.delay, observer.bandwidth, observer.gain_allowance)
     reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, believed)
-    return Law(reaching, smc_observer.start, smc_observer.step, smc_observer.run)
+    return Law(reaching, smc_observer.start, smc_observer.step, compiled=True)

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, feedback_gains, state_matrices
-from straightcomp_ros.control.law import Command, Numbers
-from straightcomp_ros.model.compiled import compilable, compiled
+from straightcomp_ros.control.law import Command
+from straightcomp_ros.model.compiled import compilable
 
 
 class Gains(NamedTuple):
@@ -117,13 +117,3 @@ def step(
     if command == asked or (y - r) * asked > 0.0:
         integral += g.period * (y - r)
     return State(integral, y, velocity), Command(command, r - y, sigma, equivalent, switching, velocity, math.nan)
-
-
-@compiled
-def run(k: Numbers, state: Numbers, answer: Numbers, y: float, r: float, r_dot: float, r_ddot: float, i: float) -> None:
-    """:func:`step` as :class:`~straightcomp_ros.control.law.Law` has it."""
-    g = Gains(k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9], k[10], k[11], k[12], k[13])
-    after, command = step(g, State(state[0], state[1], state[2]), y, r, r_dot, r_ddot, i)
-    state[0], state[1], state[2] = after.integral, after.y, after.velocity
-    for n, number in enumerate(command):
-        answer[n] = number

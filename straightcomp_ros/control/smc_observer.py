@@ -22,10 +22,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from straightcomp_ros.control.error_tracking import Loop, current_for, limited, loop_from, moment_of_action, next_prior
-from straightcomp_ros.control.law import Command, Numbers
+from straightcomp_ros.control.error_tracking import Loop, current_for, limited, moment_of_action, next_prior
+from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.observer import Estimate
-from straightcomp_ros.model.compiled import compilable, compiled
+from straightcomp_ros.model.compiled import compilable
 
 
 class Gains(NamedTuple):
@@ -63,15 +63,3 @@ def step(
     answer = limited(g.loop, asked)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, at.now.velocity, at.now.disturbance)
     return State(next_prior(g.loop, at.action, answer), answer), command
-
-
-@compiled
-def run(k: Numbers, state: Numbers, answer: Numbers, y: float, r: float, r_dot: float, r_ddot: float, i: float) -> None:
-    """:func:`step` as :class:`~straightcomp_ros.control.law.Law` has it."""
-    before = State(Estimate(state[0], state[1], state[2], state[3]), state[4])
-    after, command = step(Gains(k[0], k[1], k[2], loop_from(k, 3)), before, y, r, r_dot, r_ddot, i)
-    for n, number in enumerate(after.prior):
-        state[n] = number
-    state[4] = after.command
-    for n, number in enumerate(command):
-        answer[n] = number

@@ -16,7 +16,7 @@ from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_FOLDERS = ("model", "control", "straightness", "hardware", "sweep")
+_FOLDERS = ("model", "control", "straightness", "hardware", "identification", "offline/sweep")
 """Of this package: where functions are that may be compiled."""
 _marked: list[Callable[..., Any]] = []
 """What compiled functions may call, until numba knows of it."""
