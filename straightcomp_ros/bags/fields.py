@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import typestore
-from straightcomp_ros.bags.messages import Messages, read_messages
+from straightcomp_ros.bags.messages import Messages, decoded, read_messages
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
@@ -76,19 +75,17 @@ def read_field(bag: Path, field: Field) -> FieldValues:
         layout, column = known
         stream = read_streams(bag, {messages.topic: layout})[messages.topic]
         return FieldValues(stream.stamp, stream.columns[column], True)
-    decode = _decoder(bag, messages)
+    _register_type(bag, messages)
     stamp = np.array(messages.publish_time, np.int64)
     values = np.empty(len(stamp))
     stamped = True
     for place, data in enumerate(messages.data):
         where = f"bag {bag}: topic '{messages.topic}', message {place}"
-        message = decode(where, data)
+        message = decoded(where, data, messages.type_name)
         values[place] = _value(where, message, field.path)
-        header = getattr(message, "header", None)
-        if header is None:
-            stamped = False
-        else:
-            stamp[place] = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
+        stamped = hasattr(message, "header")
+        if stamped:
+            stamp[place] = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
     return FieldValues(stamp, values, stamped)
 
 
@@ -106,26 +103,20 @@ def _layout_with(field: Field, messages: Messages) -> tuple[Layout, str] | None:
     return None
 
 
-def _decoder(bag: Path, messages: Messages) -> Callable[[str, bytes], Any]:
+def _register_type(bag: Path, messages: Messages) -> None:
+    """Have the type of these messages in the typestore: as the bag describes it where ROS 2's own packages lack it."""
     from rosbags.typesys import get_types_from_msg
 
     store, name = typestore(), messages.type_name
-    if name not in store.fielddefs:
-        try:
-            described = get_types_from_msg(messages.definition, name)
-            store.register({key: value for key, value in described.items() if key not in store.fielddefs})
-        except Exception as error:  # Whatever a parser stumbles over in somebody else's text.
-            raise BagError(
-                f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
-            ) from error
-
-    def decode(where: str, data: bytes) -> Any:
-        try:
-            return store.deserialize_cdr(data, name)
-        except Exception as error:  # Likewise in bytes that are no such message.
-            raise BagError(f"{where} is no {name} ({error})") from error
-
-    return decode
+    if name in store.fielddefs:
+        return
+    try:
+        described = get_types_from_msg(messages.definition, name)
+        store.register({key: value for key, value in described.items() if key not in store.fielddefs})
+    except Exception as error:  # Whatever a parser stumbles over in somebody else's text.
+        raise BagError(
+            f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
+        ) from error
 
 
 def _value(where: str, message: Any, path: str) -> float:

@@ -1,14 +1,21 @@
-"""The files of a bag: those that are there, and those that should be."""
+"""The files of a bag: those that are there, those that should be, and all of them open."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import yaml
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.sqlite_input import SqliteInput
+
+BagInput = McapInput | SqliteInput
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def mcap_files(bag: Path) -> list[Path]:
@@ -74,4 +81,46 @@ def _listed(bag: Path) -> list[str]:
         return []
 
 
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+def sqlite_files(bag: Path) -> list[Path]:
+    """The SQLite files of a bag, oldest first; none for another bag."""
+    bag = Path(bag)
+    if bag.is_file():
+        return [bag] if bag.suffix == ".db3" else []
+    return [] if any(bag.glob("*.mcap")) else sorted(bag.glob("*.db3"), key=split_number)
+
+
+@contextmanager
+def opened(bag: Path) -> Iterator[list[BagInput]]:
+    """The files of a bag, open.
+
+    Raises:
+        BagError: there is none, one of several is missing, or it is no MCAP file.
+
+    Warns:
+        UserWarning: the bag was not finished.
+    """
+    databases = sqlite_files(bag)
+    if databases:
+        yield [SqliteInput(path) for path in databases]
+        return
+    with ExitStack() as stack:
+        paths = mcap_files(bag)
+        missing = missing_files(bag, paths)
+        if missing:
+            raise BagError(
+                f"bag {bag} lacks {', '.join(missing)}; copy the whole folder again, or save what is there with "
+                "`straightcomp recover`"
+            )
+        files = [stack.enter_context(McapInput(path)) for path in paths]
+        for file in files:
+            if file.summary is None:
+                warnings.warn(
+                    f"bag {file.path} was not finished, or its end is damaged: what comes before is read",
+                    stacklevel=4,
+                )
+        yield files
+
+
+def topic_names(files: Iterable[BagInput]) -> set[str]:
+    """Full names of the topics in these files."""
+    return {topic.name for file in files for topic in file.topics.values()}

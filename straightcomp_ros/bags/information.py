@@ -7,51 +7,43 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import yaml
 
-from straightcomp_ros.bags.definitions import ROS_DISTRO
+from straightcomp_ros.bags.definitions import ROS_DISTRO, Definition
 from straightcomp_ros.bags.qos import TopicQos
 
 VERSION = 9
+ROOT_KEY = "rosbag2_bagfile_information"
+"""The only key at the top of metadata.yaml."""
 _NO_TIME = 2**63 - 1
 """Start of a bag without messages, in ns: rosbag2 writes the end of time."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A recorded topic: full name, ROS type, quality of service, type hash."""
+    """A recorded topic: full name, ROS type, quality of service, definition of the type."""
 
     name: str
     type_name: str
     qos: TopicQos
-    type_hash: str
+    described: Definition
 
 
-@dataclass(frozen=True)
-class BagFile:
-    """One file of a bag.
-
-    Attributes:
-        name: relative to the bag's folder.
-        time_range: first and last log time in ns, None without messages.
-        message_counts: by topic.
-    """
+class BagFile(NamedTuple):
+    """One file of a bag: name relative to the bag's folder, first and last log time in ns (None without messages),
+    messages by topic."""
 
     name: str
     time_range: tuple[int, int] | None
     message_counts: Mapping[str, int]
 
-    @property
-    def message_count(self) -> int:
-        """Messages of all topics."""
-        return sum(self.message_counts.values())
-
 
 def bag_information(
     files: Sequence[BagFile], topics: Sequence[Topic], custom_data: Mapping[str, str]
 ) -> dict[str, object]:
-    """The content of metadata.yaml below its one root key.
+    """The content of metadata.yaml below :data:`ROOT_KEY`.
 
     Args:
         files: oldest first.
@@ -63,8 +55,9 @@ def bag_information(
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        **_times(whole),
-        "message_count": sum(file.message_count for file in files),
+        "duration": _duration(whole),
+        "starting_time": _start(whole),
+        "message_count": sum(sum(file.message_counts.values()) for file in files),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -72,7 +65,7 @@ def bag_information(
                     "type": topic.type_name,
                     "serialization_format": "cdr",
                     "offered_qos_profiles": topic.qos.as_profiles(),
-                    "type_description_hash": topic.type_hash,
+                    "type_description_hash": topic.described.type_hash,
                 },
                 "message_count": sum(file.message_counts.get(topic.name, 0) for file in files),
             }
@@ -85,8 +78,9 @@ def bag_information(
         "files": [
             {
                 "path": file.name,
-                **_times(file.time_range, "starting_time", "duration"),
-                "message_count": file.message_count,
+                "starting_time": _start(file.time_range),
+                "duration": _duration(file.time_range),
+                "message_count": sum(file.message_counts.values()),
             }
             for file in files
         ],
@@ -95,20 +89,14 @@ def bag_information(
     }
 
 
-def _times(time_range: tuple[int, int] | None, *order: str) -> dict[str, dict[str, int]]:
-    """Both times, in the order of the root or in another."""
-    first, last = time_range or (_NO_TIME, _NO_TIME)
-    times = {"duration": {"nanoseconds": last - first}, "starting_time": {"nanoseconds_since_epoch": first}}
-    return {name: times[name] for name in order or times}
+def _start(time_range: tuple[int, int] | None) -> dict[str, int]:
+    return {"nanoseconds_since_epoch": time_range[0] if time_range else _NO_TIME}
+
+
+def _duration(time_range: tuple[int, int] | None) -> dict[str, int]:
+    return {"nanoseconds": time_range[1] - time_range[0] if time_range else 0}
 
 
 def as_yaml(information: Mapping[str, object]) -> str:
-    """YAML without anchors, in the order of rosbag2."""
-    return str(yaml.dump(dict(information), Dumper=_WithoutAnchors, sort_keys=False, allow_unicode=True))
-
-
-class _WithoutAnchors(yaml.SafeDumper):
-    """Writes an object that occurs twice two times, as yaml-cpp does."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        return True
+    """YAML in the order of rosbag2. No object occurs twice in it, so that there are no anchors, which yaml-cpp lacks."""
+    return str(yaml.safe_dump(dict(information), sort_keys=False, allow_unicode=True))

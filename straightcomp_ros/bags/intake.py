@@ -1,4 +1,4 @@
-"""What becomes of each message that a recording gets: it waits for the disk, stays in memory, or is passed over."""
+"""What becomes of each message that a recording gets: it waits for the disk, stays in memory, or is ignored."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import deque
 Message = tuple[str, bytes, int, int]
 """Topic, serialised message, time of reception and of its source in ns since the epoch."""
 BREAK: Message = ("", b"", 0, 0)
-"""Stands in the queue where messages were left out on purpose: they are not lost."""
+"""Marks in the queue where messages were left out on purpose: they do not count as lost."""
 
 
 class Intake:
@@ -15,14 +15,12 @@ class Intake:
 
     Args:
         limit: messages that may wait for the disk; beyond it they are dropped and counted.
-        snapshot_s: 0 records all; otherwise the messages of so many seconds stay in memory, and only
+        snapshot_s: 0 records all; otherwise the messages of the last ``snapshot_s`` seconds stay in memory, and only
             :meth:`snapshot` sends them to the disk.
 
     Attributes:
         queue: messages for the disk, oldest first.
-        received: all that came.
-        dropped: messages for which there was no room.
-        passed_over: messages that came while paused.
+        received, dropped, passed_over: messages that came, had no room in the queue, came while paused.
     """
 
     def __init__(self, limit: int, snapshot_s: float = 0.0) -> None:
@@ -53,13 +51,12 @@ class Intake:
         kept = list(self._memory)[-room:] if room else []
         self.dropped += len(self._memory) - len(kept)
         self._memory.clear()
-        self.queue.append(BREAK)
-        self.queue.extend(kept)
+        self.queue += [BREAK, *kept]
         return len(kept)
 
     @property
     def paused(self) -> bool:
-        """While true messages are passed over."""
+        """While true, messages are ignored and counted."""
         return self._paused
 
     @paused.setter

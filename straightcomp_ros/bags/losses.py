@@ -15,10 +15,8 @@ _STAMP_TYPE = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
 
 
 class Losses:
-    """Gaps in streams whose stamps lie on a grid: every stream of the loop carries its sample's stamp.
-
-    The sampling period is the smallest step between two stamps of the same topic.
-    """
+    """Gaps in streams whose stamps lie on a grid: every stream of the loop carries its sample's stamp. The sampling
+    period is the smallest step between two stamps of the same topic."""
 
     def __init__(self) -> None:
         self._last: dict[str, int] = {}
@@ -32,14 +30,12 @@ class Losses:
         times = stamps["sec"].astype(np.int64) * NANOSECONDS + stamps["nanosec"]
         # A stamp that is repeated or overtaken stands still here, and makes no step.
         newest = np.maximum.accumulate(np.append(self._last.get(topic, times[0]), times))
-        steps, counts = np.unique(np.diff(newest), return_counts=True)
-        self._steps.setdefault(topic, Counter()).update(
-            {step: count for step, count in zip(steps.tolist(), counts.tolist(), strict=True) if step}
-        )
+        steps = np.diff(newest)
+        self._steps.setdefault(topic, Counter()).update(steps[steps > 0].tolist())
         self._last[topic] = int(newest[-1])
 
     def interrupt(self) -> None:
-        """What comes next does not follow what came last: between them messages were left out on purpose."""
+        """Do not count the gap before the next message: those in it were left out on purpose."""
         self._last.clear()
 
     def by_topic(self) -> Mapping[str, int]:

@@ -1,30 +1,33 @@
 """An MCAP file being read: its records one after the other, finished or cut off.
 
 The records are walked in the order of the file, which needs no index: a file that was cut off is read the same way
-as a finished one. Source: MCAP specification (mcap.dev/spec).
+as a finished one. ``mcap.reader`` gives one message at a time, and ends at the first damage without its place.
+Source: MCAP specification (mcap.dev/spec).
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
-from io import BytesIO
+from collections.abc import Collection, Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import lz4.frame
 import zstandard
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Footer, Schema
+from mcap.records import Attachment, Chunk, Footer
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.mcap_summary import FRAME, UNREADABLE, Summary, frames, gather, parsed_summary
+from straightcomp_ros.bags.mcap_records import FRAME, UNREADABLE, Block, Summary, message_places, parsed
+from straightcomp_ros.bags.topics import RecordedTopic
 
 _FOOTER_SIZE = FRAME.size + 20
-PRIVATE = 0x80
+_PRIVATE = 0x80
 """Opcodes from here on are an application's own and are passed over; those between MCAP's last and this are free."""
+_LOOSE_SIZE = 1 << 20
+"""Bytes of messages outside chunks that make a block."""
 _RECOVER = "copy the bag again from where it was recorded, or save what is left with `straightcomp recover`"
 
 
@@ -34,6 +37,11 @@ class Record(NamedTuple):
     opcode: int
     offset: int
     content: bytes
+
+
+def is_opcode(opcode: int) -> bool:
+    """Whether a record of the data section may have this opcode."""
+    return Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE
 
 
 class McapInput:
@@ -54,11 +62,10 @@ class McapInput:
             raise BagError(f"bag {path} cannot be read: {error.strerror}; check the path") from error
         self.size = self._file.seek(0, 2)
         start = self.read(0, len(MAGIC))
-        if not start:
-            self._file.close()
-            raise BagError(f"bag {path} is empty: the recording was never started; record again")
         if start != MAGIC:
             self._file.close()
+            if not start:
+                raise BagError(f"bag {path} is empty: the recording was never started; record again")
             raise BagError(f"bag {path} is not an MCAP file; give a bag folder or a file that ends with .mcap")
         self.summary = self._summary()
         """None when the file was not finished, or its end is damaged."""
@@ -80,40 +87,81 @@ class McapInput:
         while position < self.size:
             frame = self.read(position, FRAME.size)
             opcode, length = FRAME.unpack(frame) if len(frame) == FRAME.size else (0, 0)
-            whole = position + FRAME.size + length <= self.size
-            if not whole or not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= PRIVATE):
+            if position + FRAME.size + length > self.size or not is_opcode(opcode):
                 if self.summary:
                     raise self.damaged(position, "no record starts here, or it is longer than the file")
                 return
             if opcode in opcodes:
                 record = Record(opcode, position, self.read(position + FRAME.size, length))
-                if opcode == Opcode.CHUNK and not self.summary and not self._is_whole(record):
-                    return
+                if opcode == Opcode.CHUNK and not self.summary:
+                    try:
+                        self.chunk_data(record)
+                    except BagError:
+                        return
                 yield record
             if opcode == Opcode.DATA_END:
                 return
             position += FRAME.size + length
 
-    def topics(self) -> tuple[dict[int, Channel], dict[int, Schema]]:
-        """Channels and schemas by id: from the summary, from the data where it tells of none.
+    @cached_property
+    def topics(self) -> dict[int, RecordedTopic]:
+        """Topics by the id of their channel: from the summary, from the data where it tells of none.
 
         Raises:
             BagError: the file is damaged.
         """
         if self.summary and self.summary.channels:
-            return self.summary.channels, self.summary.schemas
-        found = Summary(None, {}, {})
+            return self.summary.topics()
+        found = Summary()
         for record in self.records(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK):
             try:
                 if record.opcode == Opcode.CHUNK:
-                    gather(found, frames(self.chunk_data(record), (Opcode.SCHEMA, Opcode.CHANNEL)))
+                    found.add_all(self.chunk_data(record))
                 else:
-                    gather(found, [(record.opcode, record.content)])
+                    found.add(record.opcode, record.content)
             except BagError:
                 raise
             except UNREADABLE as error:
                 raise self.damaged(record.offset, f"a topic cannot be read ({error})") from error
-        return found.channels, found.schemas
+        return found.topics()
+
+    def blocks(self, wanted: Collection[int]) -> Iterator[Block]:
+        """All messages in the order of the file, also those of other channels than the ``wanted`` ones: chunk by chunk,
+        or some thousand at a time where the file has no chunks.
+
+        Raises:
+            BagError: damage; or a finished file holds another number of messages than its statistics say.
+        """
+        count = 0
+        for offset, data, indexes in self._parts():
+            try:
+                block = Block(data, message_places(data, indexes))
+            except ValueError as error:
+                raise self.damaged(offset, str(error)) from error
+            for channel in block.places.keys() - self.topics.keys():
+                raise self.damaged(0, f"it has messages of a channel {channel} that it does not describe")
+            count += sum(map(len, block.places.values()))
+            yield block
+        statistics = self.summary.statistics if self.summary else None
+        if statistics and statistics.message_count != count:
+            raise self.damaged(0, f"it holds {count} messages, and its statistics say {statistics.message_count}")
+
+    def _parts(self) -> Iterator[tuple[int, bytes, list[bytes]]]:
+        """Offset, records and message indexes of each chunk; of messages outside chunks some thousand at a time."""
+        offset, data, indexes, loose = 0, bytearray(), list[bytes](), False
+        for record in self.records(Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.MESSAGE):
+            if record.opcode == Opcode.MESSAGE_INDEX:
+                indexes.append(record.content)
+            elif record.opcode == Opcode.MESSAGE and loose and len(data) < _LOOSE_SIZE:
+                data += _framed(record)
+            else:
+                if data:
+                    yield offset, bytes(data), indexes
+                loose = record.opcode == Opcode.MESSAGE
+                data = bytearray(_framed(record)) if loose else self.chunk_data(record)
+                offset, indexes = record.offset, []
+        if data:
+            yield offset, bytes(data), indexes
 
     def chunk_data(self, record: Record) -> bytes:
         """The decompressed records of a chunk.
@@ -122,9 +170,7 @@ class McapInput:
             BagError: the checksum differs, the data do not decompress, or the compression is unknown.
         """
         try:
-            chunk = Chunk.read(stream := ReadDataStream(BytesIO(record.content)))
-            if stream.count != len(record.content):
-                raise ValueError("its length is wrong")
+            chunk = parsed(Chunk, record.content, whole=True)
             data = _decompressed(chunk)
         except (*UNREADABLE, RuntimeError, MemoryError, zstandard.ZstdError) as error:
             raise self.damaged(record.offset, f"a chunk cannot be unpacked ({error})") from error
@@ -134,6 +180,20 @@ class McapInput:
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
             raise self.damaged(record.offset, "the checksum of a chunk is wrong")
         return data
+
+    def attachment(self, record: Record) -> Attachment:
+        """The attachment in a record.
+
+        Raises:
+            BagError: its checksum is wrong, or it cannot be read.
+        """
+        crc = int.from_bytes(record.content[-4:], "little")
+        if crc and zlib.crc32(record.content[:-4]) != crc:
+            raise self.damaged(record.offset, "the checksum of an attachment is wrong")
+        try:
+            return parsed(Attachment, record.content)
+        except UNREADABLE as error:
+            raise self.damaged(record.offset, f"an attachment cannot be read ({error})") from error
 
     def check_data_section(self) -> None:
         """Check the checksum over the whole data section, where the file has one.
@@ -149,21 +209,14 @@ class McapInput:
             if any(end.content) and crc.to_bytes(4, "little") != end.content[:4]:
                 raise self.damaged(0, "the checksum of the whole file is wrong")
 
-    def _is_whole(self, chunk: Record) -> bool:
-        try:
-            self.chunk_data(chunk)
-        except BagError:
-            return False
-        return True
-
     def _summary(self) -> Summary | None:
         end = self.read(max(self.size - len(MAGIC) - _FOOTER_SIZE, 0), _FOOTER_SIZE + len(MAGIC))
         if not end.endswith(MAGIC) or end[: FRAME.size] != FRAME.pack(Opcode.FOOTER, 20):
             return None
-        footer = Footer.read(ReadDataStream(BytesIO(end[FRAME.size :])))
+        footer = parsed(Footer, end[FRAME.size :])
         length = self.size - len(MAGIC) - _FOOTER_SIZE - footer.summary_start
         if not footer.summary_start:
-            return Summary(None, {}, {})
+            return Summary()
         if length < 0:
             return None
         data = self.read(footer.summary_start, length)
@@ -171,7 +224,7 @@ class McapInput:
         if footer.summary_crc and crc != footer.summary_crc:
             return None
         try:
-            return parsed_summary(data)
+            return Summary().add_all(data)
         except UNREADABLE:
             return None
 
@@ -192,19 +245,8 @@ class McapInput:
         self._file.close()
 
 
-def attachment_of(file: McapInput, record: Record) -> Attachment:
-    """The attachment in a record.
-
-    Raises:
-        BagError: its checksum is wrong, or it cannot be read.
-    """
-    crc = int.from_bytes(record.content[-4:], "little")
-    if crc and zlib.crc32(record.content[:-4]) != crc:
-        raise file.damaged(record.offset, "the checksum of an attachment is wrong")
-    try:
-        return Attachment.read(ReadDataStream(BytesIO(record.content)))
-    except UNREADABLE as error:
-        raise file.damaged(record.offset, f"an attachment cannot be read ({error})") from error
+def _framed(record: Record) -> bytes:
+    return FRAME.pack(record.opcode, len(record.content)) + record.content
 
 
 def _decompressed(chunk: Chunk) -> bytes:

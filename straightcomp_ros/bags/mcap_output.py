@@ -1,8 +1,9 @@
 """An MCAP file being written: every record goes whole to the end of the file, the index follows at the end.
 
-Unlike ``mcap.writer.Writer`` a message is added in one step, so that Ctrl-C in the middle of it leaves no half
-record in the chunk; a write that fails (disk full) is taken back, so that the file can still be finished; and
-the summary names no empty groups. The records themselves are packed by the ``mcap`` package.
+The ``mcap`` package packs the records; its ``Writer`` does not serve, for three reasons. Here messages are added in one
+step, so that Ctrl-C in the middle leaves no half record in the chunk. A write that fails (disk full) is undone, so that
+the file can still be finished. And the summary names no empty groups.
+Source: MCAP specification (mcap.dev/spec).
 """
 
 from __future__ import annotations
@@ -12,31 +13,103 @@ import struct
 import time
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from straightcomp_ros.bags.chunk import ChannelMessage, OpenChunk
+from straightcomp_ros.bags.mcap_records import FRAME, MESSAGE, MESSAGE_FIELDS
+from straightcomp_ros.contract import PACKAGE
 
-LIBRARY = "straightcomp_ros"
+ChannelMessage = tuple[int, int, int, bytes]
+"""Channel id, log time and publish time in ns (not negative), serialised message."""
+
+COMPRESSORS: Mapping[str, tuple[str, Callable[[bytes], bytes]]] = {
+    "zstd": ("zstd", zstandard.ZstdCompressor().compress),
+    "lz4": ("lz4", lz4.frame.compress),
+    "none": ("", bytes),
+}
+"""For each choice of compression, MCAP's name of it and the function."""
+_SUMMARY_GROUPS = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+_INDEX = struct.Struct("<BQHI")
+_INDEX_ENTRY = 16
+
+
+class _OpenChunk:
+    """Messages of one chunk in memory."""
+
+    def __init__(self) -> None:
+        self.records = bytearray()
+        self._index: list[int] = []  # of each message: channel, log time, offset
+        self.begun = time.monotonic()
+
+    def add_messages(self, messages: Iterable[ChannelMessage]) -> None:
+        offset = len(self.records)
+        pack = MESSAGE.pack
+        parts: list[bytes] = []
+        index: list[int] = []
+        for channel_id, log_time_ns, publish_time_ns, data in messages:
+            content = MESSAGE_FIELDS + len(data)
+            parts += (pack(Opcode.MESSAGE, content, channel_id, 0, log_time_ns, publish_time_ns), data)
+            index += (channel_id, log_time_ns, offset)
+            offset += FRAME.size + content
+        joined = b"".join(parts)
+        # No call from here on: Python serves an interrupt at calls only, so both happen or none.
+        self.records += joined
+        self._index += index
+
+    def __len__(self) -> int:
+        return len(self._index) // 3
+
+    def closed(self, position: int, compression: str) -> tuple[bytes, records.ChunkIndex, Counter[int]]:
+        """Chunk record and message indexes for the file offset ``position``, the chunk's entry in the file's index, and
+        the number of messages by channel; the chunk itself, which has messages, stays as it is."""
+        name, compress = COMPRESSORS[compression]
+        content = bytes(self.records)
+        messages = np.array(self._index, dtype="<u8").reshape(-1, 3)
+        times = messages[:, 1]
+        first, last = int(times.min()), int(times.max())
+        builder = RecordBuilder()
+        compressed = compress(content)
+        records.Chunk(
+            compression=name,
+            data=compressed,
+            message_start_time=first,
+            message_end_time=last,
+            uncompressed_crc=zlib.crc32(content),
+            uncompressed_size=len(content),
+        ).write(builder)
+        chunk_length = builder.count
+        offsets, counts = {}, Counter[int]()
+        for channel in np.unique(messages[:, 0]).tolist():
+            entries = messages[messages[:, 0] == channel, 1:].tobytes()
+            offsets[channel], counts[channel] = position + builder.count, len(entries) // _INDEX_ENTRY
+            builder.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries)
+        index = records.ChunkIndex(
+            message_start_time=first,
+            message_end_time=last,
+            chunk_start_offset=position,
+            chunk_length=chunk_length,
+            message_index_offsets=offsets,
+            message_index_length=builder.count - chunk_length,
+            compression=name,
+            compressed_size=len(compressed),
+            uncompressed_size=len(content),
+        )
+        return builder.end(), index, counts  # type: ignore[no-untyped-call]
 
 
 class McapOutput:
@@ -47,47 +120,48 @@ class McapOutput:
         compression: ``zstd``, ``lz4`` or ``none``.
         chunk_size: bytes of messages, before compression, that fill a chunk.
 
+    Attributes:
+        time_range: first and last log time in the file in ns; None without messages.
+        message_counts: messages in the file, by channel id; those of the open chunk are not in it.
+        size: bytes of the file, the open chunk not counted.
+
     Raises:
         OSError: from every method that writes; what it wrote is then undone by the next write.
     """
 
     def __init__(self, path: Path, compression: str, chunk_size: int) -> None:
         self._compression, self._chunk_size = compression, chunk_size
-        self._chunk = OpenChunk()
-        self._position = self._crc = 0
-        self._chunk_started = 0.0
-        self._schemas: dict[str, Schema] = {}
-        self._channels: list[Channel] = []
-        # Packed: as objects they would take 1 KB for each chunk, 20 MB in an hour.
-        self._chunk_indexes = bytearray()
-        self._chunk_count = 0
+        self._chunk = _OpenChunk()
+        self._schema_ids: dict[str, int] = {}
+        # Packed: as objects the indexes would take 1 KB for each chunk, 20 MB in an hour.
+        self._summary: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_GROUPS}
         self.time_range: tuple[int, int] | None = None
-        """First and last log time in the file in ns; None without messages."""
-        self._attachment_indexes: list[AttachmentIndex] = []
-        self._metadata_indexes: list[MetadataIndex] = []
         self.message_counts: Counter[int] = Counter()
-        """Messages in the file, by channel id; those of the open chunk are not in it."""
+        self.size = self._crc = 0
         self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - closed by close()
-        self._position, self._crc = self._put(MAGIC + _packed(Header("ros2", LIBRARY)))
+        self.size, self._crc = self._put(MAGIC + _packed(records.Header("ros2", PACKAGE)))
 
     def add_channel(self, topic: str, type_name: str, definition: str, metadata: dict[str, str]) -> int:
         """Add a topic; returns its channel id.
 
         It is written beside the chunks, not into one: a damaged chunk then takes its own messages only.
         """
-        known = self._schemas.get(type_name)
-        schema = known or Schema(len(self._schemas) + 1, definition.encode(), "ros2msg", type_name)
-        channel = Channel(len(self._channels) + 1, topic, "cdr", metadata, schema.id)
-        end, crc = self._put((b"" if known else _packed(schema)) + _packed(channel))
+        schemas, channels = self._summary[Opcode.SCHEMA], self._summary[Opcode.CHANNEL]
+        schema_id = self._schema_ids.get(type_name, len(schemas) + 1)
+        known = type_name in self._schema_ids
+        schema = [] if known else [_packed(records.Schema(schema_id, definition.encode(), "ros2msg", type_name))]
+        channel = [_packed(records.Channel(len(channels) + 1, topic, "cdr", metadata, schema_id))]
+        end, crc = self._put(b"".join(schema + channel))
         # No call from here on: Python serves an interrupt at calls only, so these happen together.
-        self._position, self._crc, self._schemas[type_name] = end, crc, schema
-        self._channels += [channel]
-        return channel.id
+        self.size, self._crc, self._schema_ids[type_name] = end, crc, schema_id
+        schemas += schema
+        channels += channel
+        return len(channels)
 
     def add_messages(self, messages: Iterable[ChannelMessage]) -> None:
         """Add messages to the open chunk, and write the chunk when it is full."""
         if not self._chunk.records:
-            self._chunk_started = time.monotonic()
+            self._chunk.begun = time.monotonic()
         self._chunk.add_messages(messages)
         if len(self._chunk.records) >= self._chunk_size:
             self.flush()
@@ -95,96 +169,87 @@ class McapOutput:
     @property
     def chunk_age(self) -> float:
         """Time in s since the first message of the open chunk; 0 without one."""
-        return time.monotonic() - self._chunk_started if self._chunk.records else 0.0
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file, the open chunk not counted."""
-        return self._position
+        return time.monotonic() - self._chunk.begun if self._chunk.records else 0.0
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment, stamped with the present time."""
         now = time.time_ns()
-        record = _packed(Attachment(now, now, name, media_type, data))
-        index = AttachmentIndex(self._position, len(record), now, now, len(data), name, media_type)
-        end, crc = self._put(record)
-        self._position, self._crc = end, crc
-        self._attachment_indexes += [index]
+        record = _packed(records.Attachment(now, now, name, media_type, data))
+        index = records.AttachmentIndex(self.size, len(record), now, now, len(data), name, media_type)
+        self._add_indexed(record, Opcode.ATTACHMENT_INDEX, index)
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        record = _packed(Metadata(name, dict(metadata)))
-        index = MetadataIndex(self._position, len(record), name)
+        record = _packed(records.Metadata(name, dict(metadata)))
+        self._add_indexed(record, Opcode.METADATA_INDEX, records.MetadataIndex(self.size, len(record), name))
+
+    def _add_indexed(self, record: bytes, group: Opcode, index: records.McapRecord) -> None:
+        entries, entry = self._summary[group], [_packed(index)]
         end, crc = self._put(record)
-        self._position, self._crc = end, crc
-        self._metadata_indexes += [index]
+        self.size, self._crc = end, crc
+        entries += entry
 
     @property
     def attachment_count(self) -> int:
         """Attachments in the file."""
-        return len(self._attachment_indexes)
+        return len(self._summary[Opcode.ATTACHMENT_INDEX])
 
     def flush(self) -> None:
         """Write the open chunk, so that only power loss, not the end of the process, can still take it."""
-        if not self._chunk.has_messages:
+        if not self._chunk:
             return
-        full = self._chunk.full(self._position, self._compression)
-        empty, counts = OpenChunk(), self.message_counts + Counter(full.message_counts)
-        index, time_range = _packed(full.index), _widened(self.time_range, full.index)
-        end, crc = self._put(full.data)
+        data, index, in_chunk = self._chunk.closed(self.size, self._compression)
+        empty, counts = _OpenChunk(), self.message_counts + in_chunk
+        times = (index.message_start_time, index.message_end_time, *(self.time_range or ()))
+        time_range = min(times), max(times)
+        entries, entry = self._summary[Opcode.CHUNK_INDEX], [_packed(index)]
+        end, crc = self._put(data)
         # No call from here on: Python serves an interrupt at calls only, so these happen together.
-        self._position, self._crc, self._chunk, self.message_counts = end, crc, empty, counts
+        self.size, self._crc, self._chunk, self.message_counts = end, crc, empty, counts
         self.time_range = time_range
-        self._chunk_count += 1
-        self._chunk_indexes += index
+        entries += entry
 
     def discard_open_chunk(self) -> int:
         """Give up the messages that are not in the file (the disk is full); returns how many."""
-        lost = sum(self._chunk.full(0, "none").message_counts.values())
-        self._chunk = OpenChunk()
+        lost = len(self._chunk)
+        self._chunk = _OpenChunk()
         return lost
 
     def finish(self) -> None:
         """Write the open chunk, the index and the footer, and make the disk keep it all."""
         self.flush()
-        data_end = _packed(DataEnd(self._crc))
-        self._put(data_end + self._summary(self._position + len(data_end)))
+        data_end = _packed(records.DataEnd(self._crc))
+        self._put(data_end + self._end_of_file(self.size + len(data_end)))
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file, finished or not."""
         self._file.close()
 
-    def _summary(self, start: int) -> bytes:
-        groups: list[tuple[Opcode, bytes]] = [
-            (Opcode.SCHEMA, _joined(self._schemas.values())),
-            (Opcode.CHANNEL, _joined(self._channels)),
-            (Opcode.STATISTICS, _packed(self._statistics())),
-            (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
-            (Opcode.ATTACHMENT_INDEX, _joined(self._attachment_indexes)),
-            (Opcode.METADATA_INDEX, _joined(self._metadata_indexes)),
-        ]
-        packed = [(opcode, data) for opcode, data in groups if data]
-        offsets, position = [], start
-        for opcode, data in packed:
-            offsets.append(SummaryOffset(opcode, position, len(data)))
-            position += len(data)
-        summary = b"".join(data for _, data in packed) + _joined(offsets)
-        crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, position), zlib.crc32(summary))
-        return summary + _packed(Footer(start, position, crc)) + MAGIC
+    def _end_of_file(self, start: int) -> bytes:
+        summary, offsets = b"", b""
+        for opcode, packed in {**self._summary, Opcode.STATISTICS: [_packed(self._statistics())]}.items():
+            if packed:
+                group = b"".join(packed)
+                offsets += _packed(records.SummaryOffset(opcode, start + len(summary), len(group)))
+                summary += group
+        end = start + len(summary)
+        crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, start, end), zlib.crc32(summary + offsets))
+        return summary + offsets + _packed(records.Footer(start, end, crc)) + MAGIC
 
-    def _statistics(self) -> Statistics:
+    def _statistics(self) -> records.Statistics:
         first, last = self.time_range or (0, 0)
-        return Statistics(
-            attachment_count=len(self._attachment_indexes),
-            channel_count=len(self._channels),
-            channel_message_counts={channel.id: self.message_counts[channel.id] for channel in self._channels},
-            chunk_count=self._chunk_count,
-            message_count=sum(self.message_counts.values()),
+        channels = len(self._summary[Opcode.CHANNEL])
+        return records.Statistics(
+            attachment_count=self.attachment_count,
+            channel_count=channels,
+            channel_message_counts={channel: self.message_counts[channel] for channel in range(1, channels + 1)},
+            chunk_count=len(self._summary[Opcode.CHUNK_INDEX]),
+            message_count=self.message_counts.total(),
             message_end_time=last,
             message_start_time=first,
-            metadata_count=len(self._metadata_indexes),
-            schema_count=len(self._schemas),
+            metadata_count=len(self._summary[Opcode.METADATA_INDEX]),
+            schema_count=len(self._summary[Opcode.SCHEMA]),
         )
 
     def _put(self, data: bytes) -> tuple[int, int]:
@@ -192,24 +257,15 @@ class McapOutput:
 
         What an interrupt or a full disk left behind the end is cut off by the next write.
         """
-        self._file.truncate(self._position)
-        self._file.seek(self._position)
+        self._file.truncate(self.size)
+        self._file.seek(self.size)
         rest = memoryview(data)
         while rest:
             rest = rest[self._file.write(rest) :]
-        return self._position + len(data), zlib.crc32(data, self._crc)
+        return self.size + len(data), zlib.crc32(data, self._crc)
 
 
-def _packed(record: McapRecord) -> bytes:
+def _packed(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
-
-
-def _joined(records: Iterable[McapRecord]) -> bytes:
-    return b"".join(map(_packed, records))
-
-
-def _widened(range_ns: tuple[int, int] | None, chunk: ChunkIndex) -> tuple[int, int]:
-    first, last = range_ns or (chunk.message_start_time, chunk.message_end_time)
-    return min(first, chunk.message_start_time), max(last, chunk.message_end_time)

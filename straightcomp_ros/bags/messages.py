@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from mcap.records import Channel, Schema
+import numpy as np
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.blocks import blocks
-from straightcomp_ros.bags.places import FRAME_SIZE, MESSAGE, rows
-from straightcomp_ros.bags.reader import opened
-from straightcomp_ros.bags.sqlite_input import sqlite_blocks, sqlite_files, sqlite_topics
+from straightcomp_ros.bags.definitions import typestore
+from straightcomp_ros.bags.folder import BagInput, opened, topic_names
+from straightcomp_ros.bags.mcap_records import FRAME, HEAD, rows
 from straightcomp_ros.bags.topics import resolved
 
 
@@ -28,19 +29,11 @@ class Messages:
     """
 
     topic: str
-    type_name: str
+    type_name: str = ""
     definition: str = ""
     log_time: list[int] = field(default_factory=list)
     publish_time: list[int] = field(default_factory=list)
     data: list[bytes] = field(default_factory=list)
-
-    def add(self, block: bytes, places: object) -> None:
-        """Add the MCAP message records at ``places`` of ``block``."""
-        heads = rows(block, places, MESSAGE)  # type: ignore[arg-type]
-        self.log_time += heads["log_time"].tolist()
-        self.publish_time += heads["publish_time"].tolist()
-        for start, length in zip(places.tolist(), heads["length"].tolist(), strict=True):  # type: ignore[attr-defined]
-            self.data.append(block[start + MESSAGE.itemsize : start + FRAME_SIZE + length])
 
 
 def read_messages(bag: Path, topic: str) -> Messages:
@@ -52,52 +45,48 @@ def read_messages(bag: Path, topic: str) -> Messages:
     Warns:
         UserWarning: the bag was not finished.
     """
-    found = _sqlite_messages(bag, topic) if sqlite_files(bag) else _mcap_messages(bag, topic)
-    if not found.data:
-        raise BagError(f"bag {bag}: topic '{found.topic}' has no messages; was its publisher running?")
-    return found
-
-
-def _mcap_messages(bag: Path, topic: str) -> Messages:
     with opened(bag) as files:
-        described = [file.topics() for file in files]
-        names = {channel.topic for channels, _ in described for channel in channels.values()}
-        full = _named(bag, topic, names)
-        found: Messages | None = None
-        for file, (channels, schemas) in zip(files, described, strict=True):
-            ours = {number: channel for number, channel in channels.items() if channel.topic == full}
-            if ours and found is None:
-                found = _described(full, next(iter(ours.values())), schemas)
-            for block in blocks(file) if ours else ():
-                for number, places in block.places.items():
-                    if number in ours and found is not None:
-                        found.add(block.data, places)
-    assert found is not None  # the name was chosen from the channels
+        names = topic_names(files)
+        full = resolved(topic, names, str(bag))
+        if full is None:
+            raise BagError(f"bag {bag}: has no topic '{topic}'; it has {', '.join(sorted(names))}")
+        found = messages_on(full, files)
+    if not found.data:
+        raise BagError(f"bag {bag}: topic '{full}' has no messages; was its publisher running?")
     return found
 
 
-def _sqlite_messages(bag: Path, topic: str) -> Messages:
-    files = [(path, sqlite_topics(path)) for path in sqlite_files(bag)]
-    full = _named(bag, topic, {entry.name for _, topics in files for entry in topics.values()})
-    kinds = {entry.type_name for _, topics in files for entry in topics.values() if entry.name == full}
-    found = Messages(full, kinds.pop())
-    for path, topics in files:
-        for number, entry in topics.items():
-            for block, places in sqlite_blocks(path, number) if entry.name == full else ():
-                found.add(block, places)
+def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
+    """All messages of ``topic``, which the bag has: its full name.
+
+    Raises:
+        BagError: the bag is damaged.
+    """
+    found = Messages(topic)
+    for file in files:
+        ours = {number: entry for number, entry in file.topics.items() if entry.name == topic}
+        for entry in ours.values():
+            found.type_name = found.type_name or entry.type_name
+            found.definition = found.definition or entry.definition
+        for block, places in file.blocks(ours) if ours else ():
+            for number, starts in places.items():
+                if number in ours:
+                    heads = rows(block, starts, HEAD)
+                    found.log_time += heads["log_time"].tolist()
+                    found.publish_time += heads["publish_time"].tolist()
+                    ends = starts + FRAME.size + heads["length"].astype(np.int64)
+                    data = zip((starts + HEAD.itemsize).tolist(), ends.tolist(), strict=True)
+                    found.data += [block[first:end] for first, end in data]
     return found
 
 
-def _named(bag: Path, topic: str, names: set[str]) -> str:
-    full = resolved(topic, names, str(bag))
-    if full is None:
-        raise BagError(f"bag {bag}: has no topic '{topic}'; it has {', '.join(sorted(names))}")
-    return full
+def decoded(where: str, data: bytes, type_name: str) -> Any:
+    """The message in ``data``, decoded by rosbags.
 
-
-def _described(full: str, channel: Channel, schemas: dict[int, Schema]) -> Messages:
-    schema = schemas.get(channel.schema_id)
-    if schema is None:
-        return Messages(full, "")
-    text = schema.data.decode(errors="replace") if schema.encoding == "ros2msg" else ""
-    return Messages(full, schema.name, text)
+    Raises:
+        BagError: the bytes are no such message; the text begins with ``where``.
+    """
+    try:
+        return typestore().deserialize_cdr(data, type_name)
+    except Exception as error:  # Whatever the decoder stumbles over in bytes that are no such message.
+        raise BagError(f"{where} does not decode ({error}); allowed is a {type_name}") from error

@@ -22,15 +22,11 @@ def origin() -> dict[str, str]:
 
 
 def _revision() -> str:
-    folder = Path(__file__).resolve().parent
-    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    git = ["git", "-C", str(Path(__file__).resolve().parent)]
+    describe = ["describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
     try:
         # Installed below somebody else's repository, git would tell that one's revision.
-        tracked = subprocess.run(
-            [*command[:3], "ls-files", "--error-unmatch", __file__], capture_output=True, timeout=5
-        )
-        if tracked.returncode:
-            return "unknown"
-        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+        subprocess.run([*git, "ls-files", "--error-unmatch", __file__], capture_output=True, timeout=5, check=True)
+        return subprocess.run([*git, *describe], capture_output=True, text=True, timeout=5, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return "unknown"

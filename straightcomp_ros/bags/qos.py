@@ -9,12 +9,13 @@ import yaml
 
 from straightcomp_ros.bags import BagError
 
-_CHOICES = {
-    "history": ("keep_last", "keep_all", "system_default", "unknown"),
-    "reliability": ("reliable", "best_effort", "system_default", "unknown", "best_available"),
-    "durability": ("volatile", "transient_local", "system_default", "unknown", "best_available"),
+_POLICIES = {
+    "history": ("keep_last", "keep_all", "unknown", "system_default"),
+    "reliability": ("reliable", "best_effort", "unknown", "best_available", "system_default"),
+    "durability": ("transient_local", "volatile", "unknown", "best_available", "system_default"),
 }
-"""Names of the policies in rmw/qos_string_conversions.c, which metadata version 9 stores."""
+"""The names in rmw/qos_string_conversions.c, which metadata version 9 stores, in the order of rmw/types.h, whose numbers
+older metadata stores: 1 is the first, 0 the last."""
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 """RMW_DURATION_INFINITE: 2⁶³ − 1 ns."""
 
@@ -36,7 +37,7 @@ class TopicQos:
     depth: int = 10
 
     def __post_init__(self) -> None:
-        for field, allowed in _CHOICES.items():
+        for field, allowed in _POLICIES.items():
             if getattr(self, field) not in allowed:
                 raise BagError(f"QoS {field} is '{getattr(self, field)}': allowed are {', '.join(allowed)}")
         if self.depth < 0:
@@ -44,11 +45,11 @@ class TopicQos:
 
     @classmethod
     def from_yaml(cls, text: str) -> TopicQos:
-        """The first profile of a list as rosbag2 stores it, with names or (before Jazzy) numbers; what it does not
-        say, or says in another way, is the default."""
+        """The first profile of a list as rosbag2 stores it, with names or (before Jazzy) numbers. What it lacks has its
+        default; a text that is no such list gives the default of all."""
         try:
             profile = (yaml.safe_load(text) or [{}])[0]
-            named = {name: _named(name, profile[name]) for name in _CHOICES if name in profile}
+            named = {name: _named(name, profile[name]) for name in _POLICIES if name in profile}
             return cls(**named, depth=int(profile.get("depth", cls.depth)))
         except (yaml.YAMLError, BagError, AttributeError, LookupError, TypeError, ValueError):
             return cls()
@@ -75,13 +76,5 @@ class TopicQos:
         return str(yaml.safe_dump(self.as_profiles(), sort_keys=False)).rstrip()
 
 
-_NUMBERS = {
-    "history": ("system_default", "keep_last", "keep_all", "unknown"),
-    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
-    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
-}
-"""The same names in the order of rmw/types.h, whose numbers metadata before version 9 stores."""
-
-
 def _named(policy: str, value: object) -> str:
-    return _NUMBERS[policy][value] if isinstance(value, int) else str(value)
+    return _POLICIES[policy][value - 1] if isinstance(value, int) else str(value)

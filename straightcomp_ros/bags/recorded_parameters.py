@@ -1,6 +1,6 @@
 """What a bag says of the nodes that it recorded: their parameters, and the survey behind their map.
 
-Nothing is checked here, and nothing heavy imported: whoever runs a part with these values validates them.
+The values are not validated here: whoever runs a component with them does that.
 """
 
 from __future__ import annotations
@@ -42,21 +42,15 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
     for key, section in tree.items() if isinstance(tree, Mapping) else [(tree, None)]:
         if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
             raise BagError(f"{where}: '{key}' has no 'ros__parameters:'; record the bag again")
-        own = flatten(section["ros__parameters"])
-        values.setdefault(str(key).rsplit("/", 1)[-1], {}).update(
-            {name: value for name, value in own.items() if not belongs_to_ros(name)}
-        )
+        own = values.setdefault(str(key).rsplit("/", 1)[-1], {})
+        own |= {k: value for k, value in flatten(section["ros__parameters"]).items() if not belongs_to_ros(k)}
     if "controller" in values:
         values["controller"] = present_names(values["controller"])
     return values
 
 
 def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
-    """Attach the survey that the parameters name, as it is on this machine now.
-
-    Returns:
-        Why it is not attached, empty when it is.
-    """
+    """Attach the survey that the parameters name, as it is on this machine now; returns why not, empty when it is."""
     from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
     from straightcomp_ros.straightness.survey import SurveyError
 
@@ -72,9 +66,8 @@ def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
 
 def unpacked_map(attachments: Mapping[str, bytes], folder: Path) -> Path | None:
     """Write the attached survey into ``folder``; returns the file, None where the bag has none attached."""
-    data = attachments.get(MAP_ATTACHMENT)
-    if data is None:
+    if MAP_ATTACHMENT not in attachments:
         return None
     path = folder / MAP_ATTACHMENT
-    path.write_bytes(data)
+    path.write_bytes(attachments[MAP_ATTACHMENT])
     return path

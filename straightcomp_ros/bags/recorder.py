@@ -1,8 +1,10 @@
-"""Records: one bag after the other, each written on a thread of its own, so that the disk never holds up receiving."""
+"""Records one bag after the other. A thread writes each, so that the disk never holds up receiving."""
 
 from __future__ import annotations
 
+import shutil
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -11,7 +13,6 @@ from pathlib import Path
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import Definition
-from straightcomp_ros.bags.free_space import DiskGuard
 from straightcomp_ros.bags.intake import BREAK, Intake, Message
 from straightcomp_ros.bags.losses import Losses
 from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
@@ -19,8 +20,9 @@ from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter
 
 _WRITE_INTERVAL_S = 0.05
-_AT_ONCE = 500
-"""Messages that are written as one: a small part of a chunk."""
+_DISK_CHECK_INTERVAL_S = 0.5
+_BATCH = 500
+"""Messages that are written in one call: a small share of a chunk."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,31 @@ class Announced:
     qos: TopicQos
     described: Definition | None = None
 
+    def add_to(self, bag: BagWriter) -> None:
+        """Add the topic to a bag."""
+        bag.add_topic(self.name, self.type_name, self.qos, self.described)
+
+
+class DiskGuard:
+    """Fails when fewer than ``min_free`` bytes are free on the disk of ``folder``."""
+
+    def __init__(self, folder: Path, min_free: int) -> None:
+        self._folder, self._min_free = folder, min_free
+        self._next = 0.0
+
+    def check(self) -> None:
+        """Call it often: it looks twice a second. Raises BagError when too little is free."""
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + _DISK_CHECK_INTERVAL_S
+        free = shutil.disk_usage(self._folder).free
+        if free < self._min_free:
+            raise BagError(
+                f"bag {self._folder}: {free} bytes are free on its disk; "
+                f"allowed: >= {self._min_free} (min_free_bytes); all that came before is saved"
+            )
+
 
 class Recorder:
     """Call it from one thread; it has its own for writing.
@@ -60,13 +87,14 @@ class Recorder:
     Args:
         options: see there.
         stamped: full names of the topics that have a header with their sample's stamp; their losses are counted.
-        describe: called on the writing thread with the bag, now and then, until it returns true, and once more when the
-            bag ends, then with true: attaches what says of what the recording is.
+        describe: called on the writing thread with the bag, now and then, until it returns true. It attaches what
+            describes the recording, e.g. the nodes' parameters. Its second argument is true when the bag ends and this
+            is the last call.
 
     Attributes:
-        intake: takes the messages, also before :meth:`start` (they are passed over then).
+        intake: takes the messages; before :meth:`start` it ignores them.
         folder: of the bag that is being written, or was last.
-        failure: why the recording stopped by itself; what came before is saved by :meth:`stop`.
+        failure: why the recording stopped by itself; :meth:`stop` saves what came before.
         written: messages in the present bag.
     """
 
@@ -95,8 +123,8 @@ class Recorder:
         self._new_topics.append(topic)
 
     def expect(self, topic: Announced) -> None:
-        """Add a topic that is announced when it is known how it is offered. A bag that ends before lists it as it is
-        given here, without messages."""
+        """Name a topic that will be announced when its publishers' quality of service is known. A bag that ends before
+        lists it as it is given here, without messages."""
         self._expected.append(topic)
 
     def start(self) -> Path:
@@ -107,26 +135,26 @@ class Recorder:
         """
         if self.recording:
             raise BagError(f"bag {self.folder} is being recorded already")
-        folder = self._next_folder()
+        folder, options = self._next_folder(), self._options
         bag = BagWriter(
             folder,
-            compression=self._options.compression,
-            max_size=self._options.max_size,
-            max_duration=self._options.max_duration,
+            compression=options.compression,
+            max_size=options.max_size,
+            max_duration=options.max_duration,
         )
         try:
             bag.add_metadata(ORIGIN_METADATA, origin())
             self._new_topics.clear()
             for topic in self._topics:
-                bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)
+                topic.add_to(bag)
         except BaseException:
             bag.close()
             raise
         self._count += 1
         self.folder, self.failure, self.written = folder, None, 0
-        self._losses, self._disk = Losses(), DiskGuard(folder, self._options.min_free)
+        self._losses, self._disk = Losses(), DiskGuard(folder, options.min_free)
         self._bag, self._described = bag, False
-        self.intake = Intake(self._options.queue_limit, self._options.snapshot_s)
+        self.intake = Intake(options.queue_limit, options.snapshot_s)
         self._stopping.clear()
         self._splitting.clear()
         self._thread = threading.Thread(target=self._write_until_stopped, name="bag writer")
@@ -134,40 +162,35 @@ class Recorder:
         return folder
 
     def other_min_free(self, min_free: int) -> Callable[[], None]:
-        """Make ready to keep so many bytes of the disk free; what is returned takes it over, for this bag too."""
-        options = replace(self._options, min_free=min_free)
-        disk = DiskGuard(self.folder, min_free)
+        """Prepare to keep ``min_free`` bytes of the disk free; the function returned applies it, to this bag too."""
+        options, disk = replace(self._options, min_free=min_free), DiskGuard(self.folder, min_free)
 
-        def take_over() -> None:
+        def apply() -> None:
             self._options, self._disk = options, disk
 
-        return take_over
+        return apply
 
     def split(self) -> None:
         """Go on in a new file of the bag, soon."""
         self._splitting.set()
 
     def stop(self) -> None:
-        """Write what has come and finish the bag; without one, nothing.
-
-        Raises:
-            BagError: the disk does not take the rest.
-        """
+        """Write what has come and finish the bag; without one, nothing. Raises BagError when the disk is full."""
         if self._thread is None:
             return
         intake, self.intake = self.intake, self._closed_intake()
         self._stopping.set()
         self._thread.join()
         self._thread = None
-        with self._bag:  # finishes the bag even where the disk takes nothing more of these
+        with self._bag as bag:  # finishes the bag even where the disk takes nothing more of these
             if not self._described:
-                self._describe(self._bag, True)
+                self._describe(bag, True)
             counts = {"received": intake.received, "written": self.written, "dropped": intake.dropped}
-            self._bag.add_metadata("logger", {name: str(count) for name, count in counts.items()})
-            self._bag.add_metadata("losses", {topic: str(count) for topic, count in self._losses.by_topic().items()})
+            for name, numbers in (("logger", counts), ("losses", self._losses.by_topic())):
+                bag.add_metadata(name, {key: str(number) for key, number in numbers.items()})
             for topic in self._expected:
-                if topic.name not in self._bag.topics:
-                    self._bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)
+                if topic.name not in bag.topics:
+                    topic.add_to(bag)
 
     def _closed_intake(self) -> Intake:
         intake = Intake(self._options.queue_limit)
@@ -202,21 +225,20 @@ class Recorder:
         count = len(queue)
         # After the count: the topic of each of these messages was announced before it came.
         while self._new_topics:
-            topic = self._new_topics.popleft()
-            self._bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)
+            self._new_topics.popleft().add_to(self._bag)
         messages: list[Message] = []
         for _ in range(count):
             message = queue.popleft()
             if message is not BREAK:
                 messages.append(message)
-            if message is BREAK or len(messages) >= _AT_ONCE:
-                self._write_unbroken(messages)
+            if message is BREAK or len(messages) >= _BATCH:
+                self._write_batch(messages)
                 messages = []
             if message is BREAK:
                 self._losses.interrupt()
-        self._write_unbroken(messages)
+        self._write_batch(messages)
 
-    def _write_unbroken(self, messages: list[Message]) -> None:
+    def _write_batch(self, messages: list[Message]) -> None:
         self._bag.write_all(messages)
         self.written += len(messages)
         stamped: dict[str, list[bytes]] = {}

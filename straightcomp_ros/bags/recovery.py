@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import Definition
 from straightcomp_ros.bags.folder import mcap_files, missing_files
-from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.mcap_summary import UNREADABLE, Summary, frames, gather
+from straightcomp_ros.bags.mcap_input import McapInput, Record
+from straightcomp_ros.bags.mcap_records import UNREADABLE, Summary, frames, parsed
 from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.salvage import Gap, Sound, salvaged
+from straightcomp_ros.bags.salvage import Gap, salvaged
 from straightcomp_ros.bags.writer import BagWriter
 
 RECOVERY_METADATA = "recovery"
 """Metadata record of a recovered bag: what it was made from, and what was lost."""
 _MESSAGE = struct.Struct("<HIQQ")
+_COPIED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _OWN_METADATA = "rosbag2"
 
 
@@ -87,7 +87,7 @@ def _copy_file(path: Path, writer: BagWriter, result: Recovery) -> None:
         copy = _Copy(file, writer, result)
         for piece in salvaged(file):
             if isinstance(piece, Gap):
-                result.gaps.append((path.name, piece.offset, piece.length, piece.reason))
+                result.gaps.append((path.name, *piece))
             else:
                 copy.add(piece)
         copy.finish()
@@ -100,58 +100,49 @@ class _Copy:
         self._file, self._writer, self._result = file, writer, result
         self._saved: Counter[str] = Counter()
         self._topics: dict[int, str] = {}
-        self._known = Summary(None, {}, {})
-        if file.summary:
-            # The end of a finished file names all topics, also those whose own records are damaged.
-            self._known.schemas.update(file.summary.schemas)
-            self._known.channels.update(file.summary.channels)
-            for channel_id in file.summary.channels:
-                self._add_topic(channel_id)
+        # The end of a finished file names all topics, also those whose own records are damaged.
+        self._known = file.summary or Summary()
+        self._add_new_topics()
 
-    def add(self, record: Sound) -> None:
-        if record.opcode == Opcode.CHUNK:
-            try:
-                for opcode, content in frames(record.data, (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)):
-                    self._add_small(opcode, content)
-            except UNREADABLE as error:
-                self._gap(record, f"the rest of a chunk cannot be read ({error})")
-        elif record.opcode == Opcode.ATTACHMENT:
-            attachment = Attachment.read(ReadDataStream(BytesIO(record.data)))
+    def add(self, record: Record) -> None:
+        if record.opcode == Opcode.ATTACHMENT:
+            attachment = parsed(Attachment, record.content)
             if attachment.name != "metadata.yaml":
                 self._writer.attach(attachment.name, attachment.media_type, attachment.data)
         elif record.opcode == Opcode.METADATA:
-            metadata = Metadata.read(ReadDataStream(BytesIO(record.data)))
+            metadata = parsed(Metadata, record.content)
             if metadata.name != _OWN_METADATA:
                 self._writer.add_metadata(metadata.name, metadata.metadata)
-        elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-            try:
-                self._add_small(record.opcode, record.data)
-            except UNREADABLE as error:
-                self._gap(record, f"a record cannot be read ({error})")
+        elif record.opcode == Opcode.CHUNK:
+            self._add_records(frames(record.content, _COPIED), record, "the rest of a chunk")
+        elif record.opcode in _COPIED:
+            self._add_records([(record.opcode, record.content)], record, "a record")
 
-    def _gap(self, record: Sound, reason: str) -> None:
-        self._result.gaps.append((self._file.path.name, record.offset, len(record.data), reason))
+    def _add_records(self, records: Iterable[tuple[int, bytes]], origin: Record, what: str) -> None:
+        try:
+            for opcode, content in records:
+                if opcode == Opcode.MESSAGE:
+                    self._add_message(content)
+                else:
+                    self._known.add(opcode, content)
+                    self._add_new_topics()
+        except UNREADABLE as error:
+            gap = Gap(origin.offset, len(origin.content), f"{what} cannot be read ({error})")
+            self._result.gaps.append((self._file.path.name, *gap))
 
-    def _add_small(self, opcode: int, content: bytes) -> None:
-        if opcode == Opcode.MESSAGE:
-            self._add_message(content)
-            return
-        gather(self._known, [(opcode, content)])
+    def _add_new_topics(self) -> None:
         for channel_id in self._known.channels.keys() - self._topics.keys():
-            self._add_topic(channel_id)
-
-    def _add_topic(self, channel_id: int) -> None:
-        channel = self._known.channels[channel_id]
-        schema = self._known.schemas.get(channel.schema_id)
-        if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
-            if channel.topic not in self._result.foreign:
-                self._result.foreign.append(channel.topic)
-            return
-        if channel.topic not in self._writer.topics:
-            described = Definition(schema.data.decode(), channel.metadata.get("topic_type_hash", ""))
-            qos = TopicQos.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
-            self._writer.add_topic(channel.topic, schema.name, qos, described)
-        self._topics[channel_id] = channel.topic
+            channel = self._known.channels[channel_id]
+            schema = self._known.schemas.get(channel.schema_id)
+            if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
+                if channel.topic not in self._result.foreign:
+                    self._result.foreign.append(channel.topic)
+                continue
+            if channel.topic not in self._writer.topics:
+                described = Definition(schema.data.decode(), channel.metadata.get("topic_type_hash", ""))
+                qos = TopicQos.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
+                self._writer.add_topic(channel.topic, schema.name, qos, described)
+            self._topics[channel_id] = channel.topic
 
     def _add_message(self, content: bytes) -> None:
         channel_id, _, log_time, publish_time = _MESSAGE.unpack_from(content)

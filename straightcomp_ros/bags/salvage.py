@@ -6,22 +6,20 @@ Behind damage the walk goes on at the next chunk that is sound, wherever it star
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
-from io import BytesIO
 from typing import NamedTuple
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.mcap_input import PRIVATE, McapInput, Record, attachment_of
-from straightcomp_ros.bags.mcap_summary import FRAME, UNREADABLE
+from straightcomp_ros.bags.mcap_input import McapInput, Record, is_opcode
+from straightcomp_ros.bags.mcap_records import FRAME, MESSAGE_FIELDS, UNREADABLE, parsed
 
 _PARSED = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
-_SHORTEST_MESSAGE = 22
+_STEP = 1 << 20
+"""Bytes in which a chunk is searched for at once."""
 
 
 class Gap(NamedTuple):
@@ -32,26 +30,18 @@ class Gap(NamedTuple):
     reason: str
 
 
-class Sound(NamedTuple):
-    """A sound record; ``data`` holds the unpacked records of a chunk, and the content of any other record."""
-
-    opcode: int
-    offset: int
-    data: bytes
-
-
-def salvaged(file: McapInput) -> Iterator[Sound | Gap]:
+def salvaged(file: McapInput) -> Iterator[Record | Gap]:
     """Sound records of the data section in the order of the file, and the gaps between them.
 
-    A file that was cut off ends with a gap, or with a record.
+    The content of a chunk is that of its unpacked records. A file that was cut off ends with a gap, or with a record.
     """
     position = len(MAGIC)
     while position < file.size:
         try:
             sound, end = _sound(file, position)
-        except _Unsound as why:
+        except UNREADABLE as error:
             end = _next_chunk(file, position + 1)
-            yield Gap(position, end - position, str(why))
+            yield Gap(position, end - position, _reason(error))
         else:
             if sound.opcode == Opcode.DATA_END:
                 return
@@ -59,25 +49,19 @@ def salvaged(file: McapInput) -> Iterator[Sound | Gap]:
         position = end
 
 
-class _Unsound(Exception):
-    """No sound record starts here; the text says why."""
-
-
-def _sound(file: McapInput, position: int) -> tuple[Sound, int]:
+def _sound(file: McapInput, position: int) -> tuple[Record, int]:
+    """The record that starts here, and its end; raises one of ``UNREADABLE`` when none does that is sound."""
     frame = file.read(position, FRAME.size)
     if len(frame) < FRAME.size:
-        raise _Unsound("the file is cut off")
+        raise ValueError("the file is cut off")
     opcode, length = FRAME.unpack(frame)
     end = position + FRAME.size + length
-    if not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= PRIVATE):
-        raise _Unsound("no record starts here")
+    if not is_opcode(opcode):
+        raise ValueError("no record starts here")
     if end > file.size:
-        raise _Unsound("the file is cut off, or a length is wrong")
-    content = file.read(position + FRAME.size, length)
-    try:
-        return Sound(opcode, position, _checked(file, Record(opcode, position, content))), end
-    except (BagError, *UNREADABLE) as error:
-        raise _Unsound(_reason(error)) from error
+        raise ValueError("the file is cut off, or a length is wrong")
+    record = Record(opcode, position, file.read(position + FRAME.size, length))
+    return record._replace(content=_checked(file, record)), end
 
 
 def _checked(file: McapInput, record: Record) -> bytes:
@@ -85,16 +69,13 @@ def _checked(file: McapInput, record: Record) -> bytes:
     if opcode == Opcode.CHUNK:
         return file.chunk_data(record)
     if opcode == Opcode.ATTACHMENT:
-        attachment_of(file, record)
+        file.attachment(record)
     elif opcode in _PARSED:
-        stream = ReadDataStream(BytesIO(content))
-        _PARSED[Opcode(opcode)].read(stream)
-        if stream.count != len(content):
-            raise ValueError("a record's length is wrong")
+        parsed(_PARSED[Opcode(opcode)], content, whole=True)
     elif opcode == Opcode.MESSAGE_INDEX:
-        if len(content) < 6 or struct.unpack_from("<I", content, 2)[0] != len(content) - 6:
+        if len(content) < 6 or int.from_bytes(content[2:6], "little") != len(content) - 6:
             raise ValueError("an index's length is wrong")
-    elif opcode == Opcode.MESSAGE and len(content) < _SHORTEST_MESSAGE:
+    elif opcode == Opcode.MESSAGE and len(content) < MESSAGE_FIELDS:
         raise ValueError("a message is too short")
     elif opcode == Opcode.DATA_END and len(content) != 4:
         raise ValueError("no record starts here")
@@ -103,21 +84,19 @@ def _checked(file: McapInput, record: Record) -> bytes:
 
 def _next_chunk(file: McapInput, position: int) -> int:
     """Offset of the next sound chunk, or the end of the file."""
-    step = 1 << 20
-    while position < file.size:
-        block = file.read(position, step + FRAME.size)
+    for start in range(position, file.size, _STEP):
+        block = file.read(start, _STEP + FRAME.size)
         place = block.find(Opcode.CHUNK)
-        while 0 <= place < step:
-            length = int.from_bytes(block[place + 1 : place + 9], "little")
-            if length <= file.size - position - place - FRAME.size:
+        while 0 <= place < _STEP:
+            # First the cheap question: does its length fit into the file?
+            length = int.from_bytes(block[place + 1 : place + FRAME.size], "little")
+            if length <= file.size - start - place - FRAME.size:
                 try:
-                    _sound(file, position + place)
-                except _Unsound:
+                    _sound(file, start + place)
+                    return start + place
+                except UNREADABLE:
                     pass
-                else:
-                    return position + place
             place = block.find(Opcode.CHUNK, place + 1)
-        position += step
     return file.size
 
 

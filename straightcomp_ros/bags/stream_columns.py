@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import typestore
-from straightcomp_ros.bags.padding import constant_places, meaningful
-from straightcomp_ros.bags.places import FRAME_SIZE, MESSAGE, rows
-from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch, read_by_names
+from straightcomp_ros.bags.mcap_records import FRAME, HEAD, rows
+from straightcomp_ros.bags.messages import decoded
+from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, Layout, LayoutMismatch, read_by_names
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,7 @@ class StreamDecoder:
     """
 
     def __init__(self, topic: str, layout: Layout) -> None:
-        self._topic, self._layout = topic, layout
-        self._dtype = layout.dtype
+        self._topic, self._layout, self._dtype = topic, layout, layout.dtype
         self._template = np.frombuffer(layout.pack(0, *(0.0 for _ in layout.columns)), np.uint8)
         self._constants = constant_places(layout)
         self._parts: list[StreamColumns] = []
@@ -55,40 +55,37 @@ class StreamDecoder:
         Raises:
             BagError: a message is neither of the layout nor decodes to its joints and arrays.
         """
-        heads = rows(data, places, MESSAGE)
+        heads = rows(data, places, HEAD)
         lengths = heads["length"].astype(np.int64)
         stamp = np.empty(len(places), np.int64)
         numbers = np.empty((len(self._layout.columns), len(places)))
-        fits = lengths >= MESSAGE.itemsize - FRAME_SIZE + self._layout.size
-        messages = rows(data, places[fits] + MESSAGE.itemsize, self._dtype)
+        fits = lengths >= HEAD.itemsize - FRAME.size + self._layout.size
+        messages = rows(data, places[fits] + HEAD.itemsize, self._dtype)
         same = self._same_constants(messages)
         fits[fits] = same
-        if fits.all():
-            stamp[:], numbers[:] = self._read(messages)
-        else:
-            stamp[fits], numbers[:, fits] = self._read(messages[same])
+        if not same.all():
+            messages = messages[same]
+        stamp[fits] = messages["sec"].astype(np.int64) * NANOSECONDS + messages["nanosec"]
+        for column, name in zip(numbers, self._layout.columns, strict=True):
+            column[fits] = messages[name]
         for odd in np.flatnonzero(~fits):
-            start = int(places[odd])
-            message = data[start + MESSAGE.itemsize : start + FRAME_SIZE + int(lengths[odd])]
-            stamp[odd], numbers[:, odd] = self._decoded(message, int(odd))
+            message = data[places[odd] + HEAD.itemsize : places[odd] + FRAME.size + lengths[odd]]
+            stamp[odd], numbers[:, odd] = self._by_names(message, int(odd))
         log_time, publish_time = heads["log_time"].astype(np.int64), heads["publish_time"].astype(np.int64)
         columns = dict(zip(self._layout.columns, numbers, strict=True))
         self._parts.append(StreamColumns(log_time, publish_time, stamp, columns))
 
     def finished(self) -> StreamColumns | None:
         """All messages so far; None when there was none."""
-        if not self._parts:
+        parts = self._parts
+        if not parts:
             return None
         return StreamColumns(
-            np.concatenate([part.log_time for part in self._parts]),
-            np.concatenate([part.publish_time for part in self._parts]),
-            np.concatenate([part.stamp for part in self._parts]),
-            {name: np.concatenate([part.columns[name] for part in self._parts]) for name in self._layout.columns},
+            np.concatenate([part.log_time for part in parts]),
+            np.concatenate([part.publish_time for part in parts]),
+            np.concatenate([part.stamp for part in parts]),
+            {name: np.concatenate([part.columns[name] for part in parts]) for name in self._layout.columns},
         )
-
-    def _read(self, messages: NDArray[np.void]) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
-        stamp = messages["sec"].astype(np.int64) * NANOSECONDS + messages["nanosec"]
-        return stamp, [messages[name] for name in self._layout.columns]
 
     def _same_constants(self, messages: NDArray[np.void]) -> NDArray[np.bool_]:
         content = messages.view(np.uint8).reshape(len(messages), self._layout.size)
@@ -102,14 +99,48 @@ class StreamDecoder:
         mask = meaningful(self._layout)
         return np.asarray((content[:, mask] == template[mask]).all(axis=1), np.bool_)
 
-    def _decoded(self, message: bytes, place: int) -> tuple[int, list[float]]:
+    def _by_names(self, message: bytes, place: int) -> tuple[int, list[float]]:
+        where, type_name = f"{self._topic}: message {sum(map(len, self._parts)) + place}", self._layout.type_name
         try:
-            return read_by_names(self._layout, typestore().deserialize_cdr(message, self._layout.type_name))
+            return read_by_names(self._layout, decoded(where, message, type_name))
         except LayoutMismatch as error:
-            reason = f"lacks {error}"
-        except Exception as error:  # Whatever the decoder stumbles over in bytes that are no such message.
-            reason = f"does not decode ({error})"
-        raise BagError(
-            f"{self._topic}: message {sum(map(len, self._parts)) + place} {reason}; "
-            f"allowed is a {self._layout.type_name} with {', '.join(self._layout.columns)}"
-        )
+            allowed = f"allowed is a {type_name} with {', '.join(self._layout.columns)}"
+            raise BagError(f"{where} lacks {error}; {allowed}") from error
+
+
+def constant_places(layout: Layout) -> list[tuple[int, int]]:
+    """(first, end) byte of the encapsulation and of each run of constants in a message."""
+    places, place = [(0, len(ENCAPSULATION))], len(ENCAPSULATION) + 8  # the stamp
+    for constant, run in zip(layout.constants, layout.runs, strict=True):
+        places.append((place, place + len(constant)))
+        place += len(constant) + 8 * run
+    return places
+
+
+@cache
+def meaningful(layout: Layout) -> NDArray[np.bool_]:
+    """For each byte of a message, True where it is constant and a decoder looks at it. Bytes of CDR's alignment gaps
+    are not: other writers fill them with whatever was in memory.
+
+    Found by trial: a byte means nothing when the message decodes to the same with any other byte in its place.
+    """
+    template = layout.pack(0, *(0.0 for _ in layout.columns))
+    expected = _text(template, layout)
+    mask = np.zeros(layout.size, np.bool_)
+    for first, end in constant_places(layout):
+        mask[first:end] = True
+    for place in np.flatnonzero(mask)[len(ENCAPSULATION) :]:
+        # Gaps are zero in a layout's constants; anything else is a letter or a number.
+        if template[place] == 0:
+            changed = bytearray(template)
+            changed[place] = 0xFF
+            mask[place] = _text(bytes(changed), layout) != expected
+    mask.setflags(write=False)
+    return mask
+
+
+def _text(message: bytes, layout: Layout) -> str:
+    try:
+        return repr(typestore().deserialize_cdr(message, layout.type_name))
+    except Exception as error:  # Whatever the decoder stumbles over: the byte meant something.
+        return repr(error)

@@ -1,10 +1,21 @@
-"""Which topic of a bag is meant by a relative name."""
+"""The topics of a bag, and which one is meant by a relative name."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 from straightcomp_ros.bags import BagError
+
+
+class RecordedTopic(NamedTuple):
+    """A topic of a bag: full name, ROS type, encoding (``cdr``), and the type's text as the bag has it (schema encoding
+    ``ros2msg``), empty where it has none."""
+
+    name: str
+    type_name: str
+    encoding: str
+    definition: str = ""
 
 
 def resolved(name: str, topics: Iterable[str], bag: str) -> str | None:
@@ -22,11 +33,10 @@ def resolved(name: str, topics: Iterable[str], bag: str) -> str | None:
         BagError: several namespaces have the topic.
     """
     topics = set(topics)
-    if name.startswith("/"):
-        return name if name in topics else None
-    if f"/{name}" in topics:
-        return f"/{name}"
-    found = sorted(topic for topic in topics if topic.endswith(f"/{name}"))
+    absolute = name if name.startswith("/") else f"/{name}"
+    if absolute in topics or absolute == name:
+        return absolute if absolute in topics else None
+    found = sorted(topic for topic in topics if topic.endswith(absolute))
     if len(found) > 1:
         raise BagError(f"bag {bag}: topic '{name}' is {' and '.join(found)}; ask for one by its full name")
     return found[0] if found else None
@@ -36,9 +46,7 @@ def chosen_topics(wanted: Iterable[str], topics: Iterable[str], bag: str, remap:
     """Each wanted name that the bag has, by the bag's full name for it.
 
     Args:
-        wanted: names as :func:`resolved` takes them.
-        topics: full names of the topics in the bag.
-        bag: named in the error.
+        wanted, topics, bag: names as :func:`resolved` takes them.
         remap: for some of the wanted names, the bag's own.
 
     Raises:

@@ -1,4 +1,7 @@
-"""Writes a bag: a folder with MCAP files and metadata.yaml, as `ros2 bag`, Foxglove and PlotJuggler open it."""
+"""Writes a bag: a folder with MCAP files and metadata.yaml, as `ros2 bag`, Foxglove and PlotJuggler open it.
+
+:mod:`straightcomp_ros.bags.mcap_output` says why the files are not written by mcap's own ``Writer``.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.chunk import COMPRESSORS
 from straightcomp_ros.bags.definitions import Definition, definition
-from straightcomp_ros.bags.information import BagFile, Topic, as_yaml, bag_information
+from straightcomp_ros.bags.information import ROOT_KEY, BagFile, Topic, as_yaml, bag_information
 from straightcomp_ros.bags.intake import Message
-from straightcomp_ros.bags.mcap_output import McapOutput
+from straightcomp_ros.bags.mcap_output import COMPRESSORS, McapOutput
 from straightcomp_ros.bags.qos import TopicQos
 
 CHUNK_SIZE = 512 * 1024
@@ -68,7 +69,6 @@ class BagWriter:
         self._finished_files: list[BagFile] = []
         self._file_began_ns: int | None = None
         self._topics: dict[str, Topic] = {}
-        self._texts: dict[str, str] = {}
         self._channel_ids: dict[str, int] = {}
         self._custom_data: dict[str, str] = {}
         self._closed = False
@@ -94,15 +94,16 @@ class BagWriter:
             raise BagError(f"bag {self.directory}: topic '{name}' is not a full name; it starts with '/'")
         if name in self._topics:
             raise BagError(f"bag {self.directory}: topic '{name}' is already in the bag; add it once")
-        described = described or definition(type_name)
-        topic = Topic(name, type_name, qos or TopicQos(), described.type_hash)
+        topic = Topic(name, type_name, qos or TopicQos(), described or definition(type_name))
         with self._disk(f"bag {self.path}: topic '{name}' cannot be added"):
-            self._add_channel(topic, described.text)
-        self._topics[name], self._texts[name] = topic, described.text
+            self._add_channel(topic)
+        self._topics[name] = topic
 
-    def _add_channel(self, topic: Topic, text: str) -> None:
-        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": topic.type_hash}
-        self._channel_ids[topic.name] = self._output.add_channel(topic.name, topic.type_name, text, metadata)
+    def _add_channel(self, topic: Topic) -> None:
+        described = topic.described
+        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": described.type_hash}
+        channel_id = self._output.add_channel(topic.name, topic.type_name, described.text, metadata)
+        self._channel_ids[topic.name] = channel_id
 
     def _open_file(self) -> None:
         number = len(self._finished_files)
@@ -112,11 +113,11 @@ class BagWriter:
         except FileExistsError:
             raise
         except OSError:
-            path.unlink(missing_ok=True)  # a file without a header is no part of a bag
+            path.unlink(missing_ok=True)  # rosbag2 would refuse a bag with a file that has no header
             raise
         self.path, self._number, self._file_began_ns = path, number, None
-        for name, topic in self._topics.items():
-            self._add_channel(topic, self._texts[name])
+        for topic in self._topics.values():
+            self._add_channel(topic)
 
     @property
     def topics(self) -> Mapping[str, Topic]:
@@ -134,44 +135,32 @@ class BagWriter:
                 since MCAP has no negative times; the message itself is not touched.
         """
         self._check_open()
-        channel_id = self._channel_ids.get(topic)
-        if channel_id is None:
+        if topic not in self._channel_ids:
             raise BagError(f"bag {self.directory}: topic '{topic}' was not added; known are {', '.join(self._topics)}")
         if log_time_ns < 0:
             raise BagError(f"bag {self.directory}: topic '{topic}': log time is {log_time_ns} ns; allowed is 0 or more")
         try:
             if self._file_finished or self._is_full(log_time_ns):
                 self._split()
-                channel_id = self._channel_ids[topic]
             if self._file_began_ns is None:
                 self._file_began_ns = log_time_ns
-            self._output.add_messages([(channel_id, log_time_ns, max(publish_time_ns, 0), data)])
+            self._output.add_messages([(self._channel_ids[topic], log_time_ns, max(publish_time_ns, 0), data)])
         except OSError as error:
             raise self._refused(error) from error
 
     def write_all(self, messages: Sequence[Message]) -> None:
-        """Add messages in this order, as :meth:`write` does for one: a fraction of the cost where the file goes on.
-
-        Args:
-            messages: topic, serialised message, log time and publish time of each.
-        """
+        """Add messages in this order, as :meth:`write` adds one: faster when all of them go into the open file."""
+        ids = self._channel_ids
+        last_ns = max((log_time_ns for _, _, log_time_ns, _ in messages), default=0)
+        sound = all(topic in ids and log_time_ns >= 0 for topic, _, log_time_ns, _ in messages)
+        if self._closed or self._file_finished or self._file_began_ns is None or self._is_full(last_ns) or not sound:
+            for message in messages:
+                self.write(*message)
+            return
         try:
-            if not self._goes_on(messages):
-                for message in messages:
-                    self.write(*message)
-                return
-            ids = self._channel_ids
             self._output.add_messages([(ids[topic], log, max(sent, 0), data) for topic, data, log, sent in messages])
         except OSError as error:
             raise self._refused(error) from error
-
-    def _goes_on(self, messages: Sequence[Message]) -> bool:
-        """Whether all of these go into the file that is open, and nothing is wrong with any."""
-        if self._closed or self._file_finished or self._file_began_ns is None:
-            return False
-        times = [log_time_ns for _, _, log_time_ns, _ in messages]
-        known = self._channel_ids.keys() >= {topic for topic, *_ in messages}
-        return known and bool(times) and min(times) >= 0 and not self._is_full(max(times))
 
     def _refused(self, error: OSError) -> BagError:
         return BagError(f"bag {self.path} cannot be written: {error.strerror}; free space on the disk")
@@ -252,23 +241,25 @@ class BagWriter:
         counts = self._output.message_counts
         by_topic = {name: counts[channel_id] for name, channel_id in self._channel_ids.items()}
         file = BagFile(self.path.name, self._output.time_range, by_topic)
-        # Of this file by itself: where rosbag2 looks when it is given the file alone.
-        information = bag_information([file], list(self._topics.values()), self._custom_data)
+        # rosbag2 looks here when it is given the file alone.
+        information = self._information([file])
         self._output.add_metadata("rosbag2", {"serialized_metadata": as_yaml(information)})
         if not self._output.attachment_count:
-            # Every file has a metadata record and an attachment, so that its summary has all the groups a reader may
-            # expect; and a file that lost its folder carries what makes it a bag again.
-            text = as_yaml({"rosbag2_bagfile_information": information})
+            # Every file has a metadata record and an attachment, so that its summary has all the groups that a reader
+            # may expect. A file that lost its folder carries its metadata.yaml.
+            text = as_yaml({ROOT_KEY: information})
             self._output.add_attachment("metadata.yaml", "application/yaml", text.encode())
         self._output.finish()
         self._finished_files.append(file)
         self._output.close()
 
+    def _information(self, files: list[BagFile]) -> dict[str, object]:
+        return bag_information(files, list(self._topics.values()), self._custom_data)
+
     def _finish_bag(self) -> None:
-        information = bag_information(self._finished_files, list(self._topics.values()), self._custom_data)
         # Renamed when it is whole: a folder with metadata.yaml is a finished bag.
         unfinished = self.directory / "metadata.yaml.part"
-        unfinished.write_text(as_yaml({"rosbag2_bagfile_information": information}), encoding="utf-8")
+        unfinished.write_text(as_yaml({ROOT_KEY: self._information(self._finished_files)}), encoding="utf-8")
         os.replace(unfinished, self.directory / "metadata.yaml")
 
     def _check_open(self) -> None:
@@ -285,7 +276,5 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 import struct
 import types
 
 import pytest
 
-from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags import free_space as disk
+from straightcomp_ros.bags import BagError, recorder
 from straightcomp_ros.bags.folder import mcap_files, missing_files, split_number
-from straightcomp_ros.bags.free_space import DiskGuard
 from straightcomp_ros.bags.intake import BREAK, Intake
 from straightcomp_ros.bags.losses import Losses
-from straightcomp_ros.bags.mcap_summary import frames
-from straightcomp_ros.bags.places import message_places
+from straightcomp_ros.bags.mcap_records import frames, message_places
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
-from straightcomp_ros.bags.sqlite_input import sqlite_blocks
+from straightcomp_ros.bags.recorder import DiskGuard
+from straightcomp_ros.bags.sqlite_input import SqliteInput
 from straightcomp_ros.bags.topics import chosen_topics, resolved
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
@@ -44,20 +43,20 @@ def found(data, *indexes):
     return {channel: places.tolist() for channel, places in message_places(data, indexes).items()}
 
 
-@pytest.mark.parametrize("size", [2, 3, 12, 13])
+@pytest.mark.parametrize("size", [0, 1, 2, 3, 12, 13])
 def test_records_of_other_kinds_are_stepped_over_wherever_they_stand(size):
     other, first, second = record(OTHER, bytes(size)), message(1, 0), message(7, 5)
     at = len(other)
     assert found(other + first + other + second + other) == {1: [at], 7: [2 * at + len(first)]}
-    assert found(other) == {} and found(b"") == {}
+    assert found(other) == {} and found(b"") == {} and found(first + other) == {1: [0]}
     # An index that leaves nothing out behind records of other kinds is believed, or what it says is found again.
     assert found(other + first + second, index(1, at), index(7, at + len(first))) == {1: [at], 7: [at + len(first)]}
 
 
 def test_a_record_that_ends_beyond_its_chunk_is_damage():
     data = message(1, 10)
-    # The last ones are too short for a channel's number, and nothing is read beyond the end.
-    for wrong in (data[:-1], data + record(OTHER, bytes(5))[:-1], data + b"\0", data + record(OTHER, b"x")):
+    # The last ones are too short for a length, and nothing is read beyond the end.
+    for wrong in (data[:-1], data + record(OTHER, bytes(5))[:-1], data + b"\0", data + record(OTHER, b"")[:-1]):
         with pytest.raises(ValueError, match="longer than its place"):
             message_places(wrong, [])
 
@@ -134,15 +133,15 @@ def test_each_pause_makes_one_break():
 
 def test_the_free_space_is_looked_at_twice_a_second(monkeypatch, tmp_path):
     clock, looks = [100.0], []
-    free = types.SimpleNamespace(f_bavail=3, f_frsize=100)
-    monkeypatch.setattr(disk, "time", types.SimpleNamespace(monotonic=lambda: clock[0]))
-    monkeypatch.setattr(disk, "os", types.SimpleNamespace(statvfs=lambda path: looks.append(path) or free))
+    usage = types.SimpleNamespace(free=300)
+    monkeypatch.setattr(recorder, "time", types.SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: looks.append(path) or usage)
     guard = DiskGuard(tmp_path, 300)
     for _ in range(100):
         guard.check()
         clock[0] += 0.01
     assert looks == [tmp_path] * 2
-    free.f_bavail = 2
+    usage.free = 200
     clock[0] += 0.5
     with pytest.raises(BagError, match="200 bytes are free on its disk; allowed: >= 300"):
         guard.check()
@@ -259,11 +258,12 @@ def test_an_sqlite_message_without_data_or_time_is_damage(tmp_path, bad):
         connection.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (2, ?, ?)", bad)
         connection.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (1, 5, ?)", (b"",))
     connection.close()
-    ((data, places),) = sqlite_blocks(path, 1)
-    assert places.tolist() == [0, 35] and data[31:35] == b"zero" and len(data) == 35 + 31
+    file = SqliteInput(path)
+    ((data, places),) = file.blocks([1])
+    assert places[1].tolist() == [0, 35] and data[31:35] == b"zero" and len(data) == 35 + 31
     with pytest.raises(BagError, match="no data, or no time"):
-        list(sqlite_blocks(path, 2))
-    assert list(sqlite_blocks(path, 3)) == []
+        list(file.blocks([2]))
+    assert list(file.blocks([3])) == []
 
 
 def test_the_folders_above_a_new_bag_are_made(tmp_path):

@@ -87,7 +87,7 @@ def test_a_field_that_is_not_there_is_named_with_what_there_is(tmp_path, path, w
 
 @pytest.mark.parametrize(("stream", "path"), [(ENCODER, "position[stage_x]"), (DISPLACEMENT, "position[displacement]")])
 def test_our_own_streams_are_read_as_columns(tmp_path, stream, path, monkeypatch):
-    monkeypatch.setattr(fields, "_decoder", None)  # not message by message
+    monkeypatch.setattr(fields, "decoded", None)  # not message by message
     layout = stream.layout
     place = [f"{array}[{joint}]" for array, joint in layout.places].index(path)
     with BagWriter(tmp_path / "bag") as bag:
