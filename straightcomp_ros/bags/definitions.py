@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from straightcomp_ros.bags import BagError
 
@@ -15,15 +14,12 @@ ROS_DISTRO = "jazzy"
 """The ROS 2 release whose message definitions are used."""
 
 
-@dataclass(frozen=True)
-class Definition:
+class Definition(NamedTuple):
     """Definition of one message type.
 
-    Attributes:
-        text: schema in encoding ``ros2msg``: the type's .msg text, then for each type it needs a line of 80
-            ``=``, a line ``MSG: package/Name`` and that type's text. rosbag2 keeps the comments of the .msg
-            files, this text has none; no reader looks at them.
-        type_hash: RIHS01 hash (REP 2016), ``RIHS01_`` and 64 hexadecimal digits.
+    ``text`` is the schema in encoding ``ros2msg``: the type's .msg text, then for each type that it needs a line of 80
+    ``=``, a line ``MSG: package/Name`` and that type's text; without the comments that rosbag2 keeps and no reader
+    needs. ``type_hash`` is the RIHS01 hash (REP 2016), ``RIHS01_`` and 64 hexadecimal digits.
     """
 
     text: str
@@ -33,7 +29,7 @@ class Definition:
 @cache
 def typestore() -> Typestore:
     """The message types of ROS 2 Jazzy."""
-    # Half a second, which a bag of our own layouts never needs.
+    # Takes half a second, and a bag with our own layouts is read without it.
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
@@ -41,11 +37,7 @@ def typestore() -> Typestore:
 
 @cache
 def definition(type_name: str) -> Definition:
-    """Definition of a type such as ``sensor_msgs/msg/JointState``.
-
-    Raises:
-        BagError: ROS 2 Jazzy's own packages have no such message type.
-    """
+    """Definition of a type such as ``sensor_msgs/msg/JointState``; BagError when ROS 2 Jazzy's own packages lack it."""
     store = typestore()
     if type_name not in store.fielddefs:
         raise BagError(

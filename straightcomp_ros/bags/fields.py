@@ -22,12 +22,10 @@ _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
 
 @dataclass(frozen=True)
 class Field:
-    """A number in the messages of a topic.
+    """A number in the messages of a topic, which has a relative or full name.
 
-    Attributes:
-        topic: relative or full name.
-        path: names separated by dots; ``name[3]`` takes an element of an array, ``name[joint]`` the one that the
-            message's ``name`` or ``joint_names`` lists at that place.
+    The path is names separated by dots; ``name[3]`` takes an element of an array, ``name[joint]`` the one that the
+    message's ``name`` or ``joint_names`` lists at that place.
     """
 
     topic: str
@@ -35,11 +33,7 @@ class Field:
 
     @classmethod
     def parsed(cls, text: str, path: str) -> Field:
-        """``TOPIC`` or ``TOPIC:PATH``; ``path`` where the text names none.
-
-        Raises:
-            ValueError: another form; the message names it and what is allowed.
-        """
+        """``TOPIC`` or ``TOPIC:PATH``; ``path`` where the text names none. Raises ValueError for any other form."""
         topic, _, given = text.partition(":")
         found = cls(topic, given or path)
         if not topic or not all(_STEP.fullmatch(step) for step in found.path.split(".")):
@@ -52,10 +46,10 @@ class Field:
 
 @dataclass(frozen=True)
 class FieldValues:
-    """Values (n,) float64 in the unit of the messages, and the stamps (n,) int64 in ns since the epoch.
+    """Stamps (n,) int64 in ns since the epoch, and values (n,) float64 in the unit of the messages.
 
-    ``stamped`` tells whether the stamps are those of the messages' headers; without headers they are the times at
-    which the messages were sent.
+    ``stamped`` tells whether the stamps are those of the messages' headers; without headers they are the times of
+    sending.
     """
 
     stamp: NDArray[np.int64]
@@ -64,11 +58,8 @@ class FieldValues:
 
 
 def read_field(bag: Path, field: Field) -> FieldValues:
-    """The values of a field in the order of recording.
-
-    Raises:
-        BagError: the bag cannot be read, lacks the topic, or its messages lack the field.
-    """
+    """The values of a field in the order of recording. Raises BagError when the bag cannot be read, lacks the topic, or
+    its messages lack the field."""
     messages = read_messages(bag, field.topic)
     known = _layout_with(field, messages)
     if known:

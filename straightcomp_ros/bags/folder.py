@@ -11,6 +11,7 @@ from pathlib import Path
 import yaml
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.information import ROOT_KEY
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.sqlite_input import SqliteInput
 
@@ -19,14 +20,8 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def mcap_files(bag: Path) -> list[Path]:
-    """The MCAP files of a bag, oldest first.
-
-    Args:
-        bag: a rosbag2 folder or one file.
-
-    Raises:
-        BagError: there is none, or the bag is stored in another way.
-    """
+    """The MCAP files of a bag, a rosbag2 folder or one file, oldest first. Raises BagError when there is none, or the
+    bag is stored in another way."""
     bag = Path(bag)
     if bag.is_file():
         return [bag]
@@ -34,8 +29,8 @@ def mcap_files(bag: Path) -> list[Path]:
         raise BagError(f"bag {bag} does not exist; give a bag folder or a file that ends with .mcap")
     files = sorted(bag.glob("*.mcap"), key=split_number)
     if files:
-        # A recording that was killed between making its next file and writing to it.
-        return [file for file in files if file is not files[-1] or file.stat().st_size] if len(files) > 1 else files
+        # A recording that was killed between making its next file and writing to it leaves an empty one.
+        return files[:-1] if len(files) > 1 and not files[-1].stat().st_size else files
     if any(bag.glob("*.mcap.zstd")):
         raise BagError(f"bag {bag}: its files are compressed as a whole; unpack them with `unzstd *.mcap.zstd`")
     if any(bag.glob("*.db3")):
@@ -50,35 +45,26 @@ def split_number(file: Path) -> tuple[str, int, str]:
 
 
 def missing_files(bag: Path, files: Sequence[Path]) -> list[str]:
-    """Names of the files that a bag lacks: those that its metadata.yaml names, and gaps in the numbers.
-
-    Args:
-        bag: a rosbag2 folder; of a single file nothing is missing.
-        files: of the bag, as :func:`mcap_files` returns them.
-    """
+    """Names of the files that a bag lacks beside its ``files``, as :func:`mcap_files` returns them: those that its
+    metadata.yaml names, and gaps in the numbers. A bag that is a single file lacks nothing."""
     bag = Path(bag)
     if bag.is_file():
         return []
+    try:
+        tree = yaml.load((bag / "metadata.yaml").read_bytes(), Loader=_Loader)
+        listed = [Path(str(path)).name for path in tree[ROOT_KEY]["relative_file_paths"]]
+    except (OSError, yaml.YAMLError, ValueError, LookupError, TypeError):
+        listed = []  # a bag whose list cannot be read still has its messages
     there = {file.name for file in files}
-    listed = _listed(bag)
     # As many as are listed: somebody gave them other names.
     missing = [name for name in listed if name not in there] if len(listed) > len(files) else []
-    numbered = {split_number(file)[:2] for file in files}
-    names = {name for name, number in numbered if number >= 0}
+    numbered = {(name, number) for name, number, _ in map(split_number, files) if number >= 0}
+    names, numbers = {name for name, _ in numbered}, {number for _, number in numbered}
     if len(names) == 1:
-        name, numbers = names.pop(), {number for _, number in numbered if number >= 0}
+        name = names.pop()
         gaps = [f"{name}_{number}.mcap" for number in range(min(numbers), max(numbers)) if number not in numbers]
         missing += [gap for gap in gaps if gap not in missing]
     return missing
-
-
-def _listed(bag: Path) -> list[str]:
-    """Names in metadata.yaml; none where there is none, or none that can be read: messages count, not their list."""
-    try:
-        tree = yaml.load((bag / "metadata.yaml").read_bytes(), Loader=_Loader)
-        return [Path(str(path)).name for path in tree["rosbag2_bagfile_information"]["relative_file_paths"]]
-    except (OSError, yaml.YAMLError, ValueError, LookupError, TypeError):
-        return []
 
 
 def sqlite_files(bag: Path) -> list[Path]:
@@ -91,14 +77,8 @@ def sqlite_files(bag: Path) -> list[Path]:
 
 @contextmanager
 def opened(bag: Path) -> Iterator[list[BagInput]]:
-    """The files of a bag, open.
-
-    Raises:
-        BagError: there is none, one of several is missing, or it is no MCAP file.
-
-    Warns:
-        UserWarning: the bag was not finished.
-    """
+    """The files of a bag, open. Raises BagError when there is none, one of several is missing, or one is no MCAP file;
+    warns (UserWarning) when the bag was not finished."""
     databases = sqlite_files(bag)
     if databases:
         yield [SqliteInput(path) for path in databases]
@@ -107,17 +87,13 @@ def opened(bag: Path) -> Iterator[list[BagInput]]:
         paths = mcap_files(bag)
         missing = missing_files(bag, paths)
         if missing:
-            raise BagError(
-                f"bag {bag} lacks {', '.join(missing)}; copy the whole folder again, or save what is there with "
-                "`straightcomp recover`"
-            )
+            advice = "copy the whole folder again, or save what is there with `straightcomp recover`"
+            raise BagError(f"bag {bag} lacks {', '.join(missing)}; {advice}")
         files = [stack.enter_context(McapInput(path)) for path in paths]
         for file in files:
             if file.summary is None:
-                warnings.warn(
-                    f"bag {file.path} was not finished, or its end is damaged: what comes before is read",
-                    stacklevel=4,
-                )
+                text = f"bag {file.path} was not finished, or its end is damaged: what comes before is read"
+                warnings.warn(text, stacklevel=4)
         yield files
 
 

@@ -5,7 +5,7 @@ Source: rosbag2_storage/yaml.hpp, ``convert<BagMetadata>`` and ``convert<TopicMe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -41,7 +41,7 @@ class BagFile(NamedTuple):
 
 
 def bag_information(
-    files: Sequence[BagFile], topics: Sequence[Topic], custom_data: Mapping[str, str]
+    files: Sequence[BagFile], topics: Iterable[Topic], custom_data: Mapping[str, str]
 ) -> dict[str, object]:
     """The content of metadata.yaml below :data:`ROOT_KEY`.
 
@@ -98,5 +98,5 @@ def _duration(time_range: tuple[int, int] | None) -> dict[str, int]:
 
 
 def as_yaml(information: Mapping[str, object]) -> str:
-    """YAML in the order of rosbag2. No object occurs twice in it, so that there are no anchors, which yaml-cpp lacks."""
+    """YAML in the order of rosbag2; without anchors, since no object occurs twice in it."""
     return str(yaml.safe_dump(dict(information), sort_keys=False, allow_unicode=True))

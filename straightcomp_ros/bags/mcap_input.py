@@ -25,14 +25,14 @@ from straightcomp_ros.bags.topics import RecordedTopic
 
 _FOOTER_SIZE = FRAME.size + 20
 _PRIVATE = 0x80
-"""Opcodes from here on are an application's own and are passed over; those between MCAP's last and this are free."""
+"""From here on opcodes are private to applications; those between MCAP's last and this are reserved."""
 _LOOSE_SIZE = 1 << 20
 """Bytes of messages outside chunks that make a block."""
 _RECOVER = "copy the bag again from where it was recorded, or save what is left with `straightcomp recover`"
 
 
 class Record(NamedTuple):
-    """A record: opcode, offset in the file, content."""
+    """A record and its offset in the file."""
 
     opcode: int
     offset: int
@@ -45,13 +45,10 @@ def is_opcode(opcode: int) -> bool:
 
 
 class McapInput:
-    """An MCAP file.
+    """An MCAP file, open. Raises BagError when the file cannot be read, or is not MCAP.
 
-    Args:
-        path: the file.
-
-    Raises:
-        BagError: the file cannot be read, or is not MCAP.
+    Attributes:
+        summary: what the end of the file says of it; None when the file was not finished, or its end is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -68,7 +65,6 @@ class McapInput:
                 raise BagError(f"bag {path} is empty: the recording was never started; record again")
             raise BagError(f"bag {path} is not an MCAP file; give a bag folder or a file that ends with .mcap")
         self.summary = self._summary()
-        """None when the file was not finished, or its end is damaged."""
 
     def damaged(self, offset: int, reason: str) -> BagError:
         """The error for damage at ``offset`` bytes."""
@@ -105,11 +101,8 @@ class McapInput:
 
     @cached_property
     def topics(self) -> dict[int, RecordedTopic]:
-        """Topics by the id of their channel: from the summary, from the data where it tells of none.
-
-        Raises:
-            BagError: the file is damaged.
-        """
+        """Topics by the id of their channel: from the summary, from the data where it tells of none. Raises BagError
+        when the file is damaged."""
         if self.summary and self.summary.channels:
             return self.summary.topics()
         found = Summary()
@@ -164,11 +157,8 @@ class McapInput:
             yield offset, bytes(data), indexes
 
     def chunk_data(self, record: Record) -> bytes:
-        """The decompressed records of a chunk.
-
-        Raises:
-            BagError: the checksum differs, the data do not decompress, or the compression is unknown.
-        """
+        """The decompressed records of a chunk. Raises BagError when the checksum differs, the data do not decompress,
+        or the compression is unknown."""
         try:
             chunk = parsed(Chunk, record.content, whole=True)
             data = _decompressed(chunk)
@@ -182,11 +172,7 @@ class McapInput:
         return data
 
     def attachment(self, record: Record) -> Attachment:
-        """The attachment in a record.
-
-        Raises:
-            BagError: its checksum is wrong, or it cannot be read.
-        """
+        """The attachment in a record. Raises BagError when its checksum is wrong, or it cannot be read."""
         crc = int.from_bytes(record.content[-4:], "little")
         if crc and zlib.crc32(record.content[:-4]) != crc:
             raise self.damaged(record.offset, "the checksum of an attachment is wrong")
@@ -196,11 +182,7 @@ class McapInput:
             raise self.damaged(record.offset, f"an attachment cannot be read ({error})") from error
 
     def check_data_section(self) -> None:
-        """Check the checksum over the whole data section, where the file has one.
-
-        Raises:
-            BagError: it is wrong.
-        """
+        """Check the checksum over the whole data section, where the file has one. Raises BagError when it is wrong."""
         for end in self.records(Opcode.DATA_END):
             position = crc = 0
             while position < end.offset:
@@ -217,14 +199,10 @@ class McapInput:
         length = self.size - len(MAGIC) - _FOOTER_SIZE - footer.summary_start
         if not footer.summary_start:
             return Summary()
-        if length < 0:
-            return None
-        data = self.read(footer.summary_start, length)
+        data = self.read(footer.summary_start, length) if length > 0 else b""
         crc = zlib.crc32(end[: _FOOTER_SIZE - 4], zlib.crc32(data))
-        if footer.summary_crc and crc != footer.summary_crc:
-            return None
         try:
-            return Summary().add_all(data)
+            return Summary().add_all(data) if length >= 0 and footer.summary_crc in (0, crc) else None
         except UNREADABLE:
             return None
 
@@ -234,9 +212,8 @@ class McapInput:
             self._file.seek(position)
             return self._file.read(length)
         except OSError as error:
-            raise BagError(
-                f"bag {self.path} cannot be read at byte {position}: {error.strerror}; {_RECOVER}"
-            ) from error
+            where = f"bag {self.path} cannot be read at byte {position}"
+            raise BagError(f"{where}: {error.strerror}; {_RECOVER}") from error
 
     def __enter__(self) -> McapInput:
         return self

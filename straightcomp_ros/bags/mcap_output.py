@@ -57,10 +57,8 @@ class _OpenChunk:
         self.begun = time.monotonic()
 
     def add_messages(self, messages: Iterable[ChannelMessage]) -> None:
-        offset = len(self.records)
-        pack = MESSAGE.pack
-        parts: list[bytes] = []
-        index: list[int] = []
+        offset, pack = len(self.records), MESSAGE.pack
+        parts, index = list[bytes](), list[int]()
         for channel_id, log_time_ns, publish_time_ns, data in messages:
             content = MESSAGE_FIELDS + len(data)
             parts += (pack(Opcode.MESSAGE, content, channel_id, 0, log_time_ns, publish_time_ns), data)
@@ -84,14 +82,9 @@ class _OpenChunk:
         first, last = int(times.min()), int(times.max())
         builder = RecordBuilder()
         compressed = compress(content)
-        records.Chunk(
-            compression=name,
-            data=compressed,
-            message_start_time=first,
-            message_end_time=last,
-            uncompressed_crc=zlib.crc32(content),
-            uncompressed_size=len(content),
-        ).write(builder)
+        shared = {"compression": name, "message_start_time": first, "message_end_time": last}
+        shared["uncompressed_size"] = len(content)
+        records.Chunk(**shared, data=compressed, uncompressed_crc=zlib.crc32(content)).write(builder)
         chunk_length = builder.count
         offsets, counts = {}, Counter[int]()
         for channel in np.unique(messages[:, 0]).tolist():
@@ -99,15 +92,12 @@ class _OpenChunk:
             offsets[channel], counts[channel] = position + builder.count, len(entries) // _INDEX_ENTRY
             builder.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries)
         index = records.ChunkIndex(
-            message_start_time=first,
-            message_end_time=last,
+            **shared,
             chunk_start_offset=position,
             chunk_length=chunk_length,
             message_index_offsets=offsets,
             message_index_length=builder.count - chunk_length,
-            compression=name,
             compressed_size=len(compressed),
-            uncompressed_size=len(content),
         )
         return builder.end(), index, counts  # type: ignore[no-untyped-call]
 

@@ -21,9 +21,7 @@ class Messages:
     """Messages of one topic in the order in which they were recorded.
 
     Attributes:
-        topic: its full name.
-        type_name: such as ``sensor_msgs/msg/Range``.
-        definition: text of the type as the bag has it (schema encoding ``ros2msg``); empty where it has none.
+        topic, type_name, definition: as in :class:`straightcomp_ros.bags.topics.RecordedTopic`.
         log_time, publish_time: when each was received, and made by its source, ns since the epoch.
         data: each as CDR.
     """
@@ -57,11 +55,7 @@ def read_messages(bag: Path, topic: str) -> Messages:
 
 
 def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
-    """All messages of ``topic``, which the bag has: its full name.
-
-    Raises:
-        BagError: the bag is damaged.
-    """
+    """All messages of ``topic``, which the bag has: its full name. Raises BagError when the bag is damaged."""
     found = Messages(topic)
     for file in files:
         ours = {number: entry for number, entry in file.topics.items() if entry.name == topic}
@@ -81,11 +75,8 @@ def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
 
 
 def decoded(where: str, data: bytes, type_name: str) -> Any:
-    """The message in ``data``, decoded by rosbags.
-
-    Raises:
-        BagError: the bytes are no such message; the text begins with ``where``.
-    """
+    """The message in ``data``, decoded by rosbags. Raises BagError when the bytes are no such message; the text begins
+    with ``where``."""
     try:
         return typestore().deserialize_cdr(data, type_name)
     except Exception as error:  # Whatever the decoder stumbles over in bytes that are no such message.

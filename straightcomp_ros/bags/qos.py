@@ -14,8 +14,8 @@ _POLICIES = {
     "reliability": ("reliable", "best_effort", "unknown", "best_available", "system_default"),
     "durability": ("transient_local", "volatile", "unknown", "best_available", "system_default"),
 }
-"""The names in rmw/qos_string_conversions.c, which metadata version 9 stores, in the order of rmw/types.h, whose numbers
-older metadata stores: 1 is the first, 0 the last."""
+"""The names in rmw/qos_string_conversions.c, which metadata version 9 stores. Older metadata stores the numbers in
+rmw/types.h: 1 is the first name, 0 the last."""
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 """RMW_DURATION_INFINITE: 2⁶³ − 1 ns."""
 

@@ -62,11 +62,8 @@ def read_streams(
 
 
 def read_attachments(bag: Path) -> dict[str, bytes]:
-    """The files attached to a bag, by name; of two with one name the later. A SQLite bag has none.
-
-    Raises:
-        BagError: the bag is absent or damaged.
-    """
+    """The files attached to a bag, by name; of two with one name the later. A SQLite bag has none. Raises BagError when
+    the bag is absent or damaged."""
     found: dict[str, bytes] = {}
     with opened(bag) as files:
         for file in files:
@@ -77,11 +74,8 @@ def read_attachments(bag: Path) -> dict[str, bytes]:
 
 
 def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
-    """The texts of a bag's metadata records, by name of the record and key. A SQLite bag has none.
-
-    Raises:
-        BagError: the bag is absent or damaged.
-    """
+    """The texts of a bag's metadata records, by name of the record and key. A SQLite bag has none. Raises BagError when
+    the bag is absent or damaged."""
     found: dict[str, dict[str, str]] = {}
     with opened(bag) as files:
         for file in (file for file in files if isinstance(file, McapInput)):

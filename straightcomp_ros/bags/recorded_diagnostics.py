@@ -13,14 +13,8 @@ from straightcomp_ros.timing.node_timing import Report
 
 
 def read_reports(bag: Path) -> dict[str, list[Report]]:
-    """What each node reported, by the node's name without its namespace, in the order of recording.
-
-    Args:
-        bag: rosbag2 folder, or one MCAP file. Without diagnostics in it the result is empty.
-
-    Raises:
-        BagError: the bag is absent or damaged, or several namespaces have diagnostics.
-    """
+    """What each node reported, by the node's name without its namespace, in the order of recording; empty for a bag
+    without diagnostics. Raises BagError when the bag is absent or damaged, or several namespaces have diagnostics."""
     reports: dict[str, list[Report]] = {}
     with opened(bag) as files:
         topic = resolved(DIAGNOSTICS, topic_names(files), str(bag))

@@ -24,14 +24,10 @@ MAP_PARAMETERS = ("feedforward", "map.file")
 
 
 def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str, dict[str, Any]]:
-    """Values by node and dotted name, under the names of today; empty when none are attached.
+    """Values by node and dotted name, under the present names; empty when none are attached.
 
-    Args:
-        bag: named in errors.
-        attachments: from :func:`straightcomp_ros.bags.reader.read_attachments`.
-
-    Raises:
-        BagError: the attachment is no parameter file.
+    The attachments are those of ``bag``, from :func:`straightcomp_ros.bags.reader.read_attachments`. Raises BagError
+    when they have a parameter file that is none.
     """
     where = f"bag {bag}: {PARAMETERS_ATTACHMENT}"
     try:

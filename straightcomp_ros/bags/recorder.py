@@ -128,11 +128,8 @@ class Recorder:
         self._expected.append(topic)
 
     def start(self) -> Path:
-        """Begin a bag; returns its folder.
-
-        Raises:
-            BagError: a bag is open already, or the folder is not empty or cannot be made.
-        """
+        """Begin a bag; returns its folder. Raises BagError when a bag is open already, or the folder is not empty or
+        cannot be made."""
         if self.recording:
             raise BagError(f"bag {self.folder} is being recorded already")
         folder, options = self._next_folder(), self._options

@@ -1,4 +1,8 @@
-"""Makes a finished bag from a cut-off or damaged one."""
+"""Makes a finished bag from a cut-off or damaged one.
+
+A record is copied when all its fields fill its length exactly and its checksum, where it has one, is right. Behind
+damage the search goes on at the next sound chunk, wherever it starts.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +13,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Metadata
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import Definition
 from straightcomp_ros.bags.folder import mcap_files, missing_files
-from straightcomp_ros.bags.mcap_input import McapInput, Record
-from straightcomp_ros.bags.mcap_records import UNREADABLE, Summary, frames, parsed
+from straightcomp_ros.bags.mcap_input import McapInput, Record, is_opcode
+from straightcomp_ros.bags.mcap_records import FRAME, MESSAGE_FIELDS, UNREADABLE, Summary, frames, parsed
 from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.salvage import Gap, salvaged
 from straightcomp_ros.bags.writer import BagWriter
 
 RECOVERY_METADATA = "recovery"
 """Metadata record of a recovered bag: what it was made from, and what was lost."""
 _MESSAGE = struct.Struct("<HIQQ")
+_PARSED = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
 _COPIED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-_OWN_METADATA = "rosbag2"
+_SEARCH_SIZE = 1 << 20
+"""Bytes that are searched for a chunk at once."""
 
 
 @dataclass
@@ -59,8 +65,7 @@ class Recovery:
 def recover(bag: Path, output: Path) -> Recovery:
     """Copy all that is sound in ``bag`` to a new bag ``output``; the original is only read.
 
-    Messages, attachments and metadata are taken from records that are whole and whose checksum is right. A bag of
-    several files becomes one of one file.
+    Messages, attachments and metadata are copied. A bag of several files becomes one of one file.
 
     Raises:
         BagError: there is no MCAP file, nothing in it can be saved, or the new bag cannot be written.
@@ -72,7 +77,8 @@ def recover(bag: Path, output: Path) -> Recovery:
     result = Recovery(output)
     with BagWriter(output) as writer:
         for path in paths:
-            _copy_file(path, writer, result)
+            with McapInput(path) as file:
+                _Copy(file, writer, result).run()
         for name in missing_files(bag, paths):
             result.gaps.append((name, 0, 0, "the file is missing"))
             result.lost = None
@@ -80,17 +86,6 @@ def recover(bag: Path, output: Path) -> Recovery:
         facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
         writer.add_metadata(RECOVERY_METADATA, {**facts, "gaps": str(len(result.gaps))})
     return result
-
-
-def _copy_file(path: Path, writer: BagWriter, result: Recovery) -> None:
-    with McapInput(path) as file:
-        copy = _Copy(file, writer, result)
-        for piece in salvaged(file):
-            if isinstance(piece, Gap):
-                result.gaps.append((path.name, *piece))
-            else:
-                copy.add(piece)
-        copy.finish()
 
 
 class _Copy:
@@ -104,14 +99,33 @@ class _Copy:
         self._known = file.summary or Summary()
         self._add_new_topics()
 
-    def add(self, record: Record) -> None:
+    def run(self) -> None:
+        file, position = self._file, len(MAGIC)
+        while position < file.size:
+            try:
+                record, end = _sound(file, position)
+            except UNREADABLE as error:
+                end = _next_chunk(file, position + 1)
+                self._add_gap(position, end - position, _reason(error))
+            else:
+                if record.opcode == Opcode.DATA_END:
+                    break
+                self._add(record)
+            position = end
+        self._count_lost()
+
+    def _add_gap(self, offset: int, length: int, reason: str) -> None:
+        self._result.gaps.append((self._file.path.name, offset, length, reason))
+
+    def _add(self, record: Record) -> None:
+        # The writer makes metadata.yaml and the record rosbag2 anew.
         if record.opcode == Opcode.ATTACHMENT:
             attachment = parsed(Attachment, record.content)
             if attachment.name != "metadata.yaml":
                 self._writer.attach(attachment.name, attachment.media_type, attachment.data)
         elif record.opcode == Opcode.METADATA:
             metadata = parsed(Metadata, record.content)
-            if metadata.name != _OWN_METADATA:
+            if metadata.name != "rosbag2":
                 self._writer.add_metadata(metadata.name, metadata.metadata)
         elif record.opcode == Opcode.CHUNK:
             self._add_records(frames(record.content, _COPIED), record, "the rest of a chunk")
@@ -127,8 +141,7 @@ class _Copy:
                     self._known.add(opcode, content)
                     self._add_new_topics()
         except UNREADABLE as error:
-            gap = Gap(origin.offset, len(origin.content), f"{what} cannot be read ({error})")
-            self._result.gaps.append((self._file.path.name, *gap))
+            self._add_gap(origin.offset, len(origin.content), f"{what} cannot be read ({error})")
 
     def _add_new_topics(self) -> None:
         for channel_id in self._known.channels.keys() - self._topics.keys():
@@ -157,7 +170,7 @@ class _Copy:
         result.first_ns = log_time if result.first_ns is None else min(result.first_ns, log_time)
         result.last_ns = log_time if result.last_ns is None else max(result.last_ns, log_time)
 
-    def finish(self) -> None:
+    def _count_lost(self) -> None:
         result, summary = self._result, self._file.summary
         result.saved.update(self._saved)
         if summary is None:
@@ -172,13 +185,68 @@ class _Copy:
 
 
 def default_output(bag: Path) -> Path:
-    """Where the recovered bag goes when no folder is named: beside the original.
-
-    Raises:
-        BagError: the place is taken.
-    """
+    """Where the recovered bag goes when no folder is named: beside the original. Raises BagError when the place is
+    taken."""
     bag = Path(bag).absolute()
     output = bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_recovered")
     if output.exists():
         raise BagError(f"bag {output} is there already; name another folder with -o")
     return output
+
+
+def _sound(file: McapInput, position: int) -> tuple[Record, int]:
+    """The record that starts here, and its end; raises one of ``UNREADABLE`` when none does that is sound."""
+    frame = file.read(position, FRAME.size)
+    if len(frame) < FRAME.size:
+        raise ValueError("the file is cut off")
+    opcode, length = FRAME.unpack(frame)
+    end = position + FRAME.size + length
+    if not is_opcode(opcode):
+        raise ValueError("no record starts here")
+    if end > file.size:
+        raise ValueError("the file is cut off, or a length is wrong")
+    record = Record(opcode, position, file.read(position + FRAME.size, length))
+    return record._replace(content=_checked(file, record)), end
+
+
+def _checked(file: McapInput, record: Record) -> bytes:
+    """The content of a record, of a chunk its unpacked records; raises one of ``UNREADABLE`` when it is not sound."""
+    opcode, content = record.opcode, record.content
+    if opcode == Opcode.CHUNK:
+        return file.chunk_data(record)
+    if opcode == Opcode.ATTACHMENT:
+        file.attachment(record)
+    elif opcode in _PARSED:
+        parsed(_PARSED[Opcode(opcode)], content, whole=True)
+    elif opcode == Opcode.MESSAGE_INDEX:
+        if len(content) < 6 or int.from_bytes(content[2:6], "little") != len(content) - 6:
+            raise ValueError("an index's length is wrong")
+    elif opcode == Opcode.MESSAGE and len(content) < MESSAGE_FIELDS:
+        raise ValueError("a message is too short")
+    elif opcode == Opcode.DATA_END and len(content) != 4:
+        raise ValueError("no record starts here")
+    return content
+
+
+def _next_chunk(file: McapInput, position: int) -> int:
+    """Offset of the next sound chunk, or the end of the file."""
+    for start in range(position, file.size, _SEARCH_SIZE):
+        block = file.read(start, _SEARCH_SIZE + FRAME.size)
+        place = block.find(Opcode.CHUNK)
+        while 0 <= place < _SEARCH_SIZE:
+            # Its length first: that costs nothing, and most places fail there.
+            length = int.from_bytes(block[place + 1 : place + FRAME.size], "little")
+            if length <= file.size - start - place - FRAME.size:
+                try:
+                    _sound(file, start + place)
+                    return start + place
+                except UNREADABLE:
+                    pass
+            place = block.find(Opcode.CHUNK, place + 1)
+    return file.size
+
+
+def _reason(error: Exception) -> str:
+    """The middle of a BagError: what is wrong, without the file before and the advice behind."""
+    text = str(error)
+    return text.split(": ", 1)[1].rsplit(";", 1)[0] if isinstance(error, BagError) and ": " in text else text

@@ -20,17 +20,13 @@ START_NS = 1_000_000_000
 
 
 class SimulatedRun:
-    """Writes each sample with its answer; as a context manager it finishes the bag.
-
-    Stamps are simulated time, and a message is recorded when it is stamped.
+    """Writes each sample with its answer; as a context manager it finishes the bag. Stamps and times of reception are
+    simulated time. Raises BagError when the folder holds files or cannot be written.
 
     Args:
         directory: the bag's folder; must be empty or absent.
         parameters: by node and dotted name, attached as the logger attaches them, with the survey that they name.
         delay: from each sample to the arrival of its command, in sampling periods.
-
-    Raises:
-        BagError: the folder holds files or cannot be written.
     """
 
     def __init__(self, directory: Path, parameters: Mapping[str, Mapping[str, Any]], delay: float) -> None:

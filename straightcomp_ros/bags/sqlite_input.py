@@ -10,6 +10,7 @@ import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +24,8 @@ _AT_ONCE = 5000
 
 
 class SqliteInput:
-    """A SQLite file of a bag, read as :class:`straightcomp_ros.bags.mcap_input.McapInput` reads MCAP.
-
-    Raises:
-        BagError: from every method: the file is no bag, or is damaged.
-    """
+    """A SQLite file of a bag, read as :class:`straightcomp_ros.bags.mcap_input.McapInput` reads MCAP. Every method
+    raises BagError when the file is no bag, or is damaged."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -41,18 +39,16 @@ class SqliteInput:
     def blocks(self, wanted: Collection[int]) -> Iterator[Block]:
         """Messages of the topics with these ids, topic by topic in the order in which they were recorded."""
         for topic_id in wanted:
-            records: list[bytes] = []
             statement = "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY timestamp, id"
-            for time_ns, data in self._query(statement, topic_id):
-                if not isinstance(data, bytes) or not isinstance(time_ns, int) or time_ns < 0:
-                    raise self._refused("a message has no data, or no time")
-                head = MESSAGE.pack(Opcode.MESSAGE, MESSAGE_FIELDS + len(data), 0, 0, time_ns, time_ns)
-                records.append(head + data)
-                if len(records) == _AT_ONCE:
-                    yield _block(topic_id, records)
-                    records = []
-            if records:
-                yield _block(topic_id, records)
+            found = self._query(statement, topic_id)
+            while records := [self._record(*row) for row in islice(found, _AT_ONCE)]:
+                sizes = np.array([len(record) for record in records], np.int64)
+                yield Block(b"".join(records), {topic_id: np.cumsum(sizes) - sizes})
+
+    def _record(self, time_ns: object, data: object) -> bytes:
+        if not isinstance(data, bytes) or not isinstance(time_ns, int) or time_ns < 0:
+            raise self._refused("a message has no data, or no time")
+        return MESSAGE.pack(Opcode.MESSAGE, MESSAGE_FIELDS + len(data), 0, 0, time_ns, time_ns) + data
 
     def _query(self, statement: str, *values: int) -> Iterator[tuple]:
         try:
@@ -63,11 +59,5 @@ class SqliteInput:
             raise self._refused(str(error)) from error
 
     def _refused(self, reason: str) -> BagError:
-        return BagError(
-            f"bag {self.path} is no SQLite bag of rosbag2, or is damaged: {reason}; copy it again from its source"
-        )
-
-
-def _block(topic_id: int, records: list[bytes]) -> Block:
-    sizes = np.array([len(record) for record in records], np.int64)
-    return Block(b"".join(records), {topic_id: np.cumsum(sizes) - sizes})
+        advice = "copy it again from its source"
+        return BagError(f"bag {self.path} is no SQLite bag of rosbag2, or is damaged: {reason}; {advice}")

@@ -50,11 +50,8 @@ class StreamDecoder:
         self._parts: list[StreamColumns] = []
 
     def add(self, data: bytes, places: NDArray[np.int64]) -> None:
-        """Decode the message records at ``places`` in ``data``.
-
-        Raises:
-            BagError: a message is neither of the layout nor decodes to its joints and arrays.
-        """
+        """Decode the message records at ``places`` in ``data``. Raises BagError when a message is neither of the layout
+        nor decodes to its joints and arrays."""
         heads = rows(data, places, HEAD)
         lengths = heads["length"].astype(np.int64)
         stamp = np.empty(len(places), np.int64)

@@ -32,27 +32,22 @@ def resolved(name: str, topics: Iterable[str], bag: str) -> str | None:
     Raises:
         BagError: several namespaces have the topic.
     """
-    topics = set(topics)
     absolute = name if name.startswith("/") else f"/{name}"
-    if absolute in topics or absolute == name:
-        return absolute if absolute in topics else None
-    found = sorted(topic for topic in topics if topic.endswith(absolute))
+    found = sorted(topic for topic in topics if topic == absolute or (topic.endswith(absolute) and absolute != name))
+    if absolute in found:
+        return absolute
     if len(found) > 1:
         raise BagError(f"bag {bag}: topic '{name}' is {' and '.join(found)}; ask for one by its full name")
     return found[0] if found else None
 
 
-def chosen_topics(wanted: Iterable[str], topics: Iterable[str], bag: str, remap: Mapping[str, str]) -> dict[str, str]:
-    """Each wanted name that the bag has, by the bag's full name for it.
+def chosen_topics(wanted: Iterable[str], topics: set[str], bag: str, remap: Mapping[str, str]) -> dict[str, str]:
+    """Each of the ``wanted`` names that the bag has, by the bag's full name for it; parameters as :func:`resolved`.
 
-    Args:
-        wanted, topics, bag: names as :func:`resolved` takes them.
-        remap: for some of the wanted names, the bag's own.
-
-    Raises:
-        BagError: several namespaces have a topic, or the bag lacks one that ``remap`` names.
+    ``remap`` gives for some of the wanted names the bag's own. Raises BagError when several namespaces have a topic, or
+    the bag lacks one that ``remap`` names.
     """
-    topics, chosen = set(topics), {}
+    chosen = {}
     for name in wanted:
         full = resolved(remap.get(name, name), topics, bag)
         if full:

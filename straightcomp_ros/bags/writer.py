@@ -89,7 +89,6 @@ class BagWriter:
             qos: what the publishers offer.
             described: definition of a type that ROS 2's own packages do not have, or as another bag had it.
         """
-        self._check_open()
         if not name.startswith("/"):
             raise BagError(f"bag {self.directory}: topic '{name}' is not a full name; it starts with '/'")
         if name in self._topics:
@@ -100,14 +99,12 @@ class BagWriter:
         self._topics[name] = topic
 
     def _add_channel(self, topic: Topic) -> None:
-        described = topic.described
-        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": described.type_hash}
-        channel_id = self._output.add_channel(topic.name, topic.type_name, described.text, metadata)
+        metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": topic.described.type_hash}
+        channel_id = self._output.add_channel(topic.name, topic.type_name, topic.described.text, metadata)
         self._channel_ids[topic.name] = channel_id
 
     def _open_file(self) -> None:
-        number = len(self._finished_files)
-        path = self.directory / f"{self.directory.absolute().name}_{number}.mcap"
+        path = self.directory / f"{self.directory.absolute().name}_{len(self._finished_files)}.mcap"
         try:
             self._output: McapOutput = self._make_output(path)
         except FileExistsError:
@@ -115,7 +112,7 @@ class BagWriter:
         except OSError:
             path.unlink(missing_ok=True)  # rosbag2 would refuse a bag with a file that has no header
             raise
-        self.path, self._number, self._file_began_ns = path, number, None
+        self.path, self._file_began_ns, self._file_finished = path, None, False
         for topic in self._topics.values():
             self._add_channel(topic)
 
@@ -173,9 +170,8 @@ class BagWriter:
 
     def split(self) -> None:
         """Finish the file, and go on in a new one; a file without messages is kept on."""
-        self._check_open()
-        if self._file_began_ns is not None:
-            with self._disk(f"bag {self.path} cannot be finished"):
+        with self._disk(f"bag {self.path} cannot be finished"):
+            if self._file_began_ns is not None:
                 self._split()
 
     def _split(self) -> None:
@@ -186,20 +182,17 @@ class BagWriter:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Store a file in the bag, e.g. the parameters as ``application/yaml``."""
-        self._check_open()
         with self._disk(f"bag {self.path}: '{name}' cannot be attached"):
             self._output.add_attachment(name, media_type, data)
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
         """Store texts by name: as a record of the MCAP file, and as ``name.key`` in the bag's custom data."""
-        self._check_open()
         with self._disk(f"bag {self.path}: metadata '{name}' cannot be written"):
             self._output.add_metadata(name, metadata)
         self._custom_data.update({f"{name}.{key}": value for key, value in metadata.items()})
 
     def flush(self) -> None:
         """Write the open chunk: the end of this process cannot take it any more. Small chunks compress badly."""
-        self._check_open()
         with self._disk(f"bag {self.path} cannot be written"):
             self._output.flush()
 
@@ -232,17 +225,12 @@ class BagWriter:
         if lost:
             raise BagError(f"bag {self.path}: the disk took no more, the last {lost} messages are lost; free space")
 
-    @property
-    def _file_finished(self) -> bool:
-        """True when a file was finished and the next could not be opened."""
-        return len(self._finished_files) > self._number
-
     def _finish_file(self) -> None:
         counts = self._output.message_counts
         by_topic = {name: counts[channel_id] for name, channel_id in self._channel_ids.items()}
         file = BagFile(self.path.name, self._output.time_range, by_topic)
         # rosbag2 looks here when it is given the file alone.
-        information = self._information([file])
+        information = bag_information([file], self._topics.values(), self._custom_data)
         self._output.add_metadata("rosbag2", {"serialized_metadata": as_yaml(information)})
         if not self._output.attachment_count:
             # Every file has a metadata record and an attachment, so that its summary has all the groups that a reader
@@ -250,16 +238,16 @@ class BagWriter:
             text = as_yaml({ROOT_KEY: information})
             self._output.add_attachment("metadata.yaml", "application/yaml", text.encode())
         self._output.finish()
-        self._finished_files.append(file)
+        # No call between these two: Python serves an interrupt at calls only.
+        self._finished_files += [file]
+        self._file_finished = True  # and stays so when the next one cannot be opened
         self._output.close()
-
-    def _information(self, files: list[BagFile]) -> dict[str, object]:
-        return bag_information(files, list(self._topics.values()), self._custom_data)
 
     def _finish_bag(self) -> None:
         # Renamed when it is whole: a folder with metadata.yaml is a finished bag.
         unfinished = self.directory / "metadata.yaml.part"
-        unfinished.write_text(as_yaml({ROOT_KEY: self._information(self._finished_files)}), encoding="utf-8")
+        information = bag_information(self._finished_files, self._topics.values(), self._custom_data)
+        unfinished.write_text(as_yaml({ROOT_KEY: information}), encoding="utf-8")
         os.replace(unfinished, self.directory / "metadata.yaml")
 
     def _check_open(self) -> None:
@@ -268,6 +256,7 @@ class BagWriter:
 
     @contextmanager
     def _disk(self, failure: str) -> Iterator[None]:
+        self._check_open()
         try:
             yield
         except OSError as error:

@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.mcap_input import McapInput, Record
 from straightcomp_ros.bags.reader import read_attachments, read_streams
-from straightcomp_ros.bags.salvage import _checked
+from straightcomp_ros.bags.recovery import _checked
 from straightcomp_ros.contract import STREAMS
 
 LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
