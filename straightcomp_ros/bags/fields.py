@@ -105,9 +105,8 @@ def _register_type(bag: Path, messages: Messages) -> None:
         described = get_types_from_msg(messages.definition, name)
         store.register({key: value for key, value in described.items() if key not in store.fielddefs})
     except Exception as error:  # Whatever a parser stumbles over in somebody else's text.
-        raise BagError(
-            f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
-        ) from error
+        where = f"bag {bag}: topic '{messages.topic}'"
+        raise BagError(f"{where} has messages of type '{name}', which the bag does not describe") from error
 
 
 def _value(where: str, message: Any, path: str) -> float:

@@ -43,13 +43,8 @@ class BagFile(NamedTuple):
 def bag_information(
     files: Sequence[BagFile], topics: Iterable[Topic], custom_data: Mapping[str, str]
 ) -> dict[str, object]:
-    """The content of metadata.yaml below :data:`ROOT_KEY`.
-
-    Args:
-        files: oldest first.
-        topics: all of them, with messages or without.
-        custom_data: free texts.
-    """
+    """The content of metadata.yaml below :data:`ROOT_KEY`: of the files, oldest first, of all topics, with messages or
+    without, and of free texts."""
     ranges = [file.time_range for file in files if file.time_range]
     whole = (min(first for first, _ in ranges), max(last for _, last in ranges)) if ranges else None
     return {

@@ -1,4 +1,4 @@
-"""Counts the messages that a recording lacks, from the stamps of those that it has."""
+"""Counts the messages that a recording lacks, by the gaps between the stamps of those that it has."""
 
 from __future__ import annotations
 

@@ -73,11 +73,9 @@ class McapInput:
     def records(self, *opcodes: Opcode) -> Iterator[Record]:
         """The records of the data section that have one of these opcodes, in the order of the file.
 
-        In an unfinished file the records end before the first one that is not whole; after power was lost this may
-        be a chunk of full length whose content never reached the disk.
-
-        Raises:
-            BagError: a finished file whose records do not follow each other up to its end.
+        In an unfinished file the records end before the first one that is not whole; after power was lost this may be
+        a chunk of full length whose content never reached the disk. Raises BagError when the records of a finished file
+        do not follow each other up to its end.
         """
         position = len(MAGIC)
         while position < self.size:
@@ -120,11 +118,8 @@ class McapInput:
 
     def blocks(self, wanted: Collection[int]) -> Iterator[Block]:
         """All messages in the order of the file, also those of other channels than the ``wanted`` ones: chunk by chunk,
-        or some thousand at a time where the file has no chunks.
-
-        Raises:
-            BagError: damage; or a finished file holds another number of messages than its statistics say.
-        """
+        or some thousand at a time where the file has no chunks. Raises BagError when it is damaged, or a finished file
+        holds another number of messages than its statistics say."""
         count = 0
         for offset, data, indexes in self._parts():
             try:

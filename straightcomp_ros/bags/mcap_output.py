@@ -44,6 +44,7 @@ _SUMMARY_GROUPS = (
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
+_FRAME_SIZE = FRAME.size
 _INDEX = struct.Struct("<BQHI")
 _INDEX_ENTRY = 16
 
@@ -58,12 +59,13 @@ class _OpenChunk:
 
     def add_messages(self, messages: Iterable[ChannelMessage]) -> None:
         offset, pack = len(self.records), MESSAGE.pack
-        parts, index = list[bytes](), list[int]()
+        parts: list[bytes] = []
+        index: list[int] = []
         for channel_id, log_time_ns, publish_time_ns, data in messages:
             content = MESSAGE_FIELDS + len(data)
             parts += (pack(Opcode.MESSAGE, content, channel_id, 0, log_time_ns, publish_time_ns), data)
             index += (channel_id, log_time_ns, offset)
-            offset += FRAME.size + content
+            offset += _FRAME_SIZE + content
         joined = b"".join(parts)
         # No call from here on: Python serves an interrupt at calls only, so both happen or none.
         self.records += joined
@@ -132,10 +134,8 @@ class McapOutput:
         self.size, self._crc = self._put(MAGIC + _packed(records.Header("ros2", PACKAGE)))
 
     def add_channel(self, topic: str, type_name: str, definition: str, metadata: dict[str, str]) -> int:
-        """Add a topic; returns its channel id.
-
-        It is written beside the chunks, not into one: a damaged chunk then takes its own messages only.
-        """
+        """Add a topic; returns its channel id. It is written beside the chunks, not into one, so that a damaged chunk
+        costs its own messages only."""
         schemas, channels = self._summary[Opcode.SCHEMA], self._summary[Opcode.CHANNEL]
         schema_id = self._schema_ids.get(type_name, len(schemas) + 1)
         known = type_name in self._schema_ids
@@ -243,10 +243,8 @@ class McapOutput:
         )
 
     def _put(self, data: bytes) -> tuple[int, int]:
-        """Write at the end; returns the new end and checksum, which count when the caller has stored them.
-
-        What an interrupt or a full disk left behind the end is cut off by the next write.
-        """
+        """Write at the end; returns the new end and checksum, which count when the caller has stored them. The next
+        write cuts off what an interrupt or a full disk left behind the end."""
         self._file.truncate(self.size)
         self._file.seek(self.size)
         rest = memoryview(data)

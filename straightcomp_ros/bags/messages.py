@@ -37,11 +37,8 @@ class Messages:
 def read_messages(bag: Path, topic: str) -> Messages:
     """All messages of ``topic``, named as :func:`straightcomp_ros.bags.topics.resolved` takes it.
 
-    Raises:
-        BagError: the bag cannot be read, is damaged, lacks the topic, or has no messages on it.
-
-    Warns:
-        UserWarning: the bag was not finished.
+    Raises BagError when the bag cannot be read, is damaged, lacks the topic, or has no messages on it. Warns
+    (UserWarning) when the bag was not finished.
     """
     with opened(bag) as files:
         names = topic_names(files)
@@ -55,7 +52,7 @@ def read_messages(bag: Path, topic: str) -> Messages:
 
 
 def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
-    """All messages of ``topic``, which the bag has: its full name. Raises BagError when the bag is damaged."""
+    """All messages of the topic with this full name. Raises BagError when the bag is damaged."""
     found = Messages(topic)
     for file in files:
         ours = {number: entry for number, entry in file.topics.items() if entry.name == topic}

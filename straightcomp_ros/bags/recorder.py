@@ -75,9 +75,9 @@ class DiskGuard:
         self._next = now + _DISK_CHECK_INTERVAL_S
         free = shutil.disk_usage(self._folder).free
         if free < self._min_free:
+            allowed = f"allowed: >= {self._min_free} (min_free_bytes)"
             raise BagError(
-                f"bag {self._folder}: {free} bytes are free on its disk; "
-                f"allowed: >= {self._min_free} (min_free_bytes); all that came before is saved"
+                f"bag {self._folder}: {free} bytes are free on its disk; {allowed}; all that came before is saved"
             )
 
 
@@ -124,7 +124,7 @@ class Recorder:
 
     def expect(self, topic: Announced) -> None:
         """Name a topic that will be announced when its publishers' quality of service is known. A bag that ends before
-        lists it as it is given here, without messages."""
+        that lists it as it is given here, without messages."""
         self._expected.append(topic)
 
     def start(self) -> Path:
@@ -134,10 +134,7 @@ class Recorder:
             raise BagError(f"bag {self.folder} is being recorded already")
         folder, options = self._next_folder(), self._options
         bag = BagWriter(
-            folder,
-            compression=options.compression,
-            max_size=options.max_size,
-            max_duration=options.max_duration,
+            folder, compression=options.compression, max_size=options.max_size, max_duration=options.max_duration
         )
         try:
             bag.add_metadata(ORIGIN_METADATA, origin())

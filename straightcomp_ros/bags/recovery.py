@@ -63,13 +63,8 @@ class Recovery:
 
 
 def recover(bag: Path, output: Path) -> Recovery:
-    """Copy all that is sound in ``bag`` to a new bag ``output``; the original is only read.
-
-    Messages, attachments and metadata are copied. A bag of several files becomes one of one file.
-
-    Raises:
-        BagError: there is no MCAP file, nothing in it can be saved, or the new bag cannot be written.
-    """
+    """Copy all messages, attachments and metadata that are sound in ``bag`` to a new bag ``output`` of one file; the
+    original is only read. Raises BagError when there is no MCAP file, or the new bag cannot be written."""
     bag, output = Path(bag), Path(output)
     paths = mcap_files(bag)
     with McapInput(paths[0]):  # refuses what is no MCAP file before a folder is made
@@ -144,8 +139,7 @@ class _Copy:
             self._add_gap(origin.offset, len(origin.content), f"{what} cannot be read ({error})")
 
     def _add_new_topics(self) -> None:
-        for channel_id in self._known.channels.keys() - self._topics.keys():
-            channel = self._known.channels[channel_id]
+        for channel in [channel for channel in self._known.channels.values() if channel.id not in self._topics]:
             schema = self._known.schemas.get(channel.schema_id)
             if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
                 if channel.topic not in self._result.foreign:
@@ -155,7 +149,7 @@ class _Copy:
                 described = Definition(schema.data.decode(), channel.metadata.get("topic_type_hash", ""))
                 qos = TopicQos.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
                 self._writer.add_topic(channel.topic, schema.name, qos, described)
-            self._topics[channel_id] = channel.topic
+            self._topics[channel.id] = channel.topic
 
     def _add_message(self, content: bytes) -> None:
         channel_id, _, log_time, publish_time = _MESSAGE.unpack_from(content)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,8 @@ class StreamColumns:
     """Messages of one topic, in the order in which they were recorded.
 
     Attributes:
-        log_time: (n,) int64, when each was received, ns since the epoch.
-        publish_time: (n,) int64, when its source made it, ns since the epoch.
-        stamp: (n,) int64, the stamp of its header, ns since the epoch.
+        log_time, publish_time, stamp: (n,) int64, when each was received, when its source made it, and the stamp of its
+            header, ns since the epoch.
         columns: (n,) float64 for each column of the layout, in the units of the stream.
     """
 
@@ -36,18 +36,13 @@ class StreamColumns:
 
 
 class StreamDecoder:
-    """Gathers the messages of one topic.
-
-    Args:
-        topic: names the topic, and the bag, in errors.
-        layout: what its messages should look like.
-    """
+    """Gathers the messages of one topic, which should have ``layout``; ``topic`` names it, and the bag, in errors."""
 
     def __init__(self, topic: str, layout: Layout) -> None:
         self._topic, self._layout, self._dtype = topic, layout, layout.dtype
         self._template = np.frombuffer(layout.pack(0, *(0.0 for _ in layout.columns)), np.uint8)
         self._constants = constant_places(layout)
-        self._parts: list[StreamColumns] = []
+        self._batches: list[tuple[NDArray[Any], ...]] = []
 
     def add(self, data: bytes, places: NDArray[np.int64]) -> None:
         """Decode the message records at ``places`` in ``data``. Raises BagError when a message is neither of the layout
@@ -69,20 +64,14 @@ class StreamDecoder:
             message = data[places[odd] + HEAD.itemsize : places[odd] + FRAME.size + lengths[odd]]
             stamp[odd], numbers[:, odd] = self._by_names(message, int(odd))
         log_time, publish_time = heads["log_time"].astype(np.int64), heads["publish_time"].astype(np.int64)
-        columns = dict(zip(self._layout.columns, numbers, strict=True))
-        self._parts.append(StreamColumns(log_time, publish_time, stamp, columns))
+        self._batches.append((log_time, publish_time, stamp, *numbers))
 
     def finished(self) -> StreamColumns | None:
         """All messages so far; None when there was none."""
-        parts = self._parts
-        if not parts:
+        if not self._batches:
             return None
-        return StreamColumns(
-            np.concatenate([part.log_time for part in parts]),
-            np.concatenate([part.publish_time for part in parts]),
-            np.concatenate([part.stamp for part in parts]),
-            {name: np.concatenate([part.columns[name] for part in parts]) for name in self._layout.columns},
-        )
+        log_time, publish_time, stamp, *numbers = map(np.concatenate, zip(*self._batches, strict=True))
+        return StreamColumns(log_time, publish_time, stamp, dict(zip(self._layout.columns, numbers, strict=True)))
 
     def _same_constants(self, messages: NDArray[np.void]) -> NDArray[np.bool_]:
         content = messages.view(np.uint8).reshape(len(messages), self._layout.size)
@@ -97,7 +86,8 @@ class StreamDecoder:
         return np.asarray((content[:, mask] == template[mask]).all(axis=1), np.bool_)
 
     def _by_names(self, message: bytes, place: int) -> tuple[int, list[float]]:
-        where, type_name = f"{self._topic}: message {sum(map(len, self._parts)) + place}", self._layout.type_name
+        number, type_name = sum(len(stamp) for _, _, stamp, *_ in self._batches) + place, self._layout.type_name
+        where = f"{self._topic}: message {number}"
         try:
             return read_by_names(self._layout, decoded(where, message, type_name))
         except LayoutMismatch as error:

@@ -19,18 +19,11 @@ class RecordedTopic(NamedTuple):
 
 
 def resolved(name: str, topics: Iterable[str], bag: str) -> str | None:
-    """The bag's topic for a name: itself below the root, otherwise the only one of that name in a namespace.
+    """The bag's topic for a relative name (``encoder``): ``/encoder``, otherwise the only one of that name in a
+    namespace. A full name (``/encoder``) means exactly that topic.
 
-    Args:
-        name: relative (``encoder``) or full (``/encoder``, then only exactly that).
-        topics: full names of the topics in the bag.
-        bag: named in the error.
-
-    Returns:
-        The full name, or None when the bag has none.
-
-    Raises:
-        BagError: several namespaces have the topic.
+    Returns the full name, or None when it is not among ``topics``, the full names in the bag. Raises BagError, with the
+    name of the ``bag``, when several namespaces have the topic.
     """
     absolute = name if name.startswith("/") else f"/{name}"
     found = sorted(topic for topic in topics if topic == absolute or (topic.endswith(absolute) and absolute != name))

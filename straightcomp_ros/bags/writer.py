@@ -81,14 +81,9 @@ class BagWriter:
     def add_topic(
         self, name: str, type_name: str, qos: TopicQos | None = None, described: Definition | None = None
     ) -> None:
-        """Announce a topic; without messages it is listed with a count of 0.
-
-        Args:
-            name: full name, such as ``/encoder``.
-            type_name: such as ``sensor_msgs/msg/JointState``.
-            qos: what the publishers offer.
-            described: definition of a type that ROS 2's own packages do not have, or as another bag had it.
-        """
+        """Announce a topic, such as ``/encoder`` of type ``sensor_msgs/msg/JointState``; without messages it is listed
+        with a count of 0. ``qos`` is what its publishers offer. ``described`` defines a type that ROS 2's own packages
+        do not have, or gives the definition that another bag had."""
         if not name.startswith("/"):
             raise BagError(f"bag {self.directory}: topic '{name}' is not a full name; it starts with '/'")
         if name in self._topics:
@@ -122,15 +117,9 @@ class BagWriter:
         return self._topics
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Add a message to the open chunk.
-
-        Args:
-            topic: name as given to :meth:`add_topic`.
-            data: serialised message (CDR).
-            log_time_ns: when it was received, ns since the epoch.
-            publish_time_ns: when its source made it, ns since the epoch. A stamp before the epoch is stored as 0,
-                since MCAP has no negative times; the message itself is not touched.
-        """
+        """Add a serialised message (CDR) to the open chunk, with the times at which it was received and at which its
+        source made it, in ns since the epoch. MCAP has no negative times: a publish time before the epoch is stored as
+        0; the message itself is not touched."""
         self._check_open()
         if topic not in self._channel_ids:
             raise BagError(f"bag {self.directory}: topic '{topic}' was not added; known are {', '.join(self._topics)}")
@@ -147,10 +136,10 @@ class BagWriter:
 
     def write_all(self, messages: Sequence[Message]) -> None:
         """Add messages in this order, as :meth:`write` adds one: faster when all of them go into the open file."""
-        ids = self._channel_ids
-        last_ns = max((log_time_ns for _, _, log_time_ns, _ in messages), default=0)
-        sound = all(topic in ids and log_time_ns >= 0 for topic, _, log_time_ns, _ in messages)
-        if self._closed or self._file_finished or self._file_began_ns is None or self._is_full(last_ns) or not sound:
+        ids, times = self._channel_ids, [log_time_ns for _, _, log_time_ns, _ in messages]
+        sound = times and min(times) >= 0 and ids.keys() >= {topic for topic, *_ in messages}
+        began = self._file_began_ns is not None and not self._file_finished and not self._closed
+        if not sound or not began or self._is_full(max(times)):
             for message in messages:
                 self.write(*message)
             return
