@@ -104,7 +104,7 @@ def _register_type(bag: Path, messages: Messages) -> None:
     try:
         described = get_types_from_msg(messages.definition, name)
         store.register({key: value for key, value in described.items() if key not in store.fielddefs})
-    except Exception as error:  # Whatever a parser stumbles over in somebody else's text.
+    except Exception as error:  # The parser raises errors of many kinds on a malformed text.
         where = f"bag {bag}: topic '{messages.topic}'"
         raise BagError(f"{where} has messages of type '{name}', which the bag does not describe") from error
 

@@ -56,7 +56,7 @@ def missing_files(bag: Path, files: Sequence[Path]) -> list[str]:
     except (OSError, yaml.YAMLError, ValueError, LookupError, TypeError):
         listed = []  # a bag whose list cannot be read still has its messages
     there = {file.name for file in files}
-    # As many as are listed: somebody gave them other names.
+    # A bag with as many files as its list has them under other names.
     missing = [name for name in listed if name not in there] if len(listed) > len(files) else []
     numbered = {(name, number) for name, number, _ in map(split_number, files) if number >= 0}
     names, numbers = {name for name, _ in numbered}, {number for _, number in numbered}
@@ -76,7 +76,7 @@ def sqlite_files(bag: Path) -> list[Path]:
 
 
 @contextmanager
-def opened(bag: Path) -> Iterator[list[BagInput]]:
+def opened(bag: Path) -> Iterator[Sequence[BagInput]]:
     """The files of a bag, open. Raises BagError when there is none, one of several is missing, or one is no MCAP file;
     warns (UserWarning) when the bag was not finished."""
     databases = sqlite_files(bag)

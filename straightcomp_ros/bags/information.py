@@ -1,4 +1,4 @@
-"""metadata.yaml: what rosbag2 knows of a bag without opening its files. Version 9, as ROS 2 Jazzy writes it.
+"""metadata.yaml: what rosbag2 knows of a bag before it opens the files. Version 9, as ROS 2 Jazzy writes it.
 
 Source: rosbag2_storage/yaml.hpp, ``convert<BagMetadata>`` and ``convert<TopicMetadata>``.
 """

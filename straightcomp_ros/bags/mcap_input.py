@@ -136,7 +136,8 @@ class McapInput:
 
     def _parts(self) -> Iterator[tuple[int, bytes, list[bytes]]]:
         """Offset, records and message indexes of each chunk; of messages outside chunks some thousand at a time."""
-        offset, data, indexes, loose = 0, bytearray(), list[bytes](), False
+        offset, indexes, loose = 0, list[bytes](), False
+        data: bytes | bytearray = b""
         for record in self.records(Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.MESSAGE):
             if record.opcode == Opcode.MESSAGE_INDEX:
                 indexes.append(record.content)

@@ -101,7 +101,7 @@ class _OpenChunk:
             message_index_length=builder.count - chunk_length,
             compressed_size=len(compressed),
         )
-        return builder.end(), index, counts  # type: ignore[no-untyped-call]
+        return builder.end(), index, counts
 
 
 class McapOutput:
@@ -185,7 +185,7 @@ class McapOutput:
         return len(self._summary[Opcode.ATTACHMENT_INDEX])
 
     def flush(self) -> None:
-        """Write the open chunk, so that only power loss, not the end of the process, can still take it."""
+        """Write the open chunk, so that only power loss, not the end of the process, can lose it."""
         if not self._chunk:
             return
         data, index, in_chunk = self._chunk.closed(self.size, self._compression)
@@ -200,13 +200,13 @@ class McapOutput:
         entries += entry
 
     def discard_open_chunk(self) -> int:
-        """Give up the messages that are not in the file (the disk is full); returns how many."""
+        """Drop the messages of the open chunk, when the disk is full; returns how many."""
         lost = len(self._chunk)
         self._chunk = _OpenChunk()
         return lost
 
     def finish(self) -> None:
-        """Write the open chunk, the index and the footer, and make the disk keep it all."""
+        """Write the open chunk, the index and the footer, and sync the file to the disk."""
         self.flush()
         data_end = _packed(records.DataEnd(self._crc))
         self._put(data_end + self._end_of_file(self.size + len(data_end)))
@@ -256,4 +256,4 @@ class McapOutput:
 def _packed(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]
+    return bytes(builder.end())

@@ -49,7 +49,7 @@ def parsed(kind: type[McapRecord], content: bytes, whole: bool = False) -> Any:
     Later versions of MCAP may add fields at the end of a record; ``whole`` refuses them, as a sign of damage.
     """
     stream = ReadDataStream(BytesIO(content))
-    record = kind.read(stream)  # type: ignore[attr-defined]
+    record = kind.read(stream)
     if whole and stream.count != len(content):
         raise ValueError("a record's length is wrong")
     return record

@@ -76,5 +76,5 @@ def decoded(where: str, data: bytes, type_name: str) -> Any:
     with ``where``."""
     try:
         return typestore().deserialize_cdr(data, type_name)
-    except Exception as error:  # Whatever the decoder stumbles over in bytes that are no such message.
+    except Exception as error:  # The decoder raises errors of many kinds on malformed bytes.
         raise BagError(f"{where} does not decode ({error}); allowed is a {type_name}") from error

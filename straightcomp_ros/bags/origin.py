@@ -25,7 +25,7 @@ def _revision() -> str:
     git = ["git", "-C", str(Path(__file__).resolve().parent)]
     describe = ["describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
     try:
-        # Installed below somebody else's repository, git would tell that one's revision.
+        # Where the package is installed inside another repository, git would give that one's revision.
         subprocess.run([*git, "ls-files", "--error-unmatch", __file__], capture_output=True, timeout=5, check=True)
         return subprocess.run([*git, *describe], capture_output=True, text=True, timeout=5, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):

@@ -66,8 +66,8 @@ def read_attachments(bag: Path) -> dict[str, bytes]:
     the bag is absent or damaged."""
     found: dict[str, bytes] = {}
     with opened(bag) as files:
-        for file in files:
-            for record in file.records(Opcode.ATTACHMENT) if isinstance(file, McapInput) else ():
+        for file in (file for file in files if isinstance(file, McapInput)):
+            for record in file.records(Opcode.ATTACHMENT):
                 attachment = file.attachment(record)
                 found[attachment.name] = attachment.data
     return found

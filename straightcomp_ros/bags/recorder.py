@@ -165,7 +165,7 @@ class Recorder:
         return apply
 
     def split(self) -> None:
-        """Go on in a new file of the bag, soon."""
+        """Have the writing thread continue the bag in a new file."""
         self._splitting.set()
 
     def stop(self) -> None:
@@ -176,7 +176,7 @@ class Recorder:
         self._stopping.set()
         self._thread.join()
         self._thread = None
-        with self._bag as bag:  # finishes the bag even where the disk takes nothing more of these
+        with self._bag as bag:  # finishes the bag even where the disk is too full for these
             if not self._described:
                 self._describe(bag, True)
             counts = {"received": intake.received, "written": self.written, "dropped": intake.dropped}
@@ -204,7 +204,7 @@ class Recorder:
                 self._write(intake)
                 self._disk.check()
                 if not self._described:
-                    # Now, not at the end: after a SIGKILL the bag still says what it is of.
+                    # Now, not at the end: a bag whose recording is killed needs its description too.
                     self._described = self._describe(self._bag, False)
                 if self._splitting.is_set():
                     self._splitting.clear()

@@ -12,6 +12,7 @@ from contextlib import closing
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -50,9 +51,9 @@ class SqliteInput:
             raise self._refused("a message has no data, or no time")
         return MESSAGE.pack(Opcode.MESSAGE, MESSAGE_FIELDS + len(data), 0, 0, time_ns, time_ns) + data
 
-    def _query(self, statement: str, *values: int) -> Iterator[tuple]:
+    def _query(self, statement: str, *values: int) -> Iterator[tuple[Any, ...]]:
         try:
-            # Read only: opening must not make files beside somebody else's bag.
+            # Read only: SQLite must not create files beside the bag.
             with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as connection:
                 yield from connection.execute(statement, values)
         except sqlite3.Error as error:

@@ -129,5 +129,5 @@ def meaningful(layout: Layout) -> NDArray[np.bool_]:
 def _text(message: bytes, layout: Layout) -> str:
     try:
         return repr(typestore().deserialize_cdr(message, layout.type_name))
-    except Exception as error:  # Whatever the decoder stumbles over: the byte meant something.
+    except Exception as error:  # Of any kind: the byte meant something.
         return repr(error)

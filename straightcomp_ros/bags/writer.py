@@ -35,9 +35,9 @@ class BagWriter:
         directory: the bag's folder; made if absent, must be empty.
         compression: ``zstd``, ``lz4`` or ``none``.
         chunk_size: bytes of messages that are compressed and written together.
-        max_size: bytes of a file from which the bag goes on in another, 0 for one of any size. A file is larger by the
-            chunk that made it so, and by its index.
-        max_duration: time in s from a file's first message after which the bag goes on in another, 0 for no end.
+        max_size: size in bytes from which the bag continues in another file, 0 for no limit. A file is larger by the
+            chunk that crossed the limit, and by its index.
+        max_duration: time in s from a file's first message after which the bag continues in another, 0 for no limit.
 
     Attributes:
         path: the file that is being written.
@@ -158,7 +158,7 @@ class BagWriter:
         return too_large or 0 < self._max_duration_ns <= log_time_ns - self._file_began_ns
 
     def split(self) -> None:
-        """Finish the file, and go on in a new one; a file without messages is kept on."""
+        """Finish the file, and continue in a new one; a file without messages is kept."""
         with self._disk(f"bag {self.path} cannot be finished"):
             if self._file_began_ns is not None:
                 self._split()
@@ -181,7 +181,7 @@ class BagWriter:
         self._custom_data.update({f"{name}.{key}": value for key, value in metadata.items()})
 
     def flush(self) -> None:
-        """Write the open chunk: the end of this process cannot take it any more. Small chunks compress badly."""
+        """Write the open chunk, so that killing this process no longer loses it. Small chunks compress badly."""
         with self._disk(f"bag {self.path} cannot be written"):
             self._output.flush()
 
@@ -191,11 +191,8 @@ class BagWriter:
             self.flush()
 
     def close(self) -> None:
-        """Finish the bag; a second call does nothing.
-
-        When the disk takes no more, the last chunk is given up, the bag is finished without it if that can be
-        done, and the error says so.
-        """
+        """Finish the bag; a second call does nothing. When the disk is full, the bag is finished without its last chunk
+        if possible, and BagError says how many messages are lost."""
         if self._closed:
             return
         lost = 0
