@@ -49,7 +49,6 @@ def run(
     name: str,
     make: Callable[[Node], Runnable],
     arguments: Sequence[str] | None = None,
-    executor: Callable[[], Executor] = EventsExecutor,
 ) -> int:
     """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
 
@@ -61,7 +60,7 @@ def run(
         name,
         lambda: WithSteadyTimers(name, automatically_declare_parameters_from_overrides=True),
         make,
-        lambda runnable: _spin(runnable, executor()),
+        lambda runnable: _spin(runnable, EventsExecutor()),
         arguments,
     )
 
