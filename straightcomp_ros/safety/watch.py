@@ -41,11 +41,7 @@ class WatchParameters:
         0.02, "Length of trajectory over which x must move by a count, else x_frozen", unit="m", above=0.0, maximum=10.0
     )
     clock_step: float = parameter(
-        0.05,
-        "Step of the system's clock that latches clock_jump; slewing does not",
-        unit="s",
-        above=0.0,
-        maximum=3600.0,
+        0.05, "Step of the system's clock that is a clock_jump; slewing is not", unit="s", above=0.0, maximum=3600.0
     )
 
 
