@@ -148,9 +148,8 @@ def declarations(parameter_set: type, prefix: str = "", about: str = "") -> Iter
                 default = field.metadata["defaults"].get(declaration.name[len(start) :], declaration.default)
                 yield dataclasses.replace(declaration, default=default)
         else:
-            known = dict(field.metadata)
-            known["description"] = f"{about}: {known['description']}" if about else known["description"]
-            yield Declaration(name=prefix + field.name, kind=kind, default=field.default, **known)
+            one = Declaration(name=prefix + field.name, kind=kind, default=field.default, **field.metadata)
+            yield dataclasses.replace(one, description=f"{about}: {one.description}") if about else one
 
 
 def from_mapping(parameter_set: type[T], values: Mapping[str, Any]) -> T:
