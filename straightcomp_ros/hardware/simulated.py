@@ -71,49 +71,42 @@ class SimulatedParameters:
 
     rate: int = parameter(DEFAULT_RATE, "Samples per second", unit="Hz", minimum=10, maximum=20_000)
     command_timeout: float = parameter(
-        0.005,
-        "Time without a new command after which the board switches the amplifier off",
-        unit="s",
-        above=0.0,
-        maximum=1.0,
+        0.005, "Age of the newest command at which the board switches off", unit="s", above=0.0, maximum=1.0
     )
     actuation_delay: float = parameter(
         1.0,
-        "Time from a sample until its command takes effect; one that comes later takes effect on arrival. The loop's "
-        "delay is then the same whatever the host's jitter. 0: all on arrival. In lockstep lockstep_delay counts",
+        "A command takes effect this long after its sample, or on arrival if that is later, so that the host's jitter"
+        " does not change the loop's delay. 0: always on arrival. Lockstep uses lockstep_delay instead",
         unit="samples",
         minimum=0.0,
         maximum=1.0,
     )
     hold_after: float = parameter(
         1.25,
-        "Time without a new command after which the board itself holds the platform where it is, with the mean of the "
-        "last commands and a stiffness",
+        "Time after the last command took effect at which the board begins to hold the platform by itself",
         unit="samples",
         minimum=1.1,
         maximum=1e6,
     )
     hold_mean: float = parameter(
-        0.015, "Time constant of the mean command that is held when commands stop", unit="s", above=0.0, maximum=10.0
+        0.015, "Time constant of the mean command, held when commands stop", unit="s", above=0.0, maximum=10.0
     )
     hold_braking: float = parameter(
-        0.5,
-        "Share of the commands' impulse beyond their mean that is taken back per sample while the platform is held",
-        minimum=0.0,
-        maximum=1.0,
+        0.5, "While holding: share of the last commands' impulse taken back per sample", minimum=0.0, maximum=1.0
     )
     hold_memory: float = parameter(
-        0.001, "Time constant with which friction ends a command's impulse", unit="s", above=0.0, maximum=1.0
+        0.001, "Time constant with which friction ends an impulse", unit="s", above=0.0, maximum=1.0
     )
     hold_stiffness: float = parameter(
         7000.0,
-        "Stiffness that holds the platform, as control current per displacement (magnets: -I0/y0 = -667 A/m)",
+        "Stiffness of the board's hold, as control current per displacement; the magnets' negative stiffness is"
+        " I0/y0 = 667 A/m",
         unit="A/m",
         minimum=0.0,
         maximum=1e6,
     )
-    sample_memory: int = parameter(256, "Samples that are kept for a late driver", minimum=1, maximum=100_000)
-    initial_y: float = parameter(0.0, "Position of the platform at the start", unit="m", minimum=-1e-2, maximum=1e-2)
+    sample_memory: int = parameter(256, "Samples that the board keeps for a late host", minimum=1, maximum=100_000)
+    initial_y: float = parameter(0.0, "Platform's position at the start", unit="m", minimum=-1e-2, maximum=1e-2)
     plant: PlantParameters = group(PlantParameters, "Simulated plant")
 
     @property

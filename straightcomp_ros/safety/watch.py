@@ -22,26 +22,26 @@ class WatchParameters:
     """What a working machine cannot do."""
 
     max_speed: float = parameter(
-        2.0, "Speed of the stage above which the fault x_jump is latched", unit="m/s", above=0.0, maximum=100.0
+        2.0, "Speed of the stage beyond which x has jumped", unit="m/s", above=0.0, maximum=100.0
     )
     y_limit: float = parameter(
         1e-3,
-        "Largest |y|, else y_out_of_range; a platform that is switched on beyond it may first come back",
+        "Largest |y|, once y was within it with the amplifier on",
         unit="m",
         above=0.0,
         maximum=0.1,
     )
     frozen_time: float = parameter(
-        0.01, "Time without a change of y before y_frozen may be latched", unit="s", above=0.0, maximum=10.0
+        0.01, "Time without a change of y after which it may count as frozen", unit="s", above=0.0, maximum=10.0
     )
     frozen_current: float = parameter(
-        0.08, "Change of mean current that must move y by a count, else y_frozen", unit="A", above=0.0, maximum=100.0
+        0.08, "Change of the mean control current that must move y by a count", unit="A", above=0.0, maximum=100.0
     )
     follow_distance: float = parameter(
-        0.02, "Length of trajectory over which x must move by a count, else x_frozen", unit="m", above=0.0, maximum=10.0
+        0.02, "Length of the stage's trajectory over which x must move by a count", unit="m", above=0.0, maximum=10.0
     )
     clock_step: float = parameter(
-        0.05, "Step of the system's clock that is a clock_jump; slewing is not", unit="s", above=0.0, maximum=3600.0
+        0.05, "Step of the system's clock that is a fault; a slewed clock is not", unit="s", above=0.0, maximum=3600.0
     )
 
 
