@@ -27,9 +27,10 @@ class MapParameters:
     """Where the survey is and what is asked of it."""
 
     file: str = parameter(
-        "config/survey_synthetic.csv", "Survey file; a relative name is looked up here, then in the package's share"
+        "config/survey_synthetic.csv",
+        "Survey file; a relative name is looked up in the working directory, then in the package's share",
     )
-    min_points: int = parameter(20, "Fewest points of a run", minimum=4, maximum=1_000_000)
+    min_points: int = parameter(20, "Fewest points that a run of the survey may have", minimum=4, maximum=1_000_000)
     max_gap: float = parameter(0.05, "Widest distance between neighbouring points", unit="m", above=0.0, maximum=1.0)
     travel: float = parameter(100e-6, "Usable travel of the platform, to each side", unit="m", above=0.0, maximum=1e-2)
     runout: float = parameter(

@@ -32,7 +32,7 @@ class RealtimeParameters:
 
     priority: int = parameter(
         0,
-        "SCHED_FIFO priority, the same for all nodes that talk to each other; 0 leaves the normal scheduling",
+        "SCHED_FIFO priority, the same for all nodes that talk to each other; 0: normal scheduling",
         minimum=0,
         maximum=98,
     )
@@ -41,9 +41,9 @@ class RealtimeParameters:
         "CPUs that the node may use, separated by commas, e.g. '2,3'; 'loop' for the last one that the process may use,"
         " 'rest' for all but that; empty for all",
     )
-    lock_memory: bool = parameter(False, "Keep the process's memory from being paged out")
+    lock_memory: bool = parameter(False, "Lock the process's memory, so that none of it is paged out")
     keep_awake: bool = parameter(
-        False, "Keep all CPUs from sleeping while the node runs: faster wake-ups for more electric power"
+        False, "Keep all CPUs of the machine from sleeping while the node runs: faster wake-ups, more electric power"
     )
     exclusive: bool = parameter(
         False, "Keep other programs off the node's CPUs while it runs, as far as its user may move them"
