@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
-from straightcomp_ros.analysis.record import Motion, find_motion
-from straightcomp_ros.analysis.recorded_reference import RecordedReference
+from straightcomp_ros.analysis.metrics import Metrics, StrokeFigures, evaluate, stroke_figures, true_error
+from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion
 from straightcomp_ros.analysis.spectrum import BANDS, Spectrum, error_spectrum
 from straightcomp_ros.analysis.stick_slip import StickSlip, stick_slips
-from straightcomp_ros.analysis.strokes import StrokeFigures, stroke_figures
 
 _AT_LIMIT = 1.0 - 1e-9
 """Part of the current limit from which the law counts as limited."""

@@ -1,4 +1,4 @@
-"""What a bag says of a run: the record of the stroke, the counts of its samples, the loop's latency."""
+"""The run in a bag: the record of its strokes, the counts of its samples, the loop's latency."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH, Stream
 
 _EVALUATED = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
 
@@ -75,37 +75,35 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
-    encoder, encoder_rows = _unique(streams[ENCODER.topic])
-    on = encoder[np.isfinite(streams[ENCODER.topic].columns["coil_current"][encoder_rows])]
-    if len(on):
-        first = np.searchsorted(encoder, on[0])
-        encoder, encoder_rows = encoder[first:], encoder_rows[first:]
-    reference, reference_rows = _unique(streams[REFERENCE.topic])
-    command, command_rows = _unique(streams[COMMAND.topic])
-    common = np.intersect1d(np.intersect1d(encoder, reference, True), command, True)
-    if TRUTH.topic in streams:
-        truth, truth_rows = _unique(streams[TRUTH.topic])
-        common = np.intersect1d(common, truth, True)
+    # By stamp and without repetitions: lockstep repeats a sample that got no answer.
+    unique = {topic: np.unique(stream.stamp, return_index=True) for topic, stream in streams.items()}
+    encoder, rows = unique[ENCODER.topic]
+    on = np.isfinite(streams[ENCODER.topic].columns["coil_current"][rows])
+    first = int(on.argmax())
+    encoder, rows, on = encoder[first:], rows[first:], on[first:]
+    unique[ENCODER.topic] = encoder, rows
+    common = encoder
+    for stream in (REFERENCE, COMMAND, TRUTH):
+        if stream.topic in unique:
+            common = np.intersect1d(common, unique[stream.topic][0], assume_unique=True)
     if len(common) < 2:
         raise BagError(f"bag {bag}: its streams do not belong together: they have no common stamps")
 
-    def column(name: str, topic: str, stamps: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        return streams[topic].columns[name][rows[np.searchsorted(stamps, common)]]
+    def column(stream: Stream, name: str) -> NDArray[np.float64]:
+        stamps, rows = unique[stream.topic]
+        return streams[stream.topic].columns[name][rows[np.searchsorted(stamps, common)]]
 
-    true_x = true_y = guide = None
-    if TRUTH.topic in streams:
-        true_x, true_y, guide = (
-            column(name, TRUTH.topic, truth, truth_rows) for name in ("true_x", "true_y", "guide_deviation")
-        )
+    known = ("true_x", "true_y", "guide_deviation") if TRUTH.topic in streams else ()
+    truth = {name: column(TRUTH, name) for name in known}
     record = StrokeRecord(
         time=(common - common[0]) * 1e-9,
-        x=column("x", ENCODER.topic, encoder, encoder_rows),
-        y=column("y", ENCODER.topic, encoder, encoder_rows),
-        r=column("r", REFERENCE.topic, reference, reference_rows),
-        current=column("control_current", COMMAND.topic, command, command_rows),
-        true_x=true_x,
-        true_y=true_y,
-        guide=guide,
+        x=column(ENCODER, "x"),
+        y=column(ENCODER, "y"),
+        r=column(REFERENCE, "r"),
+        current=column(COMMAND, "control_current"),
+        true_x=truth.get("true_x"),
+        true_y=truth.get("true_y"),
+        guide=truth.get("guide_deviation"),
         law=str(parameters.get("controller", {}).get("control.law", "unknown")),
     )
     driver = streams[DRIVER_STATE.topic].columns if DRIVER_STATE.topic in streams else {}
@@ -114,19 +112,14 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         record=record,
         expected_samples=_taken(encoder),
         received_samples=len(encoder),
-        lost_references=_missing(encoder, reference),
-        lost_commands=_missing(encoder, command),
+        lost_references=_missing(encoder, unique[REFERENCE.topic][0]),
+        lost_commands=_missing(encoder, unique[COMMAND.topic][0]),
         latency=latency[np.isfinite(latency)],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
-        amplifier_on=np.isfinite(streams[ENCODER.topic].columns["coil_current"][encoder_rows]),
+        amplifier_on=on,
         parameters=parameters,
     )
-
-
-def _unique(stream: StreamColumns) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Stamps in order, without repetitions (lockstep repeats a sample that got no answer), and their rows."""
-    return np.unique(stream.stamp, return_index=True)
 
 
 def _taken(stamps: NDArray[np.int64]) -> int:

@@ -30,7 +30,7 @@ class Limit(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """A limit, what was found, and whether that is within it. A figure that was not recorded fails."""
+    """A limit, the figure's value, and whether it is within the limit. A figure that was not recorded fails."""
 
     limit: Limit
     value: float | None
@@ -68,10 +68,8 @@ def judged(limits: list[Limit], figures: Mapping[str, Any]) -> list[Verdict]:
     verdicts = []
     for limit in limits:
         value = figures[limit.name]
-        if value is None or not math.isfinite(value):
-            verdicts.append(Verdict(limit, None, False))
-        else:
-            verdicts.append(Verdict(limit, value, limit.minimum <= value <= limit.maximum))
+        known = value is not None and math.isfinite(value)
+        verdicts.append(Verdict(limit, value if known else None, known and limit.minimum <= value <= limit.maximum))
     return verdicts
 
 
@@ -81,8 +79,8 @@ def _limit(where: str, name: str, value: Any, known: Mapping[str, Any]) -> Limit
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
         raise LimitsError(f"{where}: figure '{name}' is unknown; {hint}")
     given = value if isinstance(value, Mapping) else {"max": value}
-    bounds = {key: number for key, one in given.items() if (number := _number(one)) is not None}
-    if not bounds or set(given) - {"min", "max"} or len(bounds) < len(given):
+    bounds = {key: _number(one) for key, one in given.items()}
+    if not bounds or set(bounds) - {"min", "max"} or not all(map(math.isfinite, bounds.values())):
         raise LimitsError(f"{where}: {name}: {value!r}; allowed: a number, or {{min: number, max: number}}")
     limit = Limit(name, bounds.get("min", -math.inf), bounds.get("max", math.inf))
     if limit.minimum > limit.maximum:
@@ -90,10 +88,9 @@ def _limit(where: str, name: str, value: Any, known: Mapping[str, Any]) -> Limit
     return limit
 
 
-def _number(value: Any) -> float | None:
-    """A finite number, or None. YAML 1.1 reads 1e-6 as a text."""
+def _number(value: Any) -> float:
+    """NaN for what is no number. YAML 1.1 reads 1e-6 as a text."""
     try:
-        number = math.nan if isinstance(value, bool) else float(value)
+        return math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
-        return None
-    return number if math.isfinite(number) else None
+        return math.nan

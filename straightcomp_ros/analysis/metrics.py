@@ -4,15 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import MetricsError, Motion, ReferenceMap, StrokeRecord, check_finite, find_motion
-from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
-from straightcomp_ros.straightness.survey_run import Direction
+from straightcomp_ros.analysis.record import (
+    MetricsError,
+    Motion,
+    ReferenceMap,
+    Stroke,
+    StrokeRecord,
+    check_finite,
+    find_motion,
+)
+from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
+from straightcomp_ros.straightness.survey import Direction
 
-__all__ = ["Metrics", "MetricsError", "evaluate", "residual_over"]
+__all__ = ["Metrics", "MetricsError", "StrokeFigures", "evaluate", "residual_over", "stroke_figures", "true_error"]
+
+_UNITS = {
+    "control_activity": ("_A", 1.0),
+    "control_rms_step": ("_A", 1.0),
+    "direction": ("", 1.0),
+    "duration": ("_s", 1.0),
+    "samples": ("", 1.0),
+    "start": ("_s", 1.0),
+    "travel": ("_mm", 1e3),
+}
+"""How a figure is displayed: suffix of its name, and factor. All others are lengths, in µm."""
 
 
 @dataclass(frozen=True)
@@ -56,19 +76,42 @@ class Metrics:
     samples: int
     duration: float
 
-    def to_display(self) -> dict[str, float | None]:
+    def to_display(self) -> dict[str, Any]:
         """The figures as a person reads them: lengths in µm, the unit in each name."""
-        shown: dict[str, float | None] = {}
-        for name, value in dataclasses.asdict(self).items():
-            if name.startswith("control_"):
-                shown[f"{name}_A"] = value
-            elif name == "duration":
-                shown["duration_s"] = value
-            elif name == "samples":
-                shown[name] = value
-            else:
-                shown[f"{name}_um"] = None if value is None else value * 1e6
-        return shown
+        return _displayed(dataclasses.asdict(self))
+
+
+@dataclass(frozen=True)
+class StrokeFigures:
+    """One movement one way; s, m.
+
+    Attributes:
+        direction: ``forward`` or ``backward``.
+        start, duration: of the movement.
+        travel: in x.
+        encoder_pp, encoder_rms: compensation error as the encoder sees it.
+        true_pp, true_rms: the true one, None without truth.
+        before_least_squares, before_end_points: straightness of the guide by ISO 230-1, beside either line.
+        after_least_squares, after_end_points: straightness of the workpiece, likewise. True positions where they are
+            known, else the map's and the encoder's.
+    """
+
+    direction: str
+    start: float
+    duration: float
+    travel: float
+    encoder_pp: float
+    encoder_rms: float
+    true_pp: float | None
+    true_rms: float | None
+    before_least_squares: float
+    before_end_points: float
+    after_least_squares: float
+    after_end_points: float
+
+    def to_display(self) -> dict[str, Any]:
+        """The figures as a person reads them: lengths in µm, the travel in mm, the unit in each name."""
+        return _displayed(dataclasses.asdict(self))
 
 
 def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
@@ -105,6 +148,33 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
     )
 
 
+def stroke_figures(
+    record: StrokeRecord, reference: ReferenceMap, truth: NDArray[np.float64] | None, stroke: Stroke
+) -> StrokeFigures:
+    """Figures of ``stroke`` in ``record``; ``truth`` is :func:`true_error` of the record."""
+    part = slice(stroke.start, stroke.stop)
+    error = (record.r - record.y)[part]
+    known = record.best_known(reference)
+    x, guide, after = known.x[part], known.guide[part], (known.guide + known.y)[part]
+    # In time the stage lingers where it starts and stops; each piece of the guide counts by its length.
+    weights = np.abs(np.gradient(x, record.time[part]))
+    of_truth = None if truth is None else truth[part]
+    return StrokeFigures(
+        direction=stroke.direction,
+        start=float(record.time[stroke.start]),
+        duration=float(record.time[stroke.stop - 1] - record.time[stroke.start]),
+        travel=float(np.ptp(x)),
+        encoder_pp=peak_to_peak(error),
+        encoder_rms=_rms(error),
+        true_pp=None if of_truth is None else peak_to_peak(of_truth),
+        true_rms=None if of_truth is None else _rms(of_truth),
+        before_least_squares=peak_to_peak(least_squares_residual(x, guide, weights)),
+        before_end_points=peak_to_peak(end_point_residual(x, guide)),
+        after_least_squares=peak_to_peak(least_squares_residual(x, after, weights)),
+        after_end_points=peak_to_peak(end_point_residual(x, after)),
+    )
+
+
 def true_error(record: StrokeRecord, straightness: ReferenceMap) -> NDArray[np.float64] | None:
     """r(true x) − true y, (n,) in m; None without truth."""
     if record.true_x is None or record.true_y is None:
@@ -125,6 +195,14 @@ def residual_over(
     moving = motion.samples()
     speed = np.abs(np.gradient(x, record.time))
     return least_squares_residual(x[moving], deviation[moving], speed[moving])
+
+
+def _displayed(figures: dict[str, Any]) -> dict[str, Any]:
+    shown = {}
+    for name, value in figures.items():
+        suffix, factor = _UNITS.get(name, ("_um", 1e6))
+        shown[name + suffix] = value * factor if isinstance(value, float) else value
+    return shown
 
 
 def _rms(values: NDArray[np.float64]) -> float:

@@ -1,15 +1,15 @@
-"""The runs in a survey that was recorded over time: which way the stage went, and the points of each run.
+"""The runs in a survey that was recorded over time: the direction and the points of each run.
 
-Two ways of measuring are told apart by themselves. *On the fly*: the stage passes without a stop; the readings within
-each ``step`` of x make one point, at their mean x. *At rest*: the stage stops at each point; the readings of the second
-half of each stop make one.
+Two ways of measuring are recognised. *On the fly*: the stage passes without a stop; the readings within each ``step``
+of x make one point, at their mean x. *At rest*: the stage stops at each point; the readings of the second half of each
+stop make one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +17,26 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.record import MetricsError, Stroke, motion_of
 from straightcomp_ros.analysis.survey_series import Series
 from straightcomp_ros.straightness.outliers import spikes
-from straightcomp_ros.straightness.survey_columns import SurveyError
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, SurveyError
 
 _WHOLE = 0.9
-"""Part of the longest run's travel from which a run counts as whole: others were broken off, or lead to the start."""
+"""Fraction of the longest run's travel from which a run is whole: others were broken off, or lead to the start."""
 _STOP = 0.2
-"""Time in s from which standing between two moves of a run is a stop for a measurement."""
+"""Time in s from which a stand between two moves of a run is a stop for a measurement."""
 _FEWEST_STOPS = 5
-"""Stops from which a run is one at rest."""
+"""Stops from which a run is measured at rest."""
 _HALF_WINDOW = 7
-"""Readings to each side that tell whether one between them is a spike."""
+"""Readings to each side with which a reading is compared to find spikes."""
 
 
-@dataclass(frozen=True, eq=False)
-class Passage:
+class Passage(NamedTuple):
     """One run as it was recognised.
 
     Attributes:
         run: its points.
         start, duration: of the motion, s from the first sample.
         at_rest: whether its points were measured at stops.
-        samples, spikes: readings that it was made from, and those of them that were rejected.
+        samples, spikes: numbers of its readings, and of those that were rejected.
     """
 
     run: Run
@@ -49,21 +47,20 @@ class Passage:
     spikes: int
 
 
-@dataclass(frozen=True)
-class Recognised:
-    """The whole runs of a survey, and how many movements were none (broken off, or way to the start)."""
+class Recognised(NamedTuple):
+    """The whole runs of a survey, and the number of movements that were not whole (broken off, or to the start)."""
 
     passages: tuple[Passage, ...]
     partial: int
 
 
 def recognise(series: Series, step: float, limit: float) -> Recognised:
-    """Find the runs.
+    """Find the runs of a survey.
 
     Args:
         series: the survey.
         step: length in m of the piece of x that makes one point, on the fly.
-        limit: beyond so many robust standard deviations a reading is a spike.
+        limit: number of robust standard deviations beyond which a reading is a spike.
 
     Raises:
         SurveyError: the stage does not move.
@@ -72,7 +69,8 @@ def recognise(series: Series, step: float, limit: float) -> Recognised:
         strokes = motion_of(series.time, series.x).strokes
     except MetricsError as error:
         raise SurveyError(f"survey {series.source}: {str(error).removeprefix('record: ')}") from error
-    groups = _by_direction(strokes)
+    # Successive moves in one direction belong to one run.
+    groups = [list(moves) for _, moves in groupby(strokes, key=lambda stroke: stroke.direction)]
     travels = [abs(float(series.x[group[-1].stop - 1] - series.x[group[0].start])) for group in groups]
     whole = [group for group, travel in zip(groups, travels, strict=True) if travel >= _WHOLE * max(travels)]
     counts = {"forward": 0, "backward": 0}
@@ -85,47 +83,39 @@ def recognise(series: Series, step: float, limit: float) -> Recognised:
     return Recognised(tuple(passages), len(groups) - len(whole))
 
 
-def _by_direction(strokes: Sequence[Stroke]) -> list[list[Stroke]]:
-    """Moves that follow each other one way belong to one run."""
-    return [list(moves) for _, moves in groupby(strokes, key=lambda stroke: stroke.direction)]
-
-
 def _passage(series: Series, moves: Sequence[Stroke], rest_end: int, name: str, step: float, limit: float) -> Passage:
     begin, end = moves[0].start, moves[-1].stop
-    ends = [move.start for move in moves[1:]] + [rest_end]
     stops = [
-        slice(move.stop, stop)
-        for move, stop in zip(moves, ends, strict=True)
-        if stop > move.stop and series.time[stop - 1] - series.time[move.stop] >= _STOP
+        (first, stop)
+        for first, stop in zip(
+            [move.stop for move in moves], [*(move.start for move in moves[1:]), rest_end], strict=True
+        )
+        if stop > first and series.time[stop - 1] - series.time[first] >= _STOP
     ]
     at_rest = len(stops) >= _FEWEST_STOPS
-    # The end of a stop: what the stop began with has died away.
-    chosen = (
-        np.concatenate([np.arange((s.start + s.stop) // 2, s.stop) for s in stops])
-        if at_rest
-        else np.arange(begin, end)
-    )
-    group = (
-        np.repeat(np.arange(len(stops)), [s.stop - (s.start + s.stop) // 2 for s in stops])
-        if at_rest
-        else np.round(series.x[chosen] / step).astype(np.int64)
-    )
+    if at_rest:
+        # The second half of each stop, when vibration from the motion has decayed.
+        pieces = [np.arange((first + stop) // 2, stop) for first, stop in stops]
+        chosen = np.concatenate(pieces)
+        group = np.repeat(np.arange(len(stops)), [len(piece) for piece in pieces])
+    else:
+        chosen = np.arange(begin, end)
+        group = np.round(series.x[chosen] / step).astype(np.int64)
     values = series.deviation[chosen]
     bad = spikes(values - (_middles(values, group) if at_rest else _course(values)), limit)
     x, deviation = _means(series.x[chosen][~bad], values[~bad], group[~bad])
     run = Run(name, moves[0].direction, x, deviation)
     start = float(series.time[begin])
-    lost = int(np.count_nonzero(bad))
-    return Passage(run, start, float(series.time[end - 1]) - start, at_rest, len(chosen), lost)
+    return Passage(run, start, float(series.time[end - 1]) - start, at_rest, len(chosen), int(bad.sum()))
 
 
 def _course(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What the neighbours say of each reading: the median of the means of opposite ones, which is exact on a slope.
+    """Each reading estimated from its neighbours: the median of the means of opposite ones, which is exact on a slope.
 
-    The reading itself has no part in it, unlike in a running median, beside which most of what rises steadily is zero.
+    The reading itself is left out. In a running median it would be the result wherever the readings rise steadily.
     """
     half = min(_HALF_WINDOW, len(values) - 1)
-    # Beyond the ends the course goes on as it came, mirrored at the end point: a slope stays a slope.
+    # Beyond the ends the readings are mirrored at the end point: a slope stays a slope.
     before, after = 2.0 * values[0] - values[half:0:-1], 2.0 * values[-1] - values[-2 : -half - 2 : -1]
     window = np.lib.stride_tricks.sliding_window_view(np.concatenate([before, values, after]), 2 * half + 1)
     return np.asarray(np.median(0.5 * (window[:, :half] + window[:, : -half - 1 : -1]), axis=1))

@@ -1,4 +1,4 @@
-"""A survey as it was measured: the stage's x and the displacement sensor's reading over time, from a bag or CSV."""
+"""A measured survey: the stage's x and the displacement sensor's reading over time, from a bag or CSV."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
-from straightcomp_ros.straightness.csv_rows import metres, number, rows
-from straightcomp_ros.straightness.survey_columns import DEVIATION, SurveyError, X, find_column, normalised
+from straightcomp_ros.straightness.survey_columns import DEVIATION, read_table
+from straightcomp_ros.straightness.text import SurveyError, number
 
 TIME_COLUMN = "time_s"
-"""A CSV file with this column is a recording over time; one without lists the points of runs."""
+"""A CSV file with this column is a recording over time; without it, a list of the points of runs."""
 STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
-"""Where our own graph says x."""
+"""The slider's x in the topics of our own graph."""
 _LONGEST_GAP_NS = 100_000_000
 """Time between two samples of the stage; across a longer one its x is not interpolated."""
 
@@ -29,8 +29,8 @@ class Sensor:
     Attributes:
         readings: topic and field; a relative topic as :func:`straightcomp_ros.bags.topics.resolved` takes it.
         unit: of the readings, ``m``, ``mm``, ``um`` or ``nm``.
-        inverted: true where a slider that moves towards +y makes the reading smaller.
-        delay: time in s by which a reading is older than its stamp. What is neglected here shows as hysteresis.
+        inverted: the reading falls when the slider moves towards +y.
+        delay: time in s by which a reading is older than its stamp; an error in it shows as hysteresis.
         on_platform: the sensor rides on the platform, so that the platform's own y is part of its reading.
     """
 
@@ -46,11 +46,11 @@ class Series:
     """Samples of a survey.
 
     Attributes:
-        source: names it in messages.
+        source: the survey's name in messages.
         time: (n,) s, rising, from the first sample.
         x, deviation: (n,) m.
-        unusable: readings that were left out: not finite, or while the stage's x was not recorded.
-        inputs: where the columns came from, in words by name.
+        unusable: number of readings left out: not finite, or while the stage's x was not recorded.
+        inputs: origin of the columns, in words by name.
     """
 
     source: str
@@ -68,13 +68,12 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
         BagError: the bag cannot be read, or lacks a topic or a field.
         SurveyError: stage and sensor were not recorded at the same time.
     """
-    positions, readings = _rising(read_field(bag, stage)), _rising(read_field(bag, sensor.readings))
+    positions, readings = _read(bag, stage), _read(bag, sensor.readings)
     taken_at = readings.stamp - round(sensor.delay * 1e9)
     x, usable = _at(positions, taken_at)
     deviation = readings.values / DEVIATION.per_metre[sensor.unit] * (-1.0 if sensor.inverted else 1.0)
     if sensor.on_platform:
-        platform = _rising(read_field(bag, Field(stage.topic, f"position[{PLATFORM}]")))
-        y, known = _at(platform, taken_at)
+        y, known = _at(_read(bag, Field(stage.topic, f"position[{PLATFORM}]")), taken_at)
         deviation, usable = deviation - y, usable & known
     usable &= np.isfinite(deviation) & np.isfinite(x)
     if np.count_nonzero(usable) < 3:
@@ -98,10 +97,9 @@ def is_series(path: Path) -> bool:
     """Whether a CSV file is a recording over time.
 
     Raises:
-        SurveyError: the file cannot be read.
+        SurveyError: the file cannot be read, or lacks x or deviation.
     """
-    _, header = next(rows(path), (0, []))
-    return TIME_COLUMN in map(normalised, header)
+    return TIME_COLUMN in read_table(path).header
 
 
 def series_of_csv(path: Path) -> Series:
@@ -110,35 +108,31 @@ def series_of_csv(path: Path) -> Series:
     Raises:
         SurveyError: a column is missing, a cell is no number, or time does not rise.
     """
-    lines = rows(path)
-    header_line, cells = next(lines)
-    header = [normalised(cell) for cell in cells]
-    where = f"survey {path}, line {header_line}"
-    x_column, deviation_column = find_column(where, header, X), find_column(where, header, DEVIATION)
-    time_column = header.index(TIME_COLUMN)
-    table: list[tuple[float, float, float]] = []
-    for line, row in lines:
-        if len(row) != len(header):
-            raise SurveyError(f"survey {path}, line {line}: {len(row)} cells, the header has {len(header)}")
-        time = number(path, line, row[time_column], TIME_COLUMN)
-        if table and time <= table[-1][0]:
-            raise SurveyError(f"survey {path}, line {line}: time_s {time:g} after {table[-1][0]:g}; allowed: rising")
-        table.append((time, metres(path, line, row, x_column), metres(path, line, row, deviation_column)))
-    if len(table) < 3:
-        raise SurveyError(f"survey {path}: {len(table)} rows; allowed: >= 3")
-    time, x, deviation = np.array(table).T
-    inputs = {"stage": header[x_column.index], "sensor": header[deviation_column.index]}
+    table = read_table(path)
+    time_column = table.header.index(TIME_COLUMN)
+    samples: list[tuple[float, float, float]] = []
+    for line, row in table.rows:
+        where = f"survey {path}, line {line}"
+        time = number(where, TIME_COLUMN, row[time_column].strip())
+        if samples and time <= samples[-1][0]:
+            raise SurveyError(f"{where}: time_s {time:g} after {samples[-1][0]:g}; allowed: rising")
+        samples.append((time, table.x.metres(where, row), table.deviation.metres(where, row)))
+    if len(samples) < 3:
+        raise SurveyError(f"survey {path}: {len(samples)} rows; allowed: >= 3")
+    time, x, deviation = np.array(samples).T
+    inputs = {"stage": table.header[table.x.index], "sensor": table.header[table.deviation.index]}
     return Series(str(path), time - time[0], x, deviation, 0, inputs)
 
 
-def _rising(values: FieldValues) -> FieldValues:
-    """By stamp, without repetitions."""
+def _read(bag: Path, field: Field) -> FieldValues:
+    """The values of a field by stamp, without repetitions."""
+    values = read_field(bag, field)
     stamp, first = np.unique(values.stamp, return_index=True)
     return FieldValues(stamp, values.values[first], values.stamped)
 
 
 def _at(known: FieldValues, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Values at other times, and where they are known: at a sample, or between two that are not far apart."""
+    """Values at ``stamps``, and where they are known: at a sample, or between two that are not far apart."""
     first, last = known.stamp[0], known.stamp[-1]
     place = np.searchsorted(known.stamp[:-1], stamps)
     near = np.diff(known.stamp, prepend=first)[place] <= _LONGEST_GAP_NS

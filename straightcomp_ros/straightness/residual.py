@@ -1,10 +1,9 @@
-"""Straightness of a measured line: its deviation from a reference line, and the extent of that.
+"""Straightness of a measured line: the extent of its deviation from a reference line.
 
-ISO 230-1:2012 (test code for machine tools, geometric accuracy), clause 3.4, knows three reference
-lines for the straightness error motion of a linear axis: the mean minimum zone line, the least
-squares line and the end-point line. The deviation is the extent of what is left beside the reference
-line. The minimum zone line gives the smallest figure, by definition; the least squares line is near to
-it, and is what this project reports.
+ISO 230-1:2012 (test code for machine tools, geometric accuracy), clause 3.4, defines three reference lines for the
+straightness error motion of a linear axis: the mean minimum zone line, the least squares line and the end-point line.
+The minimum zone line gives the smallest extent, by definition. The least squares line, whose extent is close to that,
+is the one that this project reports.
 """
 
 from __future__ import annotations
@@ -45,11 +44,8 @@ def least_squares_residual(x: ArrayLike, deviation: ArrayLike, weights: ArrayLik
 
 
 def end_point_residual(x: ArrayLike, deviation: ArrayLike) -> NDArray[np.float64]:
-    """Deviation from the line through the first and the last point, (n,) in m; zero at both.
-
-    Args:
-        x: (n,) positions in m, the ends of the line first and last.
-        deviation: (n,) in m.
+    """Deviation (n,) in m from the line through the first and the last point, at which it is zero; x and deviation (n,)
+    in m.
 
     Raises:
         ValueError: shapes differ, there are fewer than two points, or both ends are at the same x.

@@ -16,7 +16,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.html_report import report_html
 from straightcomp_ros.analysis.limits import LimitsError, judged, read_limits
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.recorded_reference import RecordedReference
+from straightcomp_ros.analysis.record import RecordedReference
 from straightcomp_ros.analysis.spectrum import error_spectrum
 from straightcomp_ros.analysis.stick_slip import stick_slips
 

@@ -31,12 +31,10 @@ from straightcomp_ros.analysis.html_report import (
 )
 from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
 from straightcomp_ros.analysis.map_building import Choices, build
-from straightcomp_ros.analysis.metrics import evaluate, true_error
+from straightcomp_ros.analysis.metrics import evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
 from straightcomp_ros.analysis.stick_slip import SLIP, StickSlip, stick_slips
-from straightcomp_ros.analysis.strokes import stroke_figures
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey
 
 
 def evaluation_of(record):
