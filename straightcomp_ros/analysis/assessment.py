@@ -1,4 +1,4 @@
-"""All that is said of one recorded run: figures by name, and the strokes, gaps and intervals behind them."""
+"""The assessment of one recorded run: figures by name, and the strokes, gaps and intervals behind them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from straightcomp_ros.analysis.spectrum import BANDS, Spectrum, error_spectrum
 from straightcomp_ros.analysis.stick_slip import StickSlip, stick_slips
 
 _AT_LIMIT = 1.0 - 1e-9
-"""Part of the current limit from which the law counts as limited."""
+"""Fraction of the current limit from which the command counts as limited."""
 
 
 class Interval(NamedTuple):
-    """A stretch of the run: s from its first sample to its last, and how many samples it covers or lacks."""
+    """A stretch of the run: times of its first and last sample in s, and how many samples it covers or lacks."""
 
     start: float
     end: float
@@ -30,18 +30,18 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """A run, judged.
+    """A run with all its figures.
 
     Attributes:
-        bag: what was read.
-        evaluation, motion, reference, metrics: the run, when it moved, its reference over x, the demo's figures.
+        bag: the bag's path.
+        evaluation, motion, reference, metrics: the run, when it moved, its reference over x, its figures.
         strokes: figures of each stroke, in order.
         spectrum: of the compensation error as the encoder sees it, while the stage moves.
         gaps: samples that the clock took and the bag lacks.
-        saturated: where the command stood at the law's current limit.
+        saturated: where the command was at the law's current limit.
         amplifier_off: where the amplifier was off between the run's first motion and its last: a fault, or a stop.
         stick_slips: events of all strokes.
-        warnings: what the reader had to say about the bag.
+        warnings: the reader's warnings about the bag.
     """
 
     bag: Path
@@ -79,16 +79,17 @@ class Assessment:
             rms = self.spectrum.band_rms(low, high) * 1e6 if len(self.spectrum.density) else math.nan
             figures[f"error_rms_{low:g}_{high:g}_Hz_um"] = rms
         for name, values in (("latency", evaluation.latency), ("lateness", evaluation.lateness)):
-            for percentile in (50, 90, 99, 100):
-                label = "max" if percentile == 100 else f"p{percentile}"
+            for label, percentile in (("p50", 50), ("p90", 90), ("p99", 99), ("max", 100)):
                 value = float(np.percentile(values, percentile)) * 1e6 if len(values) else math.nan
                 figures[f"{name}_{label}_us"] = value
-        figures["latency_jitter_us"] = float(np.std(evaluation.latency)) * 1e6 if len(evaluation.latency) else math.nan
-        figures["stick_slip_events"] = len(self.stick_slips)
-        figures["saturated_samples"] = sum(interval.samples for interval in self.saturated)
-        figures["saturations"] = len(self.saturated)
-        figures["amplifier_off_in_motion"] = len(self.amplifier_off)
-        return figures
+        jitter = float(np.std(evaluation.latency)) * 1e6 if len(evaluation.latency) else math.nan
+        return figures | {
+            "latency_jitter_us": jitter,
+            "stick_slip_events": len(self.stick_slips),
+            "saturated_samples": sum(interval.samples for interval in self.saturated),
+            "saturations": len(self.saturated),
+            "amplifier_off_in_motion": len(self.amplifier_off),
+        }
 
     def as_json(self) -> dict[str, Any]:
         """The figures, and all lists behind them."""
@@ -122,7 +123,9 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
     time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9
     limit = evaluation.parameters.get("controller", {}).get("control.current_limit", math.inf)
     first, last = record.time[window.start], record.time[window.stop - 1]
+    off = _intervals(time, ~evaluation.amplifier_on) if evaluation.amplifier_on.any() else []
     truth = true_error(record, reference)
+    columns = np.array([record.time, record.x, record.y, record.r])
     return Assessment(
         bag=bag,
         evaluation=evaluation,
@@ -133,17 +136,8 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
         spectrum=error_spectrum(record.time[window], error[window]),
         gaps=_gaps(time),
         saturated=_intervals(record.time, np.abs(record.current) >= _AT_LIMIT * float(limit)),
-        amplifier_off=[
-            interval for interval in _intervals(time, ~evaluation.amplifier_on) if first <= interval.end <= last
-        ]
-        if evaluation.amplifier_on.any()
-        else [],
-        stick_slips=[
-            event
-            for stroke in motion.strokes
-            for part in [slice(stroke.start, stroke.stop)]
-            for event in stick_slips(record.time[part], record.x[part], record.y[part], record.r[part])
-        ],
+        amplifier_off=[interval for interval in off if first <= interval.end <= last],
+        stick_slips=[event for stroke in motion.strokes for event in stick_slips(*columns[:, stroke.samples])],
         warnings=warnings,
     )
 
@@ -155,17 +149,11 @@ def displayed_error(assessment: Assessment) -> tuple[NDArray[np.float64], NDArra
 
 
 def _gaps(time: NDArray[np.float64]) -> list[Interval]:
-    steps = np.diff(time)
-    period = float(np.median(steps))
-    return [
-        Interval(float(time[place]), float(time[place + 1]), round(float(steps[place]) / period) - 1)
-        for place in np.flatnonzero(steps > 1.5 * period)
-    ]
+    steps = np.diff(time) / np.median(np.diff(time))
+    gaps = np.flatnonzero(steps > 1.5)
+    return [Interval(float(time[at]), float(time[at + 1]), round(float(steps[at])) - 1) for at in gaps]
 
 
 def _intervals(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[Interval]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [
-        Interval(float(time[start]), float(time[stop - 1]), int(stop - start))
-        for start, stop in edges.reshape(-1, 2).tolist()
-    ]
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
+    return [Interval(float(time[start]), float(time[stop - 1]), stop - start) for start, stop in edges]

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.survey_runs import Passage, recognise
-from straightcomp_ros.analysis.survey_series import Series
+from straightcomp_ros.analysis.survey_series import Passage, Series, recognise
 from straightcomp_ros.bags.origin import origin
 from straightcomp_ros.straightness.common_grid import on_common_grid
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap

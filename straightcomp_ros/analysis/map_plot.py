@@ -1,4 +1,4 @@
-"""The picture of a survey: the runs, their mean, and how far they are from it."""
+"""The picture of a survey: the runs, their mean, and the difference between them."""
 
 from __future__ import annotations
 
@@ -9,36 +9,32 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.map_building import BuiltMap
-from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION, show_grid
 
 
 def plot_map(built: BuiltMap, path: Path) -> None:
-    """Draw the map over its runs, and below on a scale of their own the runs beside the mean, with the band of ± 2 s.
-
-    Args:
-        built: the map.
-        path: the picture, replaced if it exists.
+    """Draw the map over its runs, and below on their own scale the runs beside the mean, with the band of ± 2 s.
 
     Raises:
-        OSError, ValueError: it cannot be written, or has an ending that is no picture's.
+        OSError, ValueError: the picture ``path`` cannot be written, or has an ending that is no picture's.
     """
     figure = Figure(figsize=(10.0, 8.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    figures, found = built.figures(), built.repeatability
+    figures, found, mean = built.figures(), built.repeatability, built.mean
     x_mm = found.x * 1e3
-    ways = ((found.forward, "forward", BLUE, PALE_BLUE), (found.backward, "backward", VERMILION, PALE_VERMILION))
     for run in built.survey.runs:
         pale = PALE_BLUE if run.direction == "forward" else PALE_VERMILION
         upper.plot(run.x * 1e3, run.deviation * 1e6, color=pale, linewidth=0.8)
-        beside = run.deviation - np.interp(run.x, found.x, built.mean)
+        beside = run.deviation - np.interp(run.x, found.x, mean)
         lower.plot(run.x * 1e3, beside * 1e6, ".", color=pale, markersize=2.0)
     label = f"mean: {figures['straightness_least_squares_um']:.2f} µm p-p beside its least squares line"
-    upper.plot(x_mm, built.mean * 1e6, color=BLACK, linewidth=1.2, label=label)
+    upper.plot(x_mm, mean * 1e6, color=BLACK, linewidth=1.2, label=label)
+    ways = ((found.forward, "forward", BLUE, PALE_BLUE), (found.backward, "backward", VERMILION, PALE_VERMILION))
     for directed, name, colour, pale in ways:
         if directed is None:
             continue
-        beside = (directed.mean - built.mean) * 1e6
+        beside = (directed.mean - mean) * 1e6
         lower.plot(x_mm, beside, color=colour, linewidth=1.2, label=f"{name}, mean of {directed.runs}")
         if directed.s is not None:
             band = 2e6 * directed.s
@@ -51,8 +47,6 @@ def plot_map(built: BuiltMap, path: Path) -> None:
     lower.set_xlabel("slider position x / mm")
     for axes in (upper, lower):
         axes.set_ylabel("deviation / µm")
-        axes.grid(color="#D8D8D8", linewidth=0.5)
-        axes.set_axisbelow(True)
-        axes.margins(x=0.01)
+        show_grid(axes)
         axes.legend(fontsize=8, ncols=2)
     figure.savefig(path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -120,6 +120,11 @@ class Stroke:
     stop: int
     direction: Direction
 
+    @property
+    def samples(self) -> slice:
+        """All samples of the movement."""
+        return slice(self.start, self.stop)
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -171,17 +176,28 @@ def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
     speed = (x[after] - x[before]) / (time[after] - time[before])
     way = np.where(np.abs(speed) >= MOVING, np.sign(speed), 0.0)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(way)) + 1, [n]])
-    strokes = [
-        _trimmed(x, int(start), int(stop), "forward" if way[start] > 0.0 else "backward")
-        for start, stop in itertools.pairwise(edges)
-        if way[start] != 0.0 and abs(x[stop - 1] - x[start]) >= SHORTEST_STROKE
-    ]
+    strokes = []
+    for start, stop in itertools.pairwise(edges.tolist()):
+        piece = x[start:stop]
+        if way[start] != 0.0 and abs(piece[-1] - piece[0]) >= SHORTEST_STROKE:
+            away = np.flatnonzero((np.abs(piece - piece[0]) > ARRIVED) & (np.abs(piece - piece[-1]) > ARRIVED))
+            direction: Direction = "forward" if way[start] > 0.0 else "backward"
+            strokes.append(Stroke(start + int(away[0]), start + int(away[-1]) + 1, direction))
     if not strokes:
         raise MetricsError(
             f"record: the stage does not move: x stays within {np.ptp(x) * 1e3:.6g} mm; "
             f"allowed: at least one stroke of {SHORTEST_STROKE * 1e3:g} mm at {MOVING * 1e3:g} mm/s"
         )
     return Motion(tuple(strokes))
+
+
+def group_means(
+    x: NDArray[np.float64], y: NDArray[np.float64], group: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean of x and of y in each group, the groups in ascending order."""
+    _, piece = np.unique(group, return_inverse=True)
+    count = np.bincount(piece)
+    return np.bincount(piece, x) / count, np.bincount(piece, y) / count
 
 
 def check_finite(record: StrokeRecord, names: tuple[str, ...], window: slice) -> None:
@@ -195,9 +211,3 @@ def check_finite(record: StrokeRecord, names: tuple[str, ...], window: slice) ->
                 f"record: {name} is {columns[name][at]} at sample {at} ({record.time[at]:.6g} s), "
                 f"one of {bad.size}; allowed: finite numbers"
             )
-
-
-def _trimmed(x: NDArray[np.float64], start: int, stop: int, direction: Direction) -> Stroke:
-    piece = x[start:stop]
-    away = np.flatnonzero((np.abs(piece - piece[0]) > ARRIVED) & (np.abs(piece - piece[-1]) > ARRIVED))
-    return Stroke(start + int(away[0]), start + int(away[-1]) + 1, direction)

@@ -8,10 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import Metrics, residual_over, true_error
-from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion
+from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion, group_means
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 # Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
@@ -23,20 +22,17 @@ LENGTH_OF_MEAN_MM = 10.0
 def plot_run(
     record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, path: str | Path, title: str
 ) -> Path:
-    """Draw ``record`` into one PNG.
+    """Draw ``record`` into the PNG ``path``, which is replaced if it exists, and return its path.
 
-    Straightness over x, before and after on one scale and after on its own; then over time the
-    compensation error and the control current, motion shaded by direction.
+    Straightness over x, before and after on one scale and after on its own; then over time the compensation error and
+    the control current, motion shaded by direction.
 
     Args:
         record: the run.
         straightness: the map of its reference.
         metrics: the run's figures, for the legends.
-        path: the PNG, replaced if it exists.
+        path: the PNG.
         title: stands over the picture.
-
-    Returns:
-        The path.
 
     Raises:
         MetricsError: the stage does not move in the record.
@@ -51,31 +47,33 @@ def plot_run(
     current = figure.add_subplot(rows[2, :], sharex=error)
 
     _straightness(both, after, record, straightness, metrics, motion)
-    _error(error, record, straightness, metrics, motion)
-    _current(current, record, metrics, motion)
-    for axes in (both, after, error, current):
-        axes.grid(color="#D8D8D8", linewidth=0.5)
-        axes.set_axisbelow(True)
-        axes.margins(x=0.01)
+    for axes in (error, current):
+        _shade(axes, record, motion)
+    window = motion.window
+    time = record.time[window]
+    label = f"encoder: {metrics.encoder_pp * 1e6:.2f} µm p-p, {metrics.encoder_rms * 1e6:.3f} µm RMS"
+    truth = true_error(record, straightness)
+    colour = BLUE if truth is None else GREY
+    error.plot(time, (record.r - record.y)[window] * 1e6, color=colour, linewidth=0.6, label=label)
+    if truth is not None and metrics.true_pp is not None and metrics.true_rms is not None:
+        label = f"true: {metrics.true_pp * 1e6:.2f} µm p-p, {metrics.true_rms * 1e6:.3f} µm RMS"
+        error.plot(time, truth[window] * 1e6, color=BLUE, linewidth=0.8, label=label)
+    _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
+    label = f"law {record.law}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
+    current.plot(time, record.current[window] * 1e3, color=BLACK, linewidth=0.6, label=label)
+    _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
     path = Path(path)
     figure.savefig(path)
     return path
 
 
 def _straightness(
-    both: Axes,
-    after: Axes,
-    record: StrokeRecord,
-    straightness: StraightnessMap,
-    metrics: Metrics,
-    motion: Motion,
+    both: Axes, after: Axes, record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, motion: Motion
 ) -> None:
     x, y, guide, true = record.best_known(straightness)
-    seen = "true" if true else "map + encoder"
     moving = motion.samples()
     x_mm = x[moving] * 1e3
-    before_um = residual_over(x, guide, record, motion) * 1e6
-    after_um = residual_over(x, guide + y, record, motion) * 1e6
+    before_um, after_um = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
     forward = np.isin(moving, motion.samples("forward"))
 
     both.plot(x_mm, before_um, color=BLACK, label=f"before: {metrics.uncompensated_pp * 1e6:.2f} µm p-p")
@@ -86,46 +84,13 @@ def _straightness(
     ):
         if mask.any():
             after.plot(x_mm[mask], after_um[mask], ".", color=pale, markersize=1.0, zorder=2)
-            centres, means = _mean_over(x_mm[mask], after_um[mask], LENGTH_OF_MEAN_MM)
+            centres, means = group_means(x_mm[mask], after_um[mask], np.floor(x_mm[mask] / LENGTH_OF_MEAN_MM))
             label = f"{name}: {np.ptp(after_um[mask]):.2f} µm p-p"
             after.plot(centres, means, color=colour, linestyle=style, linewidth=1.6, zorder=3, label=label)
-    both.set_title("Straightness before and after", fontsize=10)
-    after.set_title(f"After, enlarged ({seen}; lines: mean over {LENGTH_OF_MEAN_MM:g} mm)", fontsize=10)
-    for axes in (both, after):
-        axes.set_xlabel("slider position x / mm")
-        axes.set_ylabel("deviation / µm")
-        _headroom(axes)
-        axes.legend(loc="upper center", fontsize=8, ncols=2)
-
-
-def _error(axes: Axes, record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, motion: Motion) -> None:
-    window = motion.window
-    time = record.time[window]
-    _shade(axes, record, motion)
-    label = f"encoder: {metrics.encoder_pp * 1e6:.2f} µm p-p, {metrics.encoder_rms * 1e6:.3f} µm RMS"
-    truth = true_error(record, straightness)
-    colour = BLUE if truth is None else GREY
-    axes.plot(time, (record.r - record.y)[window] * 1e6, color=colour, linewidth=0.6, label=label)
-    if truth is not None and metrics.true_pp is not None and metrics.true_rms is not None:
-        label = f"true: {metrics.true_pp * 1e6:.2f} µm p-p, {metrics.true_rms * 1e6:.3f} µm RMS"
-        axes.plot(time, truth[window] * 1e6, color=BLUE, linewidth=0.8, label=label)
-    axes.set_title("Compensation error r − y", fontsize=10)
-    axes.set_xlabel("time / s")
-    axes.set_ylabel("error / µm")
-    _headroom(axes)
-    axes.legend(loc="upper center", fontsize=8, ncols=4)
-
-
-def _current(axes: Axes, record: StrokeRecord, metrics: Metrics, motion: Motion) -> None:
-    window = motion.window
-    _shade(axes, record, motion)
-    label = f"law {record.law}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
-    axes.plot(record.time[window], record.current[window] * 1e3, color=BLACK, linewidth=0.6, label=label)
-    axes.set_title("Control current", fontsize=10)
-    axes.set_xlabel("time / s")
-    axes.set_ylabel("control current $i_c$ / mA")
-    _headroom(axes)
-    axes.legend(loc="upper center", fontsize=8, ncols=3)
+    seen = "true" if true else "map + encoder"
+    enlarged = f"After, enlarged ({seen}; lines: mean over {LENGTH_OF_MEAN_MM:g} mm)"
+    for axes, title in ((both, "Straightness before and after"), (after, enlarged)):
+        _finish(axes, title, "slider position x / mm", "deviation / µm", 2)
 
 
 def _shade(axes: Axes, record: StrokeRecord, motion: Motion) -> None:
@@ -134,22 +99,24 @@ def _shade(axes: Axes, record: StrokeRecord, motion: Motion) -> None:
     for stroke in motion.strokes:
         colour = "#DCEBF5" if stroke.direction == "forward" else "#FBE9DD"
         label = None if stroke.direction in named else f"{stroke.direction} stroke"
-        axes.axvspan(
-            record.time[stroke.start], record.time[stroke.stop - 1], color=colour, linewidth=0.0, label=label, zorder=0
-        )
+        begin, end = record.time[stroke.start], record.time[stroke.stop - 1]
+        axes.axvspan(begin, end, color=colour, linewidth=0.0, label=label, zorder=0)
         named.add(stroke.direction)
 
 
-def _headroom(axes: Axes) -> None:
-    """Room above the curves for the legend, so that it covers none of them."""
+def _finish(axes: Axes, title: str, x: str, y: str, legend_columns: int) -> None:
+    """Titles, grid, and the legend above the curves, so that it covers none of them."""
+    axes.set_title(title, fontsize=10)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    show_grid(axes)
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))
+    axes.legend(loc="upper center", fontsize=8, ncols=legend_columns)
 
 
-def _mean_over(
-    x: NDArray[np.float64], y: NDArray[np.float64], length: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean of x and of y in each piece of ``length`` along x."""
-    _, piece = np.unique(np.floor(x / length), return_inverse=True)
-    count = np.bincount(piece)
-    return np.bincount(piece, x) / count, np.bincount(piece, y) / count
+def show_grid(axes: Axes) -> None:
+    """Draw a pale grid behind the curves, which fill the width."""
+    axes.grid(color="#D8D8D8", linewidth=0.5)
+    axes.set_axisbelow(True)
+    axes.margins(x=0.01)

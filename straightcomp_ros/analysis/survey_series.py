@@ -1,16 +1,26 @@
-"""A measured survey: the stage's x and the displacement sensor's reading over time, from a bag or CSV."""
+"""A survey measured over time, from a bag or CSV: the stage's x and the sensor's reading, and the runs in them.
+
+Two ways of measuring are recognised. *On the fly*: the stage passes without a stop; the readings within each ``step``
+of x make one point, at their mean x. *At rest*: the stage stops at each point; the readings of the second half of each
+stop make one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.record import MetricsError, Stroke, group_means, motion_of
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
+from straightcomp_ros.straightness.outliers import spikes
+from straightcomp_ros.straightness.survey import Run
 from straightcomp_ros.straightness.survey_columns import DEVIATION, read_table
 from straightcomp_ros.straightness.text import SurveyError, number
 
@@ -20,6 +30,14 @@ STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
 """The slider's x in the topics of our own graph."""
 _LONGEST_GAP_NS = 100_000_000
 """Time between two samples of the stage; across a longer one its x is not interpolated."""
+_WHOLE = 0.9
+"""Fraction of the longest run's travel from which a run is whole: others were broken off, or lead to the start."""
+_STOP = 0.2
+"""Time in s from which a stand between two moves of a run is a stop for a measurement."""
+_FEWEST_STOPS = 5
+"""Stops from which a run is measured at rest."""
+_HALF_WINDOW = 7
+"""Readings to each side with which a reading is compared to find spikes."""
 
 
 @dataclass(frozen=True)
@@ -138,3 +156,96 @@ def _at(known: FieldValues, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float
     near = np.diff(known.stamp, prepend=first)[place] <= _LONGEST_GAP_NS
     usable = (known.stamp[place] == stamps) | (near & (stamps > first) & (stamps < last))
     return np.interp((stamps - first) * 1e-9, (known.stamp - first) * 1e-9, known.values), usable
+
+
+class Passage(NamedTuple):
+    """One run as it was recognised.
+
+    Attributes:
+        run: its points.
+        start, duration: of the motion, s from the first sample.
+        at_rest: whether its points were measured at stops.
+        samples, spikes: numbers of its readings, and of those that were rejected.
+    """
+
+    run: Run
+    start: float
+    duration: float
+    at_rest: bool
+    samples: int
+    spikes: int
+
+
+class Recognised(NamedTuple):
+    """The whole runs of a survey, and the number of movements that were not whole (broken off, or to the start)."""
+
+    passages: tuple[Passage, ...]
+    partial: int
+
+
+def recognise(series: Series, step: float, limit: float) -> Recognised:
+    """Find the runs of a survey.
+
+    Args:
+        series: the survey.
+        step: length in m of the piece of x that makes one point, on the fly.
+        limit: number of robust standard deviations beyond which a reading is a spike.
+
+    Raises:
+        SurveyError: the stage does not move.
+    """
+    try:
+        strokes = motion_of(series.time, series.x).strokes
+    except MetricsError as error:
+        raise SurveyError(f"survey {series.source}: {str(error).removeprefix('record: ')}") from error
+    # Each move with the end of the rest after it; successive moves in one direction belong to one run.
+    moves = zip(strokes, [*(stroke.start for stroke in strokes[1:]), len(series.time)], strict=True)
+    groups = [list(group) for _, group in groupby(moves, key=lambda move: move[0].direction)]
+    travels = [abs(float(series.x[group[-1][0].stop - 1] - series.x[group[0][0].start])) for group in groups]
+    passages: list[Passage] = []
+    for group, travel in zip(groups, travels, strict=True):
+        if travel >= _WHOLE * max(travels):
+            name = str(1 + sum(passage.run.direction == group[0][0].direction for passage in passages))
+            passages.append(_passage(series, group, name, step, limit))
+    return Recognised(tuple(passages), len(groups) - len(passages))
+
+
+def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, step: float, limit: float) -> Passage:
+    begin, end = moves[0][0].start, moves[-1][0].stop
+    stops = [
+        (move.stop, rest_end)
+        for move, rest_end in moves
+        if rest_end > move.stop and series.time[rest_end - 1] - series.time[move.stop] >= _STOP
+    ]
+    at_rest = len(stops) >= _FEWEST_STOPS
+    if at_rest:
+        # The second half of each stop, when vibration from the motion has decayed.
+        pieces = [np.arange((first + stop) // 2, stop) for first, stop in stops]
+        chosen = np.concatenate(pieces)
+        group = np.repeat(np.arange(len(stops)), [len(piece) for piece in pieces])
+    else:
+        chosen = np.arange(begin, end)
+        group = np.round(series.x[chosen] / step).astype(np.int64)
+    values = series.deviation[chosen]
+    bad = spikes(values - (_middles(values, group) if at_rest else _course(values)), limit)
+    run = Run(name, moves[0][0].direction, *group_means(series.x[chosen][~bad], values[~bad], group[~bad]))
+    start = float(series.time[begin])
+    return Passage(run, start, float(series.time[end - 1]) - start, at_rest, len(chosen), int(bad.sum()))
+
+
+def _course(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each reading estimated from its neighbours: the median of the means of opposite ones, which is exact on a slope.
+
+    The reading itself is left out. In a running median it would be the result wherever the readings rise steadily.
+    """
+    half = min(_HALF_WINDOW, len(values) - 1)
+    # Beyond the ends the readings are mirrored at the end point: a slope stays a slope.
+    before, after = 2.0 * values[0] - values[half:0:-1], 2.0 * values[-1] - values[-2 : -half - 2 : -1]
+    window = np.lib.stride_tricks.sliding_window_view(np.concatenate([before, values, after]), 2 * half + 1)
+    return np.asarray(np.median(0.5 * (window[:, :half] + window[:, : -half - 1 : -1]), axis=1))
+
+
+def _middles(values: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[np.float64]:
+    """For each value the median of its group."""
+    names, place = np.unique(group, return_inverse=True)
+    return np.array([np.median(values[group == name]) for name in names])[place]

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
-from straightcomp_ros.analysis.survey_runs import _course, recognise
-from straightcomp_ros.analysis.survey_series import Sensor, Series, series_of_bag
+from straightcomp_ros.analysis.survey_series import Sensor, Series, _course, recognise, series_of_bag
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
