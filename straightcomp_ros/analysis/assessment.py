@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
+from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
 from straightcomp_ros.analysis.metrics import Metrics, StrokeFigures, evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion
-from straightcomp_ros.analysis.spectrum import BANDS, Spectrum, error_spectrum
-from straightcomp_ros.analysis.stick_slip import StickSlip, stick_slips
 
 _AT_LIMIT = 1.0 - 1e-9
 """Fraction of the current limit from which the command counts as limited."""
@@ -58,14 +57,11 @@ class Assessment:
     warnings: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, Any]:
-        """Numbers by name, the unit in each name: what limits can be set for. NaN or None: not recorded."""
+        """Numbers by name, the unit in each name; limits can be set for them. NaN or None: not recorded."""
         evaluation = self.evaluation
+        counts = ("expected_samples", "received_samples", "lost_samples", "lost_references", "lost_commands")
         figures: dict[str, Any] = {
-            "expected_samples": evaluation.expected_samples,
-            "received_samples": evaluation.received_samples,
-            "lost_samples": evaluation.lost_samples,
-            "lost_references": evaluation.lost_references,
-            "lost_commands": evaluation.lost_commands,
+            **{name: getattr(evaluation, name) for name in counts},
             "gaps": len(self.gaps),
             "longest_gap_s": max((gap.end - gap.start for gap in self.gaps), default=0.0),
             **self.metrics.to_display(),
@@ -76,12 +72,10 @@ class Assessment:
                 worst = max((getattr(stroke, name) for stroke in ours), default=None)
                 figures[f"straightness_{name}_{way}_um"] = None if worst is None else worst * 1e6
         for low, high in BANDS:
-            rms = self.spectrum.band_rms(low, high) * 1e6 if len(self.spectrum.density) else math.nan
-            figures[f"error_rms_{low:g}_{high:g}_Hz_um"] = rms
+            figures[f"error_rms_{low:g}_{high:g}_Hz_um"] = self.spectrum.band_rms(low, high) * 1e6
         for name, values in (("latency", evaluation.latency), ("lateness", evaluation.lateness)):
             for label, percentile in (("p50", 50), ("p90", 90), ("p99", 99), ("max", 100)):
-                value = float(np.percentile(values, percentile)) * 1e6 if len(values) else math.nan
-                figures[f"{name}_{label}_us"] = value
+                figures[f"{name}_{label}_us"] = percentile_us(values, percentile)
         jitter = float(np.std(evaluation.latency)) * 1e6 if len(evaluation.latency) else math.nan
         return figures | {
             "latency_jitter_us": jitter,
@@ -100,7 +94,7 @@ class Assessment:
             "strokes": [stroke.to_display() for stroke in self.strokes],
             "spectrum_peaks": [
                 {"frequency_Hz": frequency, "amplitude_density_um_per_sqrt_Hz": math.sqrt(density) * 1e6}
-                for frequency, density in (self.spectrum.peaks() if len(self.spectrum.density) else [])
+                for frequency, density in self.spectrum.peaks()
             ],
             "gap_intervals": [interval._asdict() for interval in self.gaps],
             "saturation_intervals": [interval._asdict() for interval in self.saturated],

@@ -25,9 +25,8 @@ class BagEvaluation:
     """A recorded run.
 
     Attributes:
-        record: the samples of the run that have sample, reference and command (and truth, in a simulation). The
-            run begins when the amplifier is switched on: before that the nodes are still finding each other. A bag
-            in which it is never on is a run as a whole.
+        record: the samples of the run that have sample, reference and command (and truth, in a simulation). The run
+            begins when the amplifier is switched on, after discovery, or with the bag if the amplifier is never on.
         expected_samples: samples that the sampling clock took from the run's first to its last in the bag.
         received_samples: different samples of the run in the bag.
         lost_references: samples of the run without a reference, up to the last that has one.
@@ -57,15 +56,18 @@ class BagEvaluation:
 
     def latency_us(self, percentile: float) -> float:
         """Percentile of the latency in µs; NaN if none was recorded."""
-        return float(np.percentile(self.latency, percentile)) * 1e6 if len(self.latency) else math.nan
+        return percentile_us(self.latency, percentile)
+
+
+def percentile_us(durations: NDArray[np.float64], percentile: float) -> float:
+    """Percentile in µs of durations in s; NaN if there are none."""
+    return float(np.percentile(durations, percentile)) * 1e6 if len(durations) else math.nan
 
 
 def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvaluation:
-    """Read a bag of the graph and put the streams together by their stamps.
+    """Read a bag of the graph, a rosbag2 folder or MCAP file, and join its streams by their stamps.
 
-    Args:
-        bag: rosbag2 folder or MCAP file.
-        remap: the bag's topic for each of ours that is named otherwise there.
+    ``remap`` has the bag's topic for each of ours that has another name there.
 
     Raises:
         BagError: the bag cannot be read, or lacks encoder, reference or command.
@@ -123,8 +125,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
 
 
 def _taken(stamps: NDArray[np.int64]) -> int:
-    """Samples from the first of these to the last. They are counted from one to the next: the stamps of a board with a
-    quartz of its own lie on no grid for a whole run."""
+    """Samples from the first of these to the last, counted from one to the next: the stamps of a board with a clock of
+    its own lie on no common grid for a whole run."""
     steps = np.diff(stamps)
     return 1 + int(np.maximum(1, np.round(steps / np.median(steps))).sum())
 

@@ -57,27 +57,19 @@ def report_html(assessment: Assessment, other: Assessment | None = None, verdict
         ("Control current", _current(assessment)),
         ("Loop timing", _timing(assessment)),
     )
-    parts = [
-        f"<h1>Straightness compensation, law “{escape(law)}”</h1><p class=note>{escape(str(assessment.bag))}</p>",
-        *(f"<p class=fail>{escape(text)}</p>" for text in assessment.warnings),
-        _limits(verdicts),
-        *(
-            f"<section class=plot><h2>{title}</h2>"
-            f"{figure.to_html(full_html=False, include_plotlyjs=False, config=_CONFIG)}</section>"
-            for title, figure in plots
-            if figure is not None
-        ),
-        "<h2>Strokes</h2>",
-        _table([stroke.to_display() for stroke in assessment.strokes]),
-        _events(assessment),
-        "<h2>Figures</h2>",
-        _figures(assessment, other),
-    ]
-    return (
-        f"<!DOCTYPE html><html lang=en><head><meta charset=utf-8><title>{escape(str(assessment.bag))}</title>"
-        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>{''.join(parts)}"
-        f"<script>{_SCRIPT}</script></body></html>"
+    sections = "".join(
+        f"<section class=plot><h2>{title}</h2>"
+        f"{figure.to_html(full_html=False, include_plotlyjs=False, config=_CONFIG)}</section>"
+        for title, figure in plots
+        if figure is not None
     )
+    warnings = "".join(f"<p class=fail>{escape(text)}</p>" for text in assessment.warnings)
+    bag = escape(str(assessment.bag))
+    return f"""<!DOCTYPE html><html lang=en><head><meta charset=utf-8><title>{bag}</title>
+<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>
+<h1>Straightness compensation, law “{escape(law)}”</h1><p class=note>{bag}</p>{warnings}{_limits(verdicts)}
+{sections}<h2>Strokes</h2>{_table([stroke.to_display() for stroke in assessment.strokes])}
+{_events(assessment)}<h2>Figures</h2>{_figures(assessment, other)}<script>{_SCRIPT}</script></body></html>"""
 
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
@@ -111,10 +103,10 @@ def _error(assessment: Assessment, other: Assessment | None) -> go.Figure:
     if other is not None:
         values, true_values = displayed_error(other)
         shown = values if true_values is None else true_values
-        window, start = other.motion.window, assessment.motion.window.start
+        start = record.time[window.start]
+        window = other.motion.window
         time = other.evaluation.record.time[window]
-        shift = record.time[start] - time[0]
-        _curve(figure, time + shift, shown[window] * 1e6, f"{other.bag}", _VERMILION)
+        _curve(figure, time - time[0] + start, shown[window] * 1e6, str(other.bag), _VERMILION)
     _mark(figure, assessment.amplifier_off, "amplifier off", _VERMILION)
     _mark(figure, assessment.gaps, "samples lost", _GREEN)
     return figure
@@ -200,14 +192,8 @@ def _mark(figure: go.Figure, intervals: Sequence[Interval], name: str, colour: s
 
 
 def _limits(verdicts: Sequence[Verdict]) -> str:
-    if not verdicts:
-        return ""
-    rows = "".join(
-        f"<tr><td{'' if verdict.passed else ' class=fail'}>{'passed' if verdict.passed else 'FAILED'}</td>"
-        f"<td>{escape(str(verdict))}</td></tr>"
-        for verdict in verdicts
-    )
-    return f"<h2>Limits</h2><table>{rows}</table>"
+    rows = [{"verdict": "passed" if one.passed else "FAILED", "limit": str(one)} for one in verdicts]
+    return "<h2>Limits</h2>" + _table(rows).replace("<td>FAILED", "<td class=fail>FAILED") if rows else ""
 
 
 def _events(assessment: Assessment) -> str:

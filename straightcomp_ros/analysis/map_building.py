@@ -96,11 +96,7 @@ class BuiltMap:
         }
 
     def write(self, path: Path) -> None:
-        """Write the map: a survey file, its provenance in comments at the head.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Write the map as a survey file with its provenance in comments at the head."""
         write_survey(path, self.survey, [f"{name}: {text}" for name, text in self.provenance.items()])
 
 
@@ -147,9 +143,8 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
     x, values = on_common_grid(survey, *grid)
     mean = repeatability(survey, x, values).mean
     slope, height = np.polyfit(x, mean, 1) if choices.level else (0.0, float(mean.mean()))
-    survey = replace(
-        survey, runs=tuple(replace(run, deviation=run.deviation - (height + slope * run.x)) for run in kept)
-    )
+    zeroed = [replace(run, deviation=run.deviation - (height + slope * run.x)) for run in kept]
+    survey = Survey(tuple(zeroed), survey.source)
     straightness = StraightnessMap(survey, choices.parameters)
     by, spread = origin(), straightness.report.bidirectional
     provenance = {

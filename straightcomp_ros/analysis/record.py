@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Direction
 
 SPEED_SPAN = 0.02
@@ -24,16 +24,6 @@ SHORTEST_STROKE = 1e-3
 
 class MetricsError(ValueError):
     """A record cannot be evaluated; the message names the column and the sample."""
-
-
-class ReferenceMap(Protocol):
-    """What the figures need of a map: a `StraightnessMap`, or a :class:`RecordedReference`."""
-
-    def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64], ...]:
-        """r in m (and more) at x in m."""
-
-    def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
-        """δ in m at x in m."""
 
 
 class BestKnown(NamedTuple):
@@ -81,15 +71,14 @@ class StrokeRecord:
             raise MetricsError(f"record: of the truth it has {', '.join(truth)} only; allowed: all three, or none")
 
     def best_known(self, straightness: ReferenceMap) -> BestKnown:
-        """The truth; on real hardware what the encoders and the map say of it."""
+        """The truth; on real hardware the values of the encoders and of the map."""
         if self.true_x is None or self.true_y is None or self.guide is None:
             return BestKnown(self.x, self.y, straightness.deviations(self.x), False)
         return BestKnown(self.true_x, self.true_y, self.guide, True)
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """All arrays by name, without those that are None."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "law"}
-        return {name: column for name, column in values.items() if column is not None}
+        return {name: column for name, column in vars(self).items() if name != "law" and column is not None}
 
 
 class RecordedReference:
@@ -110,6 +99,9 @@ class RecordedReference:
     def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
         """δ in m, up to a constant."""
         return -self.evaluate(x)[0]
+
+
+ReferenceMap = StraightnessMap | RecordedReference
 
 
 @dataclass(frozen=True)

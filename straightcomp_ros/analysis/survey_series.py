@@ -159,14 +159,8 @@ def _at(known: FieldValues, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float
 
 
 class Passage(NamedTuple):
-    """One run as it was recognised.
-
-    Attributes:
-        run: its points.
-        start, duration: of the motion, s from the first sample.
-        at_rest: whether its points were measured at stops.
-        samples, spikes: numbers of its readings, and of those that were rejected.
-    """
+    """One run as it was recognised: when it was driven in s, whether its points were measured at stops, and the numbers
+    of its readings and of those that were rejected."""
 
     run: Run
     start: float
@@ -186,10 +180,7 @@ class Recognised(NamedTuple):
 def recognise(series: Series, step: float, limit: float) -> Recognised:
     """Find the runs of a survey.
 
-    Args:
-        series: the survey.
-        step: length in m of the piece of x that makes one point, on the fly.
-        limit: number of robust standard deviations beyond which a reading is a spike.
+    On the fly, each ``step`` in m of x makes one point. Spikes are beyond ``limit`` robust standard deviations.
 
     Raises:
         SurveyError: the stage does not move.

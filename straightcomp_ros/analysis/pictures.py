@@ -1,8 +1,9 @@
-"""The picture of a run: straightness before and after, compensation error, control current."""
+"""The pictures of a run (straightness, compensation error, control current) and of a survey (runs and their mean)."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +13,9 @@ from matplotlib.figure import Figure
 from straightcomp_ros.analysis.metrics import Metrics, residual_over, true_error
 from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion, group_means
 from straightcomp_ros.straightness.guide_map import StraightnessMap
+
+if TYPE_CHECKING:
+    from straightcomp_ros.analysis.map_building import BuiltMap
 
 # Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
 BLACK, BLUE, VERMILION, GREY = "#000000", "#0072B2", "#D55E00", "#A8A8A8"
@@ -25,14 +29,7 @@ def plot_run(
     """Draw ``record`` into the PNG ``path``, which is replaced if it exists, and return its path.
 
     Straightness over x, before and after on one scale and after on its own; then over time the compensation error and
-    the control current, motion shaded by direction.
-
-    Args:
-        record: the run.
-        straightness: the map of its reference.
-        metrics: the run's figures, for the legends.
-        path: the PNG.
-        title: stands over the picture.
+    the control current, motion shaded by direction. ``straightness`` is the map of the record's reference.
 
     Raises:
         MetricsError: the stage does not move in the record.
@@ -65,6 +62,46 @@ def plot_run(
     path = Path(path)
     figure.savefig(path)
     return path
+
+
+def plot_map(built: BuiltMap, path: Path) -> None:
+    """Draw the map over its runs, and below on their own scale the runs beside the mean, with the band of ± 2 s.
+
+    Raises:
+        OSError, ValueError: the picture ``path`` cannot be written, or has an ending that is no picture's.
+    """
+    figure = Figure(figsize=(10.0, 8.0), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    figures, found, mean = built.figures(), built.repeatability, built.mean
+    x_mm = found.x * 1e3
+    for run in built.survey.runs:
+        pale = PALE_BLUE if run.direction == "forward" else PALE_VERMILION
+        upper.plot(run.x * 1e3, run.deviation * 1e6, color=pale, linewidth=0.8)
+        beside = run.deviation - np.interp(run.x, found.x, mean)
+        lower.plot(run.x * 1e3, beside * 1e6, ".", color=pale, markersize=2.0)
+    label = f"mean: {figures['straightness_least_squares_um']:.2f} µm p-p beside its least squares line"
+    upper.plot(x_mm, mean * 1e6, color=BLACK, linewidth=1.2, label=label)
+    ways = ((found.forward, "forward", BLUE, PALE_BLUE), (found.backward, "backward", VERMILION, PALE_VERMILION))
+    for directed, name, colour, pale in ways:
+        if directed is None:
+            continue
+        beside = (directed.mean - mean) * 1e6
+        lower.plot(x_mm, beside, color=colour, linewidth=1.2, label=f"{name}, mean of {directed.runs}")
+        if directed.s is not None:
+            band = 2e6 * directed.s
+            lower.fill_between(x_mm, beside - band, beside + band, color=pale, alpha=0.35, label=f"{name} ± 2 s")
+    for _, x in built.rejected_points:
+        lower.axvline(x * 1e3, color=GREY, linewidth=0.6)
+    r = figures["repeatability_bidirectional_um"]
+    lower.set_title("Runs beside the mean" + ("" if r is None else f"; R = {r:.3f} µm (ISO 230-2)"), fontsize=10)
+    upper.set_title("Survey of the guide", fontsize=10)
+    lower.set_xlabel("slider position x / mm")
+    for axes in (upper, lower):
+        axes.set_ylabel("deviation / µm")
+        _show_grid(axes)
+        axes.legend(fontsize=8, ncols=2)
+    figure.savefig(path)
 
 
 def _straightness(
@@ -109,13 +146,13 @@ def _finish(axes: Axes, title: str, x: str, y: str, legend_columns: int) -> None
     axes.set_title(title, fontsize=10)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    show_grid(axes)
+    _show_grid(axes)
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))
     axes.legend(loc="upper center", fontsize=8, ncols=legend_columns)
 
 
-def show_grid(axes: Axes) -> None:
+def _show_grid(axes: Axes) -> None:
     """Draw a pale grid behind the curves, which fill the width."""
     axes.grid(color="#D8D8D8", linewidth=0.5)
     axes.set_axisbelow(True)
