@@ -1,13 +1,16 @@
-"""The assessment of one recorded run: figures by name, and the strokes, gaps and intervals behind them."""
+"""The assessment of a recorded run: figures by name, the strokes, gaps and intervals behind them, and their limits."""
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
@@ -105,11 +108,7 @@ class Assessment:
 
 
 def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ()) -> Assessment:
-    """Judge a recorded run.
-
-    Raises:
-        MetricsError: the stage does not move, or a number within the motion is not finite.
-    """
+    """Assess a recorded run; MetricsError if the stage does not move, or a number within the motion is not finite."""
     record = evaluation.record
     motion, reference = find_motion(record), RecordedReference(record)
     window = motion.window
@@ -151,3 +150,85 @@ def _gaps(time: NDArray[np.float64]) -> list[Interval]:
 def _intervals(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[Interval]:
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
     return [Interval(float(time[start]), float(time[stop - 1]), stop - start) for start, stop in edges]
+
+
+class LimitsError(ValueError):
+    """A file of limits is refused; the message names the file, the figure and what is allowed."""
+
+
+class Limit(NamedTuple):
+    """Smallest and largest value that is allowed for a figure."""
+
+    name: str
+    minimum: float
+    maximum: float
+
+
+class Verdict(NamedTuple):
+    """A limit, the figure's value, and whether it is within the limit. A figure that was not recorded fails."""
+
+    limit: Limit
+    value: float | None
+    passed: bool
+
+    def __str__(self) -> str:
+        bounds = ((">=", self.limit.minimum), ("<=", self.limit.maximum))
+        allowed = " and ".join(f"{sign} {value:g}" for sign, value in bounds if math.isfinite(value))
+        found = "was not recorded" if self.value is None else f"is {self.value:.6g}"
+        return f"{self.limit.name} {found}; allowed: {allowed}"
+
+
+def read_limits(path: str | Path, known: Mapping[str, Any]) -> list[Limit]:
+    """Limits of a YAML file, for figures among ``known``.
+
+        true_pp_um: 0.5                    # at most
+        lost_samples: {max: 0}
+        received_samples: {min: 30000}
+        latency_p99_us: {max: 400}
+
+    Raises:
+        LimitsError: the file cannot be read, is no mapping, names an unknown figure or sets no number.
+    """
+    where = f"limits {path}"
+    try:
+        tree = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise LimitsError(f"{where}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise LimitsError(f"{where}: no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(tree, Mapping) or not tree:
+        raise LimitsError(f"{where}: sets no limit; allowed: lines 'FIGURE: MAXIMUM' or 'FIGURE: {{min: …, max: …}}'")
+    return [_limit(where, str(name), value, known) for name, value in tree.items()]
+
+
+def judged(limits: list[Limit], figures: Mapping[str, Any]) -> list[Verdict]:
+    """A verdict for each limit, in its order."""
+    verdicts = []
+    for limit in limits:
+        value = figures[limit.name]
+        known = value is not None and math.isfinite(value)
+        verdicts.append(Verdict(limit, value if known else None, known and limit.minimum <= value <= limit.maximum))
+    return verdicts
+
+
+def _limit(where: str, name: str, value: Any, known: Mapping[str, Any]) -> Limit:
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+        raise LimitsError(f"{where}: figure '{name}' is unknown; {hint}")
+    given = value if isinstance(value, Mapping) else {"max": value}
+    bounds = {key: _number(one) for key, one in given.items()}
+    if not bounds or set(bounds) - {"min", "max"} or not all(map(math.isfinite, bounds.values())):
+        raise LimitsError(f"{where}: {name}: {value!r}; allowed: a number, or {{min: number, max: number}}")
+    limit = Limit(name, bounds.get("min", -math.inf), bounds.get("max", math.inf))
+    if limit.minimum > limit.maximum:
+        raise LimitsError(f"{where}: {name}: min {limit.minimum:g} is above max {limit.maximum:g}")
+    return limit
+
+
+def _number(value: Any) -> float:
+    """NaN for what is no number. YAML 1.1 reads 1e-6 as a text."""
+    try:
+        return math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return math.nan

@@ -17,8 +17,6 @@ from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH, Stream
 
-_EVALUATED = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
-
 
 @dataclass(frozen=True)
 class BagEvaluation:
@@ -29,10 +27,9 @@ class BagEvaluation:
             begins when the amplifier is switched on, after discovery, or with the bag if the amplifier is never on.
         expected_samples: samples that the sampling clock took from the run's first to its last in the bag.
         received_samples: different samples of the run in the bag.
-        lost_references: samples of the run without a reference, up to the last that has one.
-        lost_commands: samples of the run without a command, likewise.
-        latency: time in s from each sample to the arrival of its command at the driver, as far as recorded.
-        lateness: time in s from each sample until the driver published it, as far as recorded.
+        lost_references, lost_commands: samples of the run without one, up to the last that has one.
+        latency: times in s from a sample to the arrival of its command at the driver, as far as recorded.
+        lateness: times in s from a sample until the driver published it, as far as recorded.
         stamps: (n,) ns, the run's different samples in the bag, in order; those of ``record`` are among them.
         amplifier_on: (n,) for the same samples.
         parameters: of the recorded nodes, by node and dotted name; empty when none are attached.
@@ -72,7 +69,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     Raises:
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in _EVALUATED}, remap)
+    wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
+    streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted}, remap)
     parameters = recorded_parameters(bag, read_attachments(bag))
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:

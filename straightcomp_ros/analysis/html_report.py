@@ -12,8 +12,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
-from straightcomp_ros.analysis.assessment import Assessment, Interval, displayed_error
-from straightcomp_ros.analysis.limits import Verdict
+from straightcomp_ros.analysis.assessment import Assessment, Interval, Verdict, displayed_error
 from straightcomp_ros.analysis.metrics import residual_over
 from straightcomp_ros.straightness.survey import Direction
 

@@ -101,11 +101,7 @@ class BuiltMap:
 
 
 def build_from_series(series: Series, source: Path, choices: Choices) -> BuiltMap:
-    """Recognise the runs of a recording, and build the map of them.
-
-    Raises:
-        SurveyError: there is no run, or what is left makes no map.
-    """
+    """Recognise the runs of a recording, and :func:`build` the map; SurveyError also if there is no run."""
     found = recognise(series, choices.step, choices.limit)
     for passage in found.passages:
         run = passage.run

@@ -106,8 +106,7 @@ class StrokeFigures:
 def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
     """The figures of ``record``, with the map that its reference was made from.
 
-    Raises:
-        MetricsError: the stage does not move, or a number within the window is not finite.
+    MetricsError if the stage does not move, or a number within the window is not finite.
     """
     motion = find_motion(record)
     window = motion.window

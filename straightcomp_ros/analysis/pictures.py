@@ -29,10 +29,8 @@ def plot_run(
     """Draw ``record`` into the PNG ``path``, which is replaced if it exists, and return its path.
 
     Straightness over x, before and after on one scale and after on its own; then over time the compensation error and
-    the control current, motion shaded by direction. ``straightness`` is the map of the record's reference.
-
-    Raises:
-        MetricsError: the stage does not move in the record.
+    the control current, motion shaded by direction. ``straightness`` is the map of the record's reference. MetricsError
+    if the stage does not move in the record.
     """
     motion = find_motion(record)
     figure = Figure(figsize=(10.0, 9.5), dpi=150, layout="constrained")
@@ -67,8 +65,7 @@ def plot_run(
 def plot_map(built: BuiltMap, path: Path) -> None:
     """Draw the map over its runs, and below on their own scale the runs beside the mean, with the band of ± 2 s.
 
-    Raises:
-        OSError, ValueError: the picture ``path`` cannot be written, or has an ending that is no picture's.
+    OSError or ValueError if the picture ``path`` cannot be written, or has an ending that is no picture's.
     """
     figure = Figure(figsize=(10.0, 8.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)

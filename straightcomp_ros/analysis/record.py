@@ -136,11 +136,7 @@ class Motion:
 
 
 def find_motion(record: StrokeRecord) -> Motion:
-    """The strokes of a record, from the x encoder; see :func:`motion_of`.
-
-    Raises:
-        MetricsError: time or x is not finite, time does not rise, or there is no stroke.
-    """
+    """:func:`motion_of` a record, from the x encoder; MetricsError also if time or x is not finite."""
     check_finite(record, ("time", "x"), slice(None))
     return motion_of(record.time, record.x)
 

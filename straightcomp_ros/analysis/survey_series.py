@@ -112,19 +112,14 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
 
 
 def is_series(path: Path) -> bool:
-    """Whether a CSV file is a recording over time.
-
-    Raises:
-        SurveyError: the file cannot be read, or lacks x or deviation.
-    """
+    """Whether a CSV file is a recording over time; SurveyError if it is unreadable or lacks x or deviation."""
     return TIME_COLUMN in read_table(path).header
 
 
 def series_of_csv(path: Path) -> Series:
     """Read a recording over time: columns ``time_s``, and x and deviation as in a survey file.
 
-    Raises:
-        SurveyError: a column is missing, a cell is no number, or time does not rise.
+    SurveyError if a column is missing, a cell is no number, or time does not rise.
     """
     table = read_table(path)
     time_column = table.header.index(TIME_COLUMN)
@@ -178,12 +173,9 @@ class Recognised(NamedTuple):
 
 
 def recognise(series: Series, step: float, limit: float) -> Recognised:
-    """Find the runs of a survey.
+    """Find the runs of a survey; SurveyError if the stage does not move.
 
     On the fly, each ``step`` in m of x makes one point. Spikes are beyond ``limit`` robust standard deviations.
-
-    Raises:
-        SurveyError: the stage does not move.
     """
     try:
         strokes = motion_of(series.time, series.x).strokes

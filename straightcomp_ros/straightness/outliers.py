@@ -18,15 +18,15 @@ FLOOR = 20e-9
 """Distance in m from the median below which nothing is an outlier: runs that agree to a nanometre by chance must not
 condemn one that differs by five."""
 _WHOLE_RUN = 0.25
-"""Part of a run's points from which the run is rejected as a whole: something was knocked, or came loose."""
+"""Fraction of outliers above which a run is rejected as a whole: something was knocked, or came loose."""
 _WIDEST = 3
-"""Neighbouring points beyond which the run is rejected too: what would stand in their place is a guess."""
+"""Most neighbouring outliers in a run; with more it is rejected too, since interpolation would be a guess."""
 _FEWEST = 3
-"""Runs of one direction from which they can be told apart: of two that differ, neither is the wrong one."""
+"""Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
 
 
 def spikes(residual: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
-    """Which samples of a run are outliers; ``residual`` (n,) in m is what is left beside its smooth course."""
+    """Which samples of a run are outliers; ``residual`` (n,) in m is the difference from its smooth course."""
     distance = np.abs(residual - np.median(residual))
     return np.asarray(distance > max(limit * _GAUSSIAN * float(np.median(distance)), FLOOR))
 
@@ -39,11 +39,9 @@ class Disagreement(NamedTuple):
 
 
 def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
-    """Compare the runs of one direction over the same points.
+    """Compare the runs of one direction by their ``values`` (runs, n) in m on one grid of at least four points.
 
-    Args:
-        values: (runs, n) deviation in m on one grid.
-        limit: in robust standard deviations, which are taken over all points.
+    ``limit`` is in robust standard deviations, which are taken over all points.
     """
     rejected = np.zeros(len(values), np.bool_)
     points = np.zeros(values.shape, np.bool_)

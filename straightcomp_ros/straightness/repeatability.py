@@ -71,7 +71,7 @@ class Repeatability:
             return None
         ahead, back = self.forward.s, self.backward.s
         both = 2.0 * ahead + 2.0 * back + np.abs(self.forward.mean - self.backward.mean)
-        return float(np.maximum.reduce([both, 4.0 * ahead, 4.0 * back]).max())
+        return float(np.max([both, 4.0 * ahead, 4.0 * back]))
 
     @property
     def short_of_the_standard(self) -> bool:
@@ -80,10 +80,8 @@ class Repeatability:
 
     def __str__(self) -> str:
         runs = [one.runs if one else 0 for one in (self.forward, self.backward)]
-        text = (
-            f"{len(self.x)} points, {runs[0]} forward and {runs[1]} backward runs, "
-            f"{peak_to_peak(self.mean) * 1e6:.2f} µm peak to peak"
-        )
+        text = f"{len(self.x)} points, {runs[0]} forward and {runs[1]} backward runs"
+        text += f", {peak_to_peak(self.mean) * 1e6:.2f} µm peak to peak"
         spreads = [float(one.s.max()) for one in (self.forward, self.backward) if one and one.s is not None]
         if spreads:
             text += f", standard deviation at most {max(spreads) * 1e6:.3f} µm"

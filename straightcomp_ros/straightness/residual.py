@@ -13,16 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def least_squares_residual(x: ArrayLike, deviation: ArrayLike, weights: ArrayLike | None = None) -> NDArray[np.float64]:
-    """Deviation from the least squares line.
+    """Deviation (n,) in m from the least squares line; its weighted mean and weighted correlation with x are zero.
 
     Args:
-        x: (n,) positions in m.
-        deviation: (n,) in m.
+        x, deviation: (n,) in m.
         weights: (n,) of any unit, not negative. For samples in time, give the speed |ẋ|: each piece of the
             guide then counts by its length, not by the time that the stage spends on it.
-
-    Returns:
-        (n,) in m; its weighted mean and its weighted correlation with x are zero.
 
     Raises:
         ValueError: shapes differ, there are fewer than two points, or all x with weight are the same.

@@ -61,12 +61,7 @@ class Survey:
 
 
 def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05) -> Survey:
-    """Read and check a survey.
-
-    Args:
-        path: the CSV file, UTF-8.
-        min_points: fewest points that a run may have.
-        max_gap: widest distance between neighbouring points in m.
+    """Read and check a survey: at least ``min_points`` in a run, at most ``max_gap`` in m between neighbouring points.
 
     Raises:
         SurveyError: the file is missing or empty, lacks a column, has a cell that is no finite number, too few points,

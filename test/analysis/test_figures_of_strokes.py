@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis import pictures as plot
-from straightcomp_ros.analysis.assessment import Interval, assess
+from straightcomp_ros.analysis.assessment import Interval, Limit, Verdict, assess, judged, read_limits
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.html_report import (
@@ -29,7 +29,6 @@ from straightcomp_ros.analysis.html_report import (
     _table,
     _timing,
 )
-from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
 from straightcomp_ros.analysis.map_building import Choices, build
 from straightcomp_ros.analysis.metrics import evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of

@@ -57,11 +57,11 @@ class ErrorTable:
         return self.forward if self.backward is None else 0.5 * (self.forward + self.backward)
 
     def negated(self) -> ErrorTable:
-        """The table with the other sign, for a file that counts the other way."""
+        """The table with the other sign, for a controller that counts the other way."""
         return ErrorTable(self.x, -self.forward, None if self.backward is None else -self.backward)
 
     def check_size(self, controller: str, most: int) -> None:
-        """Raise SurveyError if the table has more than ``most`` points, which ``controller`` cannot hold."""
+        """Raise SurveyError for more than ``most`` points, which ``controller`` cannot hold."""
         if len(self.x) > most:
             raise SurveyError(f"{len(self.x)} points; allowed for {controller}: <= {most}: take a larger spacing")
 
