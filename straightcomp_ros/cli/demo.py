@@ -11,7 +11,7 @@ import tempfile
 from datetime import datetime
 from pathlib import Path
 
-from straightcomp_ros.analysis.run_plot import plot_run
+from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.cell.demonstration import DemonstrationFailed, demonstrate, on_hub
 from straightcomp_ros.cli.law_tables import results_table, timing_table
 from straightcomp_ros.cli.output import (
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     values = chosen_parameters(options)
     if options.lockstep:
         values["driver"]["lockstep"] = True
-        values["controller"]["trigger"] = "sample"
+        values["controller"]["trigger"] = "lockstep"
     if options.strokes is not None:
         values["cell"]["strokes"] = options.strokes
     output = output_folder("--output", options.output)

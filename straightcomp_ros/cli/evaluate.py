@@ -13,8 +13,7 @@ from straightcomp_ros.cli.law_tables import shown
 from straightcomp_ros.cli.output import CommandFailed, console, notes, output_file, print_json, working
 
 if TYPE_CHECKING:
-    from straightcomp_ros.analysis.assessment import Assessment
-    from straightcomp_ros.analysis.limits import Verdict
+    from straightcomp_ros.analysis.assessment import Assessment, Verdict
 
 SUMMARY = "judge a recorded run, against limits if wanted"
 
@@ -33,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge and print."""
-    from straightcomp_ros.analysis.limits import LimitsError, judged, read_limits
+    from straightcomp_ros.analysis.assessment import LimitsError, judged, read_limits
 
     remap = parsed_remap(options.remap)
     report = output_file("--report", options.report) if options.report else None

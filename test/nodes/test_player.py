@@ -1,7 +1,6 @@
 """A recorded bag in the real graph, without a driver."""
 
 import time
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -10,6 +9,7 @@ from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
+from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.contract import CLOCK, ENCODER, POSITION_EVERY
@@ -33,22 +33,23 @@ def test_the_time_of_the_samples_is_on_the_clock_where_it_is_asked_for(tmp_path,
     simulation = Simulation(short_cycle)
     with SimulatedRun(tmp_path / "run", short_cycle, simulation.delay) as run:
         simulation.run(observe=run.add)
-    times, stamps = [], []
+    times = []
     rclpy.init()
     node = Node("listener")
     try:
         node.create_subscription(Clock, CLOCK, lambda m: times.append(Time.from_msg(m.clock).nanoseconds), stream_qos())
-        subscribe(node, ENCODER, lambda stamp_ns, _: stamps.append(stamp_ns))
+        subscribe(node, ENCODER, lambda stamp_ns, _: None)
         single.start("player", {"bag": str(tmp_path / "run"), "subscribers": 1, "clock": True, "speed": 4.0})
         end = time.monotonic() + 120.0
-        while (len(times) < 20 or len(stamps) < 400) and time.monotonic() < end:
+        while len(times) < 20 and time.monotonic() < end:
             rclpy.spin_once(node, timeout_sec=0.05)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    assert len(times) >= 20 and {after - before for before, after in pairwise(times)} == {POSITION_EVERY * 500_000}
-    # The clock may be connected before the samples.
-    assert {at for at in times if stamps[0] <= at <= stamps[-1]} <= set(stamps)
+    # The clock may be connected after the first samples, and a busy machine may lose some of its messages.
+    ticks = read_streams(tmp_path / "run", {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp[::POSITION_EVERY]
+    assert len(times) >= 20 and set(times) <= set(ticks.tolist())
+    assert times == sorted(set(times))
 
 
 def test_a_bag_without_samples_stops_the_player_with_the_reason(tmp_path, short_cycle, single):
