@@ -6,11 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-ACTIVE = "active"
-ABSENT = "absent"
-SILENT = "silent"
-READY_STATES = (ACTIVE, "plain")
-"""A node in one of these states works. ``plain``: it is there and has no lifecycle."""
+ABSENT, SILENT, PLAIN = "absent", "silent", "plain"
+"""States of a node that says no lifecycle state: it is not there, does not answer, or has no lifecycle."""
+_WORKING = ("active", PLAIN)
 
 
 @dataclass(frozen=True)
@@ -25,6 +23,7 @@ class Observation:
         fresh: samples are coming in.
         amplifier_on: samples come in, and the driver says that the amplifier is on.
         stamp_ns: of the newest sample, ns since the epoch; 0 before the first.
+        first_ns: of the first sample that was seen; 0 before it.
         x, y: newest position in m; NaN before the first.
         still: the stage has not moved for a tenth of a second.
         error: newest compensation error in m.
@@ -41,6 +40,7 @@ class Observation:
     fresh: bool = False
     amplifier_on: bool = False
     stamp_ns: int = 0
+    first_ns: int = 0
     x: float = math.nan
     y: float = math.nan
     still: bool = True
@@ -53,7 +53,7 @@ class Observation:
     @property
     def missing(self) -> tuple[str, ...]:
         """Nodes that do not work, with their state, e.g. ``logger (absent)``."""
-        return tuple(f"{name} ({state})" for name, state in self.nodes.items() if state not in READY_STATES)
+        return tuple(f"{name} ({state})" for name, state in self.nodes.items() if state not in _WORKING)
 
     @property
     def fault(self) -> str:
@@ -61,14 +61,14 @@ class Observation:
         return "; ".join(f"{node}: {text}" for node, text in self.faults.items())
 
     @property
-    def obstacle(self) -> str:
-        """Why a cycle cannot start now; empty where it can."""
-        if self.fault:
-            return self.fault
+    def absence(self) -> str:
+        """Which nodes do not work, or that no samples come in; empty where all is there."""
         if self.missing:
             return f"nodes that do not work: {', '.join(self.missing)}"
-        if not self.fresh:
-            return "no samples come in"
-        if self.unrecorded:
-            return f"not recorded: {', '.join(self.unrecorded)}"
-        return "" if self.still else "the stage moves"
+        return "" if self.fresh else "no samples come in"
+
+    @property
+    def obstacle(self) -> str:
+        """Why a cycle cannot start now; empty where it can."""
+        unrecorded = f"not recorded: {', '.join(self.unrecorded)}" if self.unrecorded else ""
+        return self.fault or self.absence or unrecorded or ("" if self.still else "the stage moves")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from rclpy.node import Node
 from rclpy.task import Future
 
+from straightcomp_ros.cell.packml import Order
+from straightcomp_ros.cell.packml_sequence import CellSequence
 from straightcomp_ros.configuration.node_parameters import OpcuaNodeParameters
-from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.packml_sequence import CellSequence
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.graph_services import GraphServices

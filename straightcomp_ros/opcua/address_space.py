@@ -11,9 +11,8 @@ from typing import Any
 from asyncua import Server, ua
 from asyncua.common.node import Node
 
+from straightcomp_ros.cell.packml import Command, Order, name
 from straightcomp_ros.opcua import CELL, NAMESPACE
-from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.packml import Command, name
 from straightcomp_ros.opcua.snapshot import ALARMS, Snapshot
 
 Commander = Callable[[Command | Order, int], Awaitable[str]]
@@ -213,7 +212,7 @@ class AddressSpace:
             argument.DataType, argument.ValueRank = ua.NodeId(data_type.value), -1
             argument.Description = ua.LocalizedText(meaning)
             arguments, types = [argument], [data_type]
-        title = kind.value if isinstance(kind, Order) else name(kind)
+        title = name(kind)
         method = await folder.add_method(self._id(f"Commands.{title}"), self._named(title), called, arguments, [])
         await method.write_attribute(ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(text))))
 

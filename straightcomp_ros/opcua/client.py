@@ -11,9 +11,8 @@ from asyncua import Client, ua
 from asyncua.common.node import Node
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
+from straightcomp_ros.cell.packml import Command, Order, State, name
 from straightcomp_ros.opcua import CELL, NAMESPACE
-from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.packml import Command, State, name
 
 _LOOK_EVERY_S = 0.1
 _CONNECT_WITHIN_S = 60.0

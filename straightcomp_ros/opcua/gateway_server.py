@@ -15,13 +15,12 @@ from dataclasses import dataclass, field
 from asyncua import Server, ua
 from asyncua.crypto.truststore import TrustStore
 
+from straightcomp_ros.cell.packml import Command, Order
 from straightcomp_ros.opcua import APPLICATION
 from straightcomp_ros.opcua.address_space import AddressSpace
 from straightcomp_ros.opcua.certificates import own_certificate, trusted_certificates
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
-from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.packml import Command
 from straightcomp_ros.opcua.snapshot import Snapshot
 from straightcomp_ros.opcua.users import Users
 

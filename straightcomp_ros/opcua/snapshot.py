@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.opcua.packml import State
+from straightcomp_ros.cell.packml import State
 
 ALARMS: Mapping[str, tuple[int, str]] = {
     "Fault": (900, "a node reports a fault; the amplifier is off"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -27,13 +27,12 @@ from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.streams import Inbox, unspun_node
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
-_FRESH_S = 0.5
 _REPORT_LASTS_S = 5.0
 _YIELD_EVERY = 64
 _DRIVER = "driver"
 _ERROR = CONTROLLER_STATE.layout.columns.index("error")
 _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
-Messages = list[tuple[int, list[float], int]]
+Messages = Sequence[tuple[int, Sequence[float], int]]
 """As :meth:`Inbox.fetch` gives them."""
 
 
@@ -41,8 +40,8 @@ class Fetched(NamedTuple):
     """What has come since the last look."""
 
     positions: Messages
-    controller: Messages
-    driver: Messages
+    controller: Messages = ()
+    driver: Messages = ()
 
 
 class GraphWatch:
@@ -50,26 +49,35 @@ class GraphWatch:
 
     Args:
         node: watches; must be spun for the diagnostics and the safety state.
+        bursts: also read `controller_state` and `driver_state`; otherwise the errors and σ stay unknown.
+        fresh: time after a sample for which samples count as coming in, s.
+        patient: before the first sample, samples count as coming in until :meth:`expect_samples` is called.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(self, node: Node, *, bursts: bool = True, fresh: float = 0.5, patient: bool = False) -> None:
+        self._node, self._fresh = node, fresh
         unspun = unspun_node(node)
-        self._position = Inbox(node, unspun, POSITION)
-        self._controller = Inbox(node, unspun, CONTROLLER_STATE, BurstQueue(node, unspun, CONTROLLER_STATE))
-        self._driver = Inbox(node, unspun, DRIVER_STATE, BurstQueue(node, unspun, DRIVER_STATE))
+        self._inboxes = [Inbox(node, unspun, POSITION)]
+        if bursts:
+            streams = (CONTROLLER_STATE, DRIVER_STATE)
+            self._inboxes += [Inbox(node, unspun, stream, BurstQueue(node, unspun, stream)) for stream in streams]
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._safety = SafetyState()
         self._strokes = StrokeErrors()
-        self._last_ns, self._last_came = 0, -math.inf
+        self._first_ns = self._last_ns = 0
+        self._last_came = math.inf if patient else -math.inf
         self._x = self._y = self._error = self._sigma = math.nan
         self._reports: dict[str, tuple[float, dict[str, str]]] = {}
         self._errors: dict[str, str] = {}
 
+    def expect_samples(self) -> None:
+        """From now on the absence of a first sample counts as silence, too."""
+        self._last_came = min(self._last_came, time.monotonic())
+
     def fetch(self) -> Fetched:
         """Take what has come; call it some ten times a second or more."""
-        fetched = Fetched(self._position.fetch(), self._controller.fetch(), self._driver.fetch())
+        fetched = Fetched(*(inbox.fetch() for inbox in self._inboxes))
         for number, (stamp_ns, (x, y), _) in enumerate(fetched.positions):
             self._strokes.add_position(stamp_ns, x)
             self._x, self._y = x, y
@@ -82,8 +90,10 @@ class GraphWatch:
                 os.sched_yield()
         if fetched.controller:
             self._error, self._sigma = fetched.controller[-1][1][_ERROR], fetched.controller[-1][1][_SIGMA]
-        if fetched.driver:
-            self._last_ns, self._last_came = fetched.driver[-1][0], time.monotonic()
+        for messages in (fetched.driver, fetched.positions):
+            if messages:
+                self._first_ns = self._first_ns or messages[0][0]
+                self._last_ns, self._last_came = messages[-1][0], time.monotonic()
         return fetched
 
     def reports(self) -> dict[str, dict[str, str]]:
@@ -93,7 +103,7 @@ class GraphWatch:
 
     def observation(self, states: Mapping[str, str]) -> Observation:
         """The graph now; ``states`` are those of its nodes."""
-        fresh = time.monotonic() - self._last_came < _FRESH_S
+        fresh = time.monotonic() - self._last_came < self._fresh
         reports = self.reports()
         controller = reports.get("controller", {})
         return Observation(
@@ -104,6 +114,7 @@ class GraphWatch:
             fresh=fresh,
             amplifier_on=fresh and self._safety.amplifier_on,
             stamp_ns=self._last_ns,
+            first_ns=self._first_ns,
             x=self._x,
             y=self._y,
             still=self._strokes.still,

@@ -1,4 +1,4 @@
-"""Which lifecycle nodes are alive, and in which state, from their heartbeats."""
+"""Which nodes are alive, and in which lifecycle state, from their heartbeats."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Heartbeats:
         self._timeout = timeout
         self._ages = dict.fromkeys(names, timeout)
         self.states = dict.fromkeys(names, "")
-        """Lifecycle state of each node, as it said last."""
+        """Lifecycle state of each node by its last heartbeat; empty before the first."""
         self._ticked = time.monotonic()
         node.create_subscription(DiagnosticStatus, HEARTBEAT, self._on_heartbeat, 100)
         node.create_timer(_TICK_S, self._tick)
@@ -35,12 +35,8 @@ class Heartbeats:
         """Nodes without a heartbeat for that long."""
         return [name for name, age in self._ages.items() if age >= self._timeout]
 
-    def lost(self) -> list[str]:
-        """Those of them that had one before."""
-        return [name for name in self.silent() if self.states[name]]
-
     def forget(self, name: str) -> None:
-        """Take the node for silent until its next heartbeat: it has been started anew."""
+        """Count the node as silent until its next heartbeat: it has been started anew."""
         self._ages[name] = self._timeout
 
     def in_state(self, state: str) -> bool:
