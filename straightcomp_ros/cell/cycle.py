@@ -50,8 +50,8 @@ def run_cycle(
         progress: called some 20 times a second with the fraction of the cycle that is done; True ends the cycle now.
         started: called once with the process id of each node.
         commands: by node, what to start in its place.
-        beside: further programs by name that the nodes need, started before them: a bus, an emulated board.
-        in_place_of_cell: a program that runs the cycle from outside the graph, and prints progress as the cell does.
+        beside: by name, programs to start before the nodes, which need them: a bus, an emulated board.
+        in_place_of_cell: a program that runs the cycle from outside the graph and prints progress as the cell does.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
@@ -67,9 +67,8 @@ def run_cycle(
         if in_place_of_cell:
             cell = graph.start_program("cell", in_place_of_cell, read_output=True)
         else:
-            cell = graph.start(
-                "cell", {"progress": True}, parameter_file, command=commands.get("cell"), read_output=True
-            )
+            extra, command = {"progress": True}, commands.get("cell")
+            cell = graph.start("cell", extra, parameter_file, command=command, read_output=True)
         started(ids)
         _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
         # The others send what waits in their last bursts as they end.

@@ -80,25 +80,17 @@ def demonstrate(
         ParameterError: a parameter is refused.
         SurveyError: the map is refused.
     """
-    bag, parameter_file = output / "bag", output / "parameters.yaml"
+    bag, logs, parameter_file = output / "bag", output / "logs", output / "parameters.yaml"
     cell = node_parameters("cell", values["cell"])
     duration = cycles(cell.motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
     straightness = load_map(node_parameters("feedforward", values["feedforward"]).map)
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
-    logs = output / "logs"
     try:
         with driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
             parameter_file.write_text(as_parameter_file(values))
-            run_cycle(
-                bag,
-                parameter_file,
-                logs,
-                duration,
-                progress,
-                beside={**emulated_machine(values["driver"], parameter_file), **gateway},
-                in_place_of_cell=client,
-            )
+            beside = {**emulated_machine(values["driver"], parameter_file), **gateway}
+            run_cycle(bag, parameter_file, logs, duration, progress, beside=beside, in_place_of_cell=client)
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
     try:

@@ -60,7 +60,7 @@ class Graph:
     """Processes of one graph; use it as a context manager, which stops them all.
 
     Args:
-        log_folder: gets one file for each node with what it printed.
+        log_folder: gets a file for each node with what it printed.
         environment: of the processes; :func:`isolated_environment` if None.
     """
 
@@ -86,14 +86,14 @@ class Graph:
         command: Sequence[str] | None = None,
         read_output: bool = False,
     ) -> subprocess.Popen[str]:
-        """Start the node ``name`` (executable ``<name>_node``).
+        """Start the node ``name`` by its executable ``<name>_node``, or by another ``command``.
 
         Args:
-            name: the node.
-            parameters: values that win over the file's.
-            parameter_file: ROS 2 parameter file.
+            name: of the node.
+            parameters: values that win over those of the ROS 2 ``parameter_file``.
+            parameter_file: see there.
             arguments: further ROS arguments, e.g. a remapping.
-            command: what to start instead of the executable.
+            command: see there.
             read_output: standard output is a pipe for the caller instead of going to the log.
         """
         words = [*(command or executable_command(f"{name}_node")), "--ros-args", *arguments]
@@ -104,8 +104,7 @@ class Graph:
         return self.start_program(name, words, read_output=read_output)
 
     def start_program(self, name: str, command: Sequence[str], *, read_output: bool = False) -> subprocess.Popen[str]:
-        """Start another program beside the nodes, under a ``name`` of its own; one that is started again goes on with
-        its log."""
+        """Start a program under a ``name`` of its own; one that is started again goes on with its log."""
         with self.log(name).open("a" if name in self._processes else "w") as log:
             process = subprocess.Popen(
                 command,
@@ -129,8 +128,7 @@ class Graph:
     def check(self, names: Sequence[str]) -> None:
         """Raise LaunchError if one of these nodes, which should run on, has ended."""
         for name in names:
-            code = self.exit_code(name)
-            if code is not None:
+            if (code := self.exit_code(name)) is not None:
                 raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {self.last_words(name)}")
 
     def exit_code(self, name: str) -> int | None:

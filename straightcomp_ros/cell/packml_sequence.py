@@ -1,7 +1,7 @@
 """The sequencer of the stage's cycle: PackML's state machine, run by the cell node and by the OPC UA gateway.
 
-The work of each state is a generator, advanced once in each tick: it returns when the work is done and raises when it
-cannot be done.
+The work of a state is the generator of its name, e.g. `_starting`. Each tick advances it once; it returns when the work
+is done, and raises when it cannot be done.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
-from straightcomp_ros.model.stage import MotionParameters, Waypoint, cycles, trapezoid
+from straightcomp_ros.cell.stage_movements import NotArrived, StageMovements
+from straightcomp_ros.model.stage import MotionParameters, Waypoint
 
 _ASK_AGAIN_S = 0.5
 _SETTLE_S = 1.5
@@ -24,11 +25,6 @@ _OFF_WITHIN_S = 2.0
 """A driver that has not switched off by then is dead or deaf; its machine's own watchdog has switched off."""
 _REPORTED_WITHIN_S = 1.5
 """A fault that is there, or one that is gone, shows in the diagnostics by then."""
-_ARRIVE_WITHIN_S = 5.0
-_ARRIVED_M = 10e-6
-_ARRIVED_SHARE = 0.9995
-"""Of a movement's time: in lockstep no sample need follow the one that ends the motion."""
-_NS = 1e9
 MOST_STROKES = 1_000_000
 _WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
 _WITH_AMPLIFIER = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
@@ -42,39 +38,17 @@ class Machine(Protocol):
     refusal: str  # why the last switch_on was refused; empty while it is not answered, and when it was done
     obstacle: str  # why the stage could not be moved; empty where it can
 
-    def activate(self) -> None:
-        """Bring up all nodes that have a lifecycle."""
-
-    def switch_on(self) -> None:
-        """Ask for the amplifier."""
-
-    def switch_off(self) -> None:
-        """Switch the amplifier off."""
-
-    def reset_faults(self) -> None:
-        """Clear latched faults."""
-
-    def move(self, waypoints: Sequence[Waypoint]) -> None:
-        """Move the stage, starting when this arrives."""
-
-    def reload_map(self, then: Answer) -> None:
-        """Read the map's file again."""
-
-    def center(self, middle: bool, then: Answer) -> None:
-        """Take the reference to the middle of the travel, or back to the map."""
+    def activate(self) -> None: ...
+    def switch_on(self) -> None: ...
+    def switch_off(self) -> None: ...
+    def reset_faults(self) -> None: ...
+    def move(self, waypoints: Sequence[Waypoint]) -> None: ...
+    def reload_map(self, then: Answer) -> None: ...
+    def center(self, middle: bool, then: Answer) -> None: ...
 
 
 class _Failed(Exception):
     """The work of a state cannot be done; the message says why."""
-
-
-class _Movement(NamedTuple):
-    """A movement under way: stamp of the sample before it (0: none), duration, goal in m, latest arrival (clock)."""
-
-    stamp_ns: int
-    duration_ns: int
-    goal: float
-    latest: float
 
 
 class CellSequence:
@@ -85,18 +59,16 @@ class CellSequence:
         motion: of each stroke.
         start_timeout: longest Resetting, Starting, Clearing or step of a recovery, s.
         clock: monotonic time, s.
-        as_one: all strokes are one trajectory, whose times the driver keeps; else the stage is sent each movement when
-            the one before has ended, so that the cycle can be held and stopped between them.
+        as_one: all strokes are one trajectory; see :class:`StageMovements`.
         home: before the first stroke, bring the platform to the middle of its travel, then back onto the map.
         recoveries: how often the amplifier is switched on again after it went off in Execute.
 
     Attributes:
         state: present state.
         message: why the state is what it is, or why the last command was refused.
-        strokes: that the last Start asked for, each forward and back; 0 compensates until Complete or Stop.
-        strokes_done: of these.
+        movements: of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop.
         centred: the reference is in the middle of the travel, or has been asked to go there.
-        recovered: how often the amplifier was switched on again since the start.
+        recovered: how often the amplifier has been switched on again.
     """
 
     def __init__(
@@ -110,53 +82,36 @@ class CellSequence:
         home: bool = False,
         recoveries: int = 0,
     ) -> None:
-        self._machine, self._motion, self._start_timeout, self._clock = machine, motion, start_timeout, clock
-        self._as_one, self._home, self._recoveries = as_one, home, recoveries
-        self.strokes = self.strokes_done = self.recovered = 0
-        self.centred = False
-        self._seen = Observation()
-        self._movement: _Movement | None = None
-        self._movements = 0
-        self._now = clock()
-        self._works: dict[State, Callable[[], Iterator[None]]] = {
-            State.RESETTING: self._resetting,
-            State.STARTING: self._starting,
-            State.EXECUTE: self._execute,
-            State.HOLDING: self._holding,
-            State.COMPLETING: self._completing,
-            State.STOPPING: self._stopping,
-            State.ABORTING: self._aborting,
-            State.CLEARING: self._clearing,
-        }
+        self._machine, self._start_timeout, self._clock = machine, start_timeout, clock
+        self._settle, self._home, self._recoveries = motion.settle, home, recoveries
+        self.movements = StageMovements(motion, as_one)
+        self.recovered, self.centred = 0, False
+        self._seen, self._now = Observation(), clock()
         self._enter(State.STOPPED, "")
 
     @property
     def at_work(self) -> bool:
-        """The amplifier is, or is about to be, on because of this."""
+        """Whether the sequence may have the amplifier on."""
         return self.state in ACCEPTED[Command.STOP] or self.state is State.STOPPING
 
     @property
     def progress(self) -> float:
-        """Fraction of the present movement's time that has passed by the newest sample; 0 without a movement."""
-        if self._movement is None:
-            return 0.0
-        # In lockstep there is no sample before the movement.
-        begin_ns = self._movement.stamp_ns or self._seen.first_ns
-        return (self._seen.stamp_ns - begin_ns) / max(self._movement.duration_ns, 1)
+        """Fraction of the present movement's time that has passed; 0 without a movement."""
+        return self.movements.progress(self._seen)
 
     def command(self, command: Command, strokes: int = 0) -> str:
         """Take a command, with the number of ``strokes`` for Start; returns why it is refused, or an empty text."""
         reason = refusal(command, self.state)
-        if not reason and command is Command.START and not 0 <= strokes <= MOST_STROKES:
+        to_be_run = {Command.START: strokes, Command.UNHOLD: self.movements.strokes}.get(command, 0)
+        if not reason and not 0 <= to_be_run <= MOST_STROKES:
             reason = f"strokes {strokes} is out of range; allowed: 0 to {MOST_STROKES}"
-        to_be_run = {Command.START: strokes, Command.UNHOLD: self.strokes}.get(command, 0)
-        if not reason and self.centred and to_be_run:
+        elif not reason and self.centred and to_be_run:
             reason = f"{name(command)} is not accepted while the reference is in the middle; call Center(false) before"
         if reason:
             self.message = reason
             return reason
         if command is Command.START:
-            self.strokes, self.strokes_done, self._movements, self._movement = strokes, 0, 0, None
+            self.movements.begin(strokes)
         self._enter(ACCEPTED[command][self.state], f"command {name(command)}")
         return ""
 
@@ -165,11 +120,11 @@ class CellSequence:
 
         Args:
             order: what is asked.
-            middle: for Center: to the middle of the travel; false: back to the map.
+            middle: of the travel, for Center; false: back to the map.
             then: gets why it is refused, or an empty text, now or when the node has answered.
         """
         reason = refusal(order, self.state)
-        if not reason and order is Order.CENTER and middle and self.state is State.EXECUTE and self.strokes:
+        if not reason and order is Order.CENTER and middle and self.state is State.EXECUTE and self.movements.strokes:
             reason = "Center(true) is not accepted while strokes are run; accepted after Hold, or with 0 strokes"
         if reason:
             self.message = reason
@@ -187,7 +142,7 @@ class CellSequence:
         if order is Order.RELOAD_MAP:
             self._machine.reload_map(answered)
         else:
-            # No stroke is to begin before the answer.
+            # No stroke may begin before the answer.
             self.centred = before or middle
             self._machine.center(middle, answered)
 
@@ -205,35 +160,32 @@ class CellSequence:
         except StopIteration:
             if self.state in DONE:
                 self._enter(DONE[self.state], self.message)
-        except _Failed as failure:
+        except (_Failed, NotArrived) as failure:
             self._enter(FAILED[self.state], str(failure))
 
     def _enter(self, state: State, message: str) -> None:
         self.state, self.message, self._since = state, message, self._clock()
         self._asked, self._recovering = -math.inf, False
-        self._work = self._works[state]() if state in self._works else iter(())
+        self._work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
         if state is State.ABORTING:
             self._machine.switch_off()
 
     def _trouble(self, seen: Observation) -> str:
-        # In Stopped the graph may be somebody else's: its faults show as alarms, and are none of ours.
+        # In Stopped the graph may be somebody else's: its faults show as alarms only.
         if self.state in _WITHOUT_AMPLIFIER:
             return ""
         if seen.fault or self.state in (State.RESETTING, State.STOPPING, State.COMPLETE):
             return seen.fault
-        if seen.missing or not seen.fresh:
-            return seen.absence
-        return "the amplifier went off" if self.state in _WITH_AMPLIFIER and not seen.amplifier_on else ""
+        off = self.state in _WITH_AMPLIFIER and not seen.amplifier_on
+        return seen.absence or ("the amplifier went off" if off else "")
 
     def _recoverable(self, seen: Observation) -> bool:
-        """Whether this trouble is an amplifier that is off, and may be switched on again."""
+        """Whether the trouble is an amplifier that is off, and it may be switched on again."""
         allowed = self.state is State.EXECUTE and self.recovered < self._recoveries
-        return allowed and seen.fresh and not seen.missing and not seen.amplifier_on
+        return allowed and not seen.absence and not seen.amplifier_on
 
     def _recover(self, work: Iterator[None]) -> Iterator[None]:
-        yield from self._asking(
-            self._machine.reset_faults, lambda: not self._seen.faults, lambda: f"the fault remains: {self._seen.fault}"
-        )
+        yield from self._resetting_faults()
         yield from self._switching_on()
         self._recovering = False
         yield from work
@@ -248,12 +200,11 @@ class CellSequence:
                     raise _Failed(f"not ready: {obstacle}")
                 if self._seen.missing and self._due():
                     self._machine.activate()
-            else:
-                if self._due():
-                    # Wherever it was left, by whomever. Refused while it is on its way: then again.
-                    self._machine.center(False, self._back_on_the_map)
-                if self._now - ready_since >= _SETTLE_S:
-                    return
+            elif self._due():
+                # Whoever left the reference in the middle. Refused while a change is under way: then again.
+                self._machine.center(False, self._back_on_the_map)
+            if self._now - ready_since >= _SETTLE_S:
+                return
             yield
 
     def _back_on_the_map(self, refusal: str) -> None:
@@ -262,96 +213,66 @@ class CellSequence:
     def _starting(self) -> Iterator[None]:
         yield from self._switching_on()
         # In lockstep no time passes before the motion.
-        if self._home and self._seen.stamp_ns:
-            yield from self._homing()
-
-    def _homing(self) -> Iterator[None]:
-        for middle in (True, False):
+        for middle in (True, False) if self._home and self._seen.stamp_ns else ():
             answers: list[str] = []
             self._machine.center(middle, answers.append)
             asked = self._now
             while not answers or self._now - asked < _HOME_S:
-                if any(answers):
-                    raise _Failed(f"homing: {answers[0]}")
-                if self._now - asked > self._start_timeout:
-                    raise _Failed("homing: the feedforward does not answer")
+                if any(answers) or self._now - asked > self._start_timeout:
+                    raise _Failed(f"homing: {'; '.join(answers) or 'the feedforward does not answer'}")
                 yield
-
-    def _switching_on(self) -> Iterator[None]:
-        yield from self._asking(
-            self._machine.switch_on,
-            lambda: self._seen.amplifier_on,
-            lambda: f"the driver refuses to enable: {self._machine.refusal or 'no answer'}",
-        )
 
     def _execute(self) -> Iterator[None]:
-        while self.strokes == 0:
+        moves = self.movements
+        while True:
+            if moves.strokes and self._arrived():
+                if moves.strokes_done >= moves.strokes:
+                    return
+                self._machine.move(moves.next(self._seen, self._now))
             yield
-        yield from self._arriving()
-        while self.strokes_done < self.strokes:
-            self._start_movement()
-            yield
-            yield from self._arriving()
 
-    def _start_movement(self) -> None:
-        seen = self._seen
-        if self._as_one:
-            waypoints = cycles(self._motion, self.strokes)
-        else:
-            waypoints = movement(self._motion, seen.x, self._movements)
-        duration_ns = waypoints[-1].time_ns
-        latest = self._now + duration_ns / _NS + _ARRIVE_WITHIN_S
-        self._movement = _Movement(seen.stamp_ns, duration_ns, waypoints[-1].position, latest)
-        self._machine.move(waypoints)
-
-    def _arriving(self) -> Iterator[None]:
-        """Until no movement of ours is under way; counts one that ends."""
-        while self._movement is not None:
-            seen, goal = self._seen, self._movement.goal
-            there = self._as_one or (seen.still and abs(seen.x - goal) < _ARRIVED_M)
-            if there and self.progress > _ARRIVED_SHARE:
-                self._movement = None
-                self._movements += 1
-                self.strokes_done = self.strokes if self._as_one else self._movements // 2
-            elif not self._as_one and self._now > self._movement.latest and seen.still:
-                self._movement = None
-                raise _Failed(f"the stage did not arrive at {goal:.6f} m; it stands at {seen.x:.6f} m")
-            else:
-                yield
+    def _arrived(self) -> bool:
+        return self.movements.arrived(self._seen, self._now)
 
     def _holding(self) -> Iterator[None]:
-        yield from self._arriving()
-        while not self._seen.still:
+        while not (self._arrived() and self._seen.still):
             yield
 
     def _completing(self) -> Iterator[None]:
-        yield from self._arriving()
-        # The stage's last movement is over; a stage that others move may still be on its way.
-        while not self._as_one and not (self._seen.still and self._overdue(self._motion.settle)):
+        # A trajectory as one ends with its rest. Otherwise the stage may still be moved by others.
+        while not (self._arrived() and (self.movements.as_one or (self._seen.still and self._overdue(self._settle)))):
             yield
         yield from self._switching_off()
 
     def _stopping(self) -> Iterator[None]:
-        for _ in self._arriving():
-            # Where no samples come in, nothing tells of the movement any more.
-            if not self._seen.fresh:
-                break
+        # Without samples nothing tells when the movement ends.
+        while self._seen.fresh and not self._arrived():
             yield
         yield from self._switching_off()
 
     def _aborting(self) -> Iterator[None]:
-        # What the stage was told stays told: it comes to rest where its movement ends.
-        self._movement = None
+        # The stage keeps its trajectory: it comes to rest where its movement ends.
+        self.movements.forget()
         for _ in self._switching_off():
             if self._overdue(_OFF_WITHIN_S):
                 return
             yield
 
     def _clearing(self) -> Iterator[None]:
+        yield from self._resetting_faults(_REPORTED_WITHIN_S)
+
+    def _resetting_faults(self, least: float = 0.0) -> Iterator[None]:
         yield from self._asking(
             self._machine.reset_faults,
-            lambda: not self._seen.faults and self._overdue(_REPORTED_WITHIN_S),
+            lambda: not self._seen.faults and self._overdue(least),
             lambda: f"the fault remains: {self._seen.fault}",
+        )
+
+    def _switching_on(self) -> Iterator[None]:
+        yield from self._asking(
+            self._machine.switch_on,
+            lambda: self._seen.amplifier_on,
+            lambda: f"the driver refuses to enable: {self._machine.refusal or 'no answer'}",
         )
 
     def _switching_off(self) -> Iterator[None]:
@@ -372,21 +293,9 @@ class CellSequence:
 
     def _due(self) -> bool:
         """Whether to ask (again) now."""
-        if self._now - self._asked < _ASK_AGAIN_S:
-            return False
-        self._asked = self._now
-        return True
+        if due := self._now - self._asked >= _ASK_AGAIN_S:
+            self._asked = self._now
+        return due
 
     def _overdue(self, seconds: float) -> bool:
         return self._now - self._since > seconds
-
-
-def movement(motion: MotionParameters, here: float, number: int) -> list[Waypoint]:
-    """Movement ``number`` (from 0) of a cycle from ``here`` (m): a rest and a move, even ones forward, odd ones back.
-
-    Only the rest where the stage is there already.
-    """
-    rest = motion.pause if number else motion.settle
-    goal = motion.start + (0.0 if number % 2 else motion.stroke)
-    points = [Waypoint(0, here, 0.0), Waypoint(round(rest * _NS), here, 0.0)]
-    return [*points, *trapezoid(points[-1], goal, motion.speed, motion.acceleration)]

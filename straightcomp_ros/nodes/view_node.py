@@ -28,6 +28,8 @@ _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
 _LATENCY = DRIVER_STATE.layout.columns.index("command_latency")
 _SHOWN = {"deviation": 1e6, "y": 1e6, "error": 1e6, "sigma": 1e3, "latency": 1e6, "x": 1e3}
 """Series and their scales: µm, mm/s, µs, mm."""
+_SHOWN_OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": "timer_error_p99_us"}
+"""Names on the page, and in the diagnostics."""
 
 
 class ViewNode:
@@ -51,29 +53,39 @@ class ViewNode:
             port,
             self._board,
             {
-                "enable": lambda: self._ask(self._enable),
-                "disable": lambda: self._ask(self._disable),
-                "reset": lambda: self._ask(self._reset),
+                "enable": lambda: self._ask(self._services.switch_on, "amplifier on"),
+                "disable": lambda: self._ask(self._services.switch_off, "amplifier off"),
+                "reset": lambda: self._ask(self._services.reset_faults, "faults reset"),
             },
         )
         node.create_timer(_FETCH_S, self._fetch)
         ready(self._server.url)
 
     def _fetch(self) -> None:
-        fetched, add = self._watch.fetch(), self._board.add
-        add("x", [(stamp_ns, numbers[0]) for stamp_ns, numbers, _ in fetched.positions])
-        add("y", [(stamp_ns, numbers[1]) for stamp_ns, numbers, _ in fetched.positions])
-        add("error", [(stamp_ns, numbers[_ERROR]) for stamp_ns, numbers, _ in fetched.controller])
-        add("sigma", [(stamp_ns, numbers[_SIGMA]) for stamp_ns, numbers, _ in fetched.controller])
-        add("latency", [(stamp_ns, numbers[_LATENCY]) for stamp_ns, numbers, _ in fetched.driver])
-        # What the map says of the guide: the reference is its mirror image.
-        add("deviation", [(stamp_ns, -numbers[0]) for stamp_ns, numbers, _ in self._reference.fetch()])
+        fetched = self._watch.fetch()
+        for name, messages, column, sign in (
+            ("x", fetched.positions, 0, 1.0),
+            ("y", fetched.positions, 1, 1.0),
+            ("error", fetched.controller, _ERROR, 1.0),
+            ("sigma", fetched.controller, _SIGMA, 1.0),
+            ("latency", fetched.driver, _LATENCY, 1.0),
+            # The deviation of the guide by the map: the reference is its mirror image.
+            ("deviation", self._reference.fetch(), 0, -1.0),
+        ):
+            self._board.add(name, [(stamp_ns, sign * numbers[column]) for stamp_ns, numbers, _ in messages])
         while self._wanted:
             self._wanted.pop(0)()
         self._show()
 
     def _show(self) -> None:
         seen, reports = self._watch.observation(self._services.states), self._watch.reports()
+        nodes = {
+            node: {
+                "state": state,
+                **{shown: reports.get(node, {}).get(key, "") for shown, key in _SHOWN_OF_NODE.items()},
+            }
+            for node, state in seen.nodes.items()
+        }
         self._board.show(
             {
                 "fresh": seen.fresh,
@@ -81,42 +93,24 @@ class ViewNode:
                 "x_mm": seen.x * 1e3,
                 "stroke_error_pp_um": seen.stroke_error_pp * 1e6,
                 "faults": dict(seen.faults),
-                "nodes": {
-                    node: {
-                        "state": state,
-                        "rate_hz": reports.get(node, {}).get(RATE, ""),
-                        "overruns": reports.get(node, {}).get(OVERRUNS, ""),
-                        "lost": reports.get(node, {}).get(LOST, ""),
-                        "late_p99_us": reports.get(node, {}).get("timer_error_p99_us", ""),
-                    }
-                    for node, state in seen.nodes.items()
-                },
+                "nodes": nodes,
             }
         )
 
-    def _ask(self, action: Callable[[Callable[[str, str], None]], None]) -> str:
-        """Called by a page's thread: has the main thread do it, and waits for the answer."""
-        answered, answer = threading.Event(), ["", ""]
+    def _ask(self, service: Callable[[Callable[[str], None]], None], done: str) -> str:
+        """Called by a page's thread: has the main thread ask a service, and waits for the answer."""
+        answered, refusals = threading.Event(), [""]
 
-        def take(refusal: str, message: str) -> None:
-            answer[:] = refusal, message
+        def take(refusal: str) -> None:
+            refusals[0] = refusal
             answered.set()
 
-        self._wanted.append(lambda: action(take))
+        self._wanted.append(lambda: service(take))
         if not answered.wait(_ANSWER_WITHIN_S):
             raise ActionRefused("the driver does not answer")
-        if answer[0]:
-            raise ActionRefused(answer[0])
-        return answer[1]
-
-    def _enable(self, take: Callable[[str, str], None]) -> None:
-        self._services.switch_on(lambda refusal: take(refusal, "amplifier on"))
-
-    def _disable(self, take: Callable[[str, str], None]) -> None:
-        self._services.switch_off(lambda refusal: take(refusal, "amplifier off"))
-
-    def _reset(self, take: Callable[[str, str], None]) -> None:
-        self._services.reset_faults(lambda refusal: take(refusal, "faults reset"))
+        if refusals[0]:
+            raise ActionRefused(refusals[0])
+        return done
 
     def close(self) -> None:
         """The page goes away; the graph is left as it is."""
@@ -124,15 +118,5 @@ class ViewNode:
 
 
 def view(port: int, ready: Callable[[str], object], realtime: RealtimeParameters, arguments: list[str]) -> int:
-    """Serve the view until SIGINT or SIGTERM.
-
-    Args:
-        port: of the page; 0 takes a free one.
-        ready: called with the page's address.
-        realtime: scheduling.
-        arguments: ROS arguments, e.g. a namespace.
-
-    Returns:
-        Exit code.
-    """
+    """Serve the view until SIGINT or SIGTERM, see :class:`ViewNode`, with ROS ``arguments``; returns the exit code."""
     return run("view", lambda node: ViewNode(node, port, ready, realtime), arguments)

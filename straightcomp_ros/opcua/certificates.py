@@ -10,6 +10,8 @@ from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from asyncua.crypto.truststore import TrustStore
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from straightcomp_ros.contract import PACKAGE
+
 CERTIFICATE, KEY = "certificate.der", "key.pem"
 
 
@@ -18,8 +20,7 @@ class CertificateError(ValueError):
 
 
 async def own_certificate(folder: str | Path, uri: str) -> tuple[Path, Path]:
-    """Certificate (DER) and key (PEM) in ``folder``; made there, self-signed and for a year, where there are none or
-    the certificate has expired.
+    """Certificate (DER) and key (PEM) in ``folder``, made there (self-signed, for a year) if missing or expired.
 
     Raises:
         CertificateError: the folder cannot be written, or a file is no certificate or key.
@@ -28,14 +29,9 @@ async def own_certificate(folder: str | Path, uri: str) -> tuple[Path, Path]:
     before = os.umask(0o077)
     try:
         certificate.parent.mkdir(parents=True, exist_ok=True)
-        await setup_self_signed_certificate(
-            key,
-            certificate,
-            uri,
-            socket.gethostname(),
-            [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH],
-            {"organizationName": "straightcomp_ros"},
-        )
+        usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+        subject = {"organizationName": PACKAGE}
+        await setup_self_signed_certificate(key, certificate, uri, socket.gethostname(), usage, subject)
     except (OSError, ValueError) as error:
         raise CertificateError(f"certificates in {folder}: {error}") from error
     finally:

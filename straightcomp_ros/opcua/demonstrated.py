@@ -24,13 +24,12 @@ Programs = Mapping[str, Sequence[str]]
 def driven_by_opcua(
     values: Mapping[str, Mapping[str, Any]], parameter_file: Path, strokes: int
 ) -> Iterator[tuple[Mapping[str, Mapping[str, Any]], Programs, Sequence[str] | None]]:
-    """Parameters with those of a gateway for this run alone, the gateway by name, and its client; with 0 strokes the
-    parameters as they were, nothing and None.
+    """Parameters with those of a gateway for this run alone, the gateway's command by name, and the client's command.
 
     Args:
         values: parameters by node and dotted name.
         parameter_file: where they will be.
-        strokes: that the client is to run.
+        strokes: that the client is to run; 0: neither gateway nor client.
     """
     if not strokes:
         yield values, {}, None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import queue
@@ -13,7 +14,6 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 
 from asyncua import Server, ua
-from asyncua.crypto.truststore import TrustStore
 
 from straightcomp_ros.cell.packml import Command, Order
 from straightcomp_ros.opcua import APPLICATION
@@ -37,6 +37,7 @@ _ENCRYPTED = [
     ua.SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
     ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
 ]
+_OPEN, _KNOWN = [ua.SecurityPolicyType.NoSecurity], [ua.UserNameIdentityToken]
 # They write a line for whatever a client does wrong: a flood of such would fill the disk.
 _TALKATIVE = ("asyncua.server.uaprocessor", "asyncua.server.binary_server_asyncio", "asyncua.server.internal_session")
 
@@ -58,9 +59,7 @@ class GatewayServer:
         nodes: of the graph whose state is shown.
 
     Raises:
-        OSError: the address cannot be had.
-        UsersError: the users' file is refused.
-        CertificateError: certificates cannot be made or read.
+        OSError, UsersError, CertificateError: address, file of users or certificates cannot be had.
     """
 
     def __init__(self, parameters: OpcuaParameters, nodes: Sequence[str]) -> None:
@@ -90,16 +89,14 @@ class GatewayServer:
     def requests(self) -> Iterator[Request]:
         """What has been asked for since the last call; each is to be answered.
 
-        Who has gone, or was told that it took too long, is left out: nothing is done that nobody waits for any more.
+        Requests whose client has gone, or was told that it took too long, are left out: nobody waits for them any more.
         """
-        while True:
-            try:
+        with contextlib.suppress(queue.Empty):
+            while True:
                 request = self._requests.get_nowait()
-            except queue.Empty:
-                return
-            # From here on nobody can cancel it: an answer that nobody takes does no harm.
-            if request.answer.set_running_or_notify_cancel():
-                yield request
+                # From here on nobody can cancel it: an answer that nobody takes does no harm.
+                if request.answer.set_running_or_notify_cancel():
+                    yield request
 
     def close(self) -> None:
         """Disconnect all clients and stop."""
@@ -131,9 +128,7 @@ class GatewayServer:
 
     async def _make_server(self) -> Server:
         parameters = self._parameters
-        trust: TrustStore | None = None
-        if parameters.trusted:
-            trust = await trusted_certificates(parameters.trusted)
+        trust = await trusted_certificates(parameters.trusted) if parameters.trusted else None
         internal = GuardedServer(Access(self._users, encrypted=parameters.encrypted, trust=trust))
         internal.max_connections = parameters.max_clients
         internal.max_pending_activation_seconds = _ACTIVATE_WITHIN_S
@@ -149,11 +144,11 @@ class GatewayServer:
             certificate, key = await own_certificate(parameters.certificates, APPLICATION)
             await server.load_certificate(certificate)
             await server.load_private_key(key)
-            server.set_security_policy(_ENCRYPTED, LeftToTheSession())
-            server.set_identity_tokens([ua.UserNameIdentityToken])
-        else:
-            server.set_security_policy([ua.SecurityPolicyType.NoSecurity], LeftToTheSession())
-            server.set_identity_tokens([ua.AnonymousIdentityToken, ua.UserNameIdentityToken])
+        policies, tokens = (
+            (_ENCRYPTED, _KNOWN) if parameters.encrypted else (_OPEN, [ua.AnonymousIdentityToken, *_KNOWN])
+        )
+        server.set_security_policy(policies, LeftToTheSession())
+        server.set_identity_tokens(tokens)
         return server
 
     async def _command(self, asked: Command | Order, argument: int) -> str:

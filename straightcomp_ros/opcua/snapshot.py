@@ -21,11 +21,9 @@ ALARMS: Mapping[str, tuple[int, str]] = {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """State of the machine, what is seen of it, and the alarms.
+    """State, message, strokes and reference of the cell's sequence, and what is seen of the graph.
 
     Attributes:
-        state, message, strokes, strokes_done, centred: of the cell's sequence.
-        seen: the graph.
         alarms: by name, for those that are active, the text.
         limits: by name, in SI units; NaN where not known yet.
     """
@@ -41,11 +39,7 @@ class Snapshot:
 
 
 class Alarms:
-    """Finds the active alarms.
-
-    Args:
-        error_limit: of a stroke's error, peak to peak, m.
-    """
+    """Finds the active alarms, with a limit of a stroke's peak-to-peak error in m."""
 
     def __init__(self, error_limit: float) -> None:
         self._error_limit = error_limit
@@ -53,29 +47,17 @@ class Alarms:
         self._loss_text, self._loss_until = "", -math.inf
 
     def active(self, seen: Observation, state: State, now: float) -> dict[str, str]:
-        """By name, the text of each alarm that is active.
-
-        Args:
-            seen: the graph.
-            state: of the machine. Nothing need run in a machine that is stopped.
-            now: monotonic time, s.
-        """
-        found = {}
-        if seen.fault:
-            found["Fault"] = seen.fault
+        """By name, the text of each alarm that is active at the monotonic time ``now``."""
+        found = {"Fault": seen.fault}
+        # Nothing need run in a machine that is stopped.
         if state is not State.STOPPED:
-            if seen.missing:
-                found["NodeMissing"] = ", ".join(seen.missing)
-            if not seen.fresh:
-                found["NoSamples"] = "no samples come in"
+            found["NodeMissing"] = ", ".join(seen.missing)
+            found["NoSamples"] = "" if seen.fresh else "no samples come in"
         if seen.stroke_error_pp > self._error_limit:
-            found["ErrorLimit"] = (
-                f"{seen.stroke_error_pp * 1e6:.3f} µm over the last stroke; limit {self._error_limit * 1e6:g} µm"
-            )
-        loss = self._loss(seen, now)
-        if loss:
-            found["SampleLoss"] = loss
-        return found
+            error_um, limit_um = seen.stroke_error_pp * 1e6, self._error_limit * 1e6
+            found["ErrorLimit"] = f"{error_um:.3f} µm over the last stroke; limit {limit_um:g} µm"
+        found["SampleLoss"] = self._loss(seen, now)
+        return {name: text for name, text in found.items() if text}
 
     def _loss(self, seen: Observation, now: float) -> str:
         before, self._lost = self._lost, seen.lost_samples

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -44,6 +44,14 @@ class Fetched(NamedTuple):
     driver: Messages = ()
 
 
+def _yielding(messages: Messages) -> Iterator[tuple[int, Sequence[float], int]]:
+    """The messages; nodes of the same real-time priority need not wait for the end of them."""
+    for number, message in enumerate(messages):
+        if number % _YIELD_EVERY == 0:
+            os.sched_yield()
+        yield message
+
+
 class GraphWatch:
     """Reads bursts, and what comes seldom: its reading costs the loops that publish next to nothing.
 
@@ -78,18 +86,12 @@ class GraphWatch:
     def fetch(self) -> Fetched:
         """Take what has come; call it some ten times a second or more."""
         fetched = Fetched(*(inbox.fetch() for inbox in self._inboxes))
-        for number, (stamp_ns, (x, y), _) in enumerate(fetched.positions):
+        for stamp_ns, (x, y), _ in _yielding(fetched.positions):
             self._strokes.add_position(stamp_ns, x)
             self._x, self._y = x, y
-            if number % _YIELD_EVERY == 0:
-                # With real-time scheduling nodes of the same priority would have to wait for the end of this.
-                os.sched_yield()
-        for number, (_, numbers, _) in enumerate(fetched.controller):
+        for _, numbers, _ in _yielding(fetched.controller):
             self._strokes.add_error(numbers[_ERROR])
-            if number % _YIELD_EVERY == 0:
-                os.sched_yield()
-        if fetched.controller:
-            self._error, self._sigma = fetched.controller[-1][1][_ERROR], fetched.controller[-1][1][_SIGMA]
+            self._error, self._sigma = numbers[_ERROR], numbers[_SIGMA]
         for messages in (fetched.driver, fetched.positions):
             if messages:
                 self._first_ns = self._first_ns or messages[0][0]
@@ -106,11 +108,14 @@ class GraphWatch:
         fresh = time.monotonic() - self._last_came < self._fresh
         reports = self.reports()
         controller = reports.get("controller", {})
+        # The driver's fault is in its safety state at once, a second before it is in its diagnostics.
+        safety = self._safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
+        faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
         return Observation(
             nodes=dict(states),
-            faults=self._faults(states, reports),
-            fault_code=self._safety.code if self._driver_speaks(states) else 0,
-            unrecorded=self._unrecorded(states, reports),
+            faults=faults | ({_DRIVER: safety.fault} if safety.fault else {}),
+            fault_code=safety.code,
+            unrecorded=self._unrecorded(reports) if "logger" in states else (),
             fresh=fresh,
             amplifier_on=fresh and self._safety.amplifier_on,
             stamp_ns=self._last_ns,
@@ -125,20 +130,7 @@ class GraphWatch:
             lost_samples=int(controller.get(LOST, 0)),
         )
 
-    def _faults(self, states: Mapping[str, str], reports: Mapping[str, object]) -> dict[str, str]:
-        """By node. The driver's are in its safety state at once, a second before they are in its diagnostics."""
-        faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
-        if self._safety.fault and self._driver_speaks(states):
-            faults[_DRIVER] = self._safety.fault
-        return faults
-
-    @staticmethod
-    def _driver_speaks(states: Mapping[str, str]) -> bool:
-        return states.get(_DRIVER) not in (ABSENT, SILENT)
-
-    def _unrecorded(self, states: Mapping[str, str], reports: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
-        if "logger" not in states:
-            return ()
+    def _unrecorded(self, reports: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
         unconnected = reports.get("logger", {}).get(UNCONNECTED)
         if unconnected is None:
             return ("all topics",)
@@ -152,7 +144,6 @@ class GraphWatch:
         for status in message.status:
             name = status.name.rsplit("/", 1)[-1]
             self._reports[name] = (time.monotonic(), {value.key: value.value for value in status.values})
+            self._errors.pop(name, None)
             if status.level == DiagnosticStatus.ERROR:
                 self._errors[name] = status.message
-            else:
-                self._errors.pop(name, None)

@@ -29,7 +29,6 @@ SHARE = FindPackageShare(PACKAGE)
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _CHOICES = ["true", "false"]
 """Of an argument whose default is one of them: `True` or `1` are refused, and taken for neither."""
-_AS_SET = "as the parameters say"
 
 
 class Override(NamedTuple):
@@ -41,42 +40,48 @@ class Override(NamedTuple):
 
 
 Overrides = Mapping[str, Override]
+Arguments = Mapping[str, tuple[object, str]]
+"""By name: default and description."""
 Chosen = dict[str, ParameterValue]
-RT_PRIORITY: Overrides = {
-    "rt_priority": Override("realtime.priority", int, f"SCHED_FIFO priority, 0 for none; empty: {_AS_SET}")
-}
-LAW: Overrides = {"law": Override("control.law", str, f"Control law; empty: {_AS_SET}")}
-MAP: Overrides = {"map": Override("map.file", str, f"Survey file; empty: {_AS_SET}")}
-HARDWARE: Overrides = {"hardware": Override("hardware", str, f"Machine, 'simulated' or 'can'; empty: {_AS_SET}")}
-OUTPUT: Overrides = {"output": Override("output", str, f"Folder of the bag; empty: {_AS_SET}")}
-OPCUA_USERS: Overrides = {"opcua_users": Override("opcua.users", str, f"File of the gateway's users; empty: {_AS_SET}")}
-OF_ALL: Mapping[str, tuple[object, str]] = {
+
+
+def _override(argument: str, parameter: str, what: str, kind: type = str) -> Overrides:
+    return {argument: Override(parameter, kind, f"{what}; empty: as the parameters say")}
+
+
+RT_PRIORITY = _override("rt_priority", "realtime.priority", "SCHED_FIFO priority, 0 for none", int)
+LAW = _override("law", "control.law", "Control law")
+MAP = _override("map", "map.file", "Survey file")
+HARDWARE = _override("hardware", "hardware", "Machine, 'simulated' or 'can'")
+OUTPUT = _override("output", "output", "Folder of the bag")
+OPCUA_USERS = _override("opcua_users", "opcua.users", "File of the gateway's users")
+OF_ALL: Arguments = {
     "namespace": ("", "Namespace of all that is started"),
     "params_file": (PathJoinSubstitution([SHARE, "config", "straightcomp.yaml"]), "YAML file of parameters"),
 }
-"""Arguments of each launch file: default and description."""
-RECORD: Mapping[str, tuple[object, str]] = {"record": ("true", "false: there is no logger, and no bag")}
+"""Arguments of each launch file."""
+RECORD: Arguments = {"record": ("true", "false: there is no logger, and no bag")}
 
 
-def use_opcua(default: str) -> Mapping[str, tuple[object, str]]:
+def use_opcua(default: str) -> Arguments:
     """The argument that chooses between cell and gateway."""
     return {"use_opcua": (default, "true: the OPC UA gateway in the place of the cell, its client runs the cycles")}
 
 
-def described(
-    arguments: Mapping[str, tuple[object, str]], overrides: Overrides, actions: Iterable[object]
-) -> LaunchDescription:
+def described(arguments: Arguments, overrides: Overrides, actions: Iterable[object]) -> LaunchDescription:
     """A launch file's content: its arguments, traffic kept on this computer, and what it starts.
 
     Args:
-        arguments: besides those of all launch files: default and description of each.
+        arguments: besides those of all launch files.
         overrides: arguments that win over the file.
         actions: what it starts.
     """
     texts = {**OF_ALL, **arguments, **{name: ("", override.description) for name, override in overrides.items()}}
     declared = [
-        DeclareLaunchArgument(name, default_value=default, description=description, choices=_choices(default))
-        for name, (default, description) in texts.items()
+        DeclareLaunchArgument(
+            name, default_value=default, description=text, choices=_CHOICES if default in _CHOICES else None
+        )
+        for name, (default, text) in texts.items()
     ]
     # 2 kHz topics stay off the network unless somebody asks for it.
     on_this_computer = SetEnvironmentVariable(_DISCOVERY, EnvironmentVariable(_DISCOVERY, default_value="LOCALHOST"))
@@ -104,20 +109,19 @@ def starting(
     def actions(context: LaunchContext) -> list[object]:
         if any(_is_true(context, argument) is not wanted for argument, wanted in (only_if or {}).items()):
             return []
-        # Known only now: without an argument, the file (or the node's own default) has its say.
-        given = {argument: LaunchConfiguration(argument).perform(context) for argument in overrides}
-        parameters: list[object] = [
-            {overrides[argument].parameter: ParameterValue(value, value_type=overrides[argument].kind)}
-            for argument, value in given.items()
+        # Known only now. An argument that is empty leaves the parameter to the file, or to the node's own default.
+        given = {name: LaunchConfiguration(name).perform(context) for name in overrides}
+        parameters = chosen(context) | {
+            overrides[name].parameter: ParameterValue(value, value_type=overrides[name].kind)
+            for name, value in given.items()
             if value
-        ]
-        more = chosen(context)
+        }
         node = Node(
             package=PACKAGE,
             executable=f"{name}_node",
             name=name,
             namespace=LaunchConfiguration("namespace"),
-            parameters=[LaunchConfiguration("params_file"), *parameters, *([more] if more else [])],
+            parameters=[LaunchConfiguration("params_file"), *([parameters] if parameters else [])],
             output="screen",
         )
         if not ends_all:
@@ -134,10 +138,6 @@ def without_a_logger(context: LaunchContext) -> Chosen:
     if _is_true(context, "record"):
         return {}
     return {"nodes": ParameterValue("driver feedforward controller", value_type=str)}
-
-
-def _choices(default: object) -> list[str] | None:
-    return _CHOICES if default in _CHOICES else None
 
 
 def _is_true(context: LaunchContext, argument: str) -> bool:

@@ -103,7 +103,7 @@ def test_a_cycle_runs_its_strokes_forward_and_back_and_ends_with_the_amplifier_o
     assert not bench.sequence.command(Command.START, 2)
     assert bench.until(State.COMPLETE) == [State.STARTING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
     assert [goal for _, goal in bench.moves] == [0.1, 0.0, 0.1, 0.0]
-    assert bench.sequence.strokes_done == 2 and not bench.seen.amplifier_on
+    assert bench.sequence.movements.strokes_done == 2 and not bench.seen.amplifier_on
 
 
 def test_hold_rests_at_the_end_of_the_movement_and_unhold_goes_on_with_the_next():
@@ -255,7 +255,7 @@ def test_strokes_as_one_are_a_single_trajectory_and_the_cycle_ends_with_its_time
     bench = Bench(as_one=True)
     bench.started(3)
     bench.until(State.COMPLETE)
-    assert len(bench.moves) == 1 and bench.sequence.strokes_done == 3
+    assert len(bench.moves) == 1 and bench.sequence.movements.strokes_done == 3
     end, goal = bench.moves[0]
     assert goal == 0.0 and end <= bench.now < end + 0.5
 
@@ -263,7 +263,7 @@ def test_strokes_as_one_are_a_single_trajectory_and_the_cycle_ends_with_its_time
 def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_after_it():
     bench = Bench(as_one=True, home=True)
     bench.seen = replace(bench.seen, stamp_ns=0)
-    tick, sample_ns = bench.tick, 0
+    sample_ns, began, move = 0, 0.0, bench.move
 
     def lockstep():
         nonlocal sample_ns
@@ -276,16 +276,12 @@ def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_
         bench.seen = replace(bench.seen, stamp_ns=stamp_ns, first_ns=first_ns, still=not sample_ns)
         bench.sequence.tick(bench.seen)
 
-    bench.tick, began = lockstep, 0.0
-    assert tick is not bench.tick
-    move = bench.move
-
     def moved(waypoints):
         nonlocal began
         began = bench.now
         move(waypoints)
 
-    bench.move = moved
+    bench.tick, bench.move = lockstep, moved
     bench.started(1)
     assert bench.centerings and not any(bench.centerings)
     bench.until(State.COMPLETE)

@@ -21,6 +21,8 @@ _PATIENCE_S = 5.0
 class SteadySequence(CellSequence):
     """Switches the amplifier on again whenever a fault has switched it off; ends when it is told to."""
 
+    _began = _duration = 0.0
+
     def tick(self, seen: Observation) -> None:
         """Go on, whatever faults there are."""
         super().tick(replace(seen, faults={}))
@@ -36,8 +38,9 @@ class SteadySequence(CellSequence):
             print(f"measuring with the amplifier off: {self._machine.refusal}", file=sys.stderr, flush=True)
 
     def _execute(self) -> Iterator[None]:
-        self._start_movement()
-        self._began = self._now
+        waypoints = self.movements.next(self._seen, self._now)
+        self._machine.move(waypoints)
+        self._began, self._duration = self._now, waypoints[-1].time_ns * 1e-9
         while True:
             if not self._seen.amplifier_on:
                 self._switch_on_again()
@@ -51,7 +54,7 @@ class SteadySequence(CellSequence):
     @property
     def progress(self) -> float:
         """By the clock: samples may be missing."""
-        return (self._now - self._began) / (self._movement.duration_ns * 1e-9) if self._movement else 0.0
+        return (self._now - self._began) / self._duration if self._duration else 0.0
 
 
 def main() -> int:
