@@ -43,9 +43,8 @@ def run_cycle(
     """Run the graph until the cell has finished its cycle, and record it.
 
     Args:
-        bag: folder that the logger makes.
+        bag, logs: folders that the logger makes, and that gets what the nodes print.
         parameter_file: of all nodes.
-        logs: folder for what the nodes print.
         duration: of the cycle, s.
         progress: called some 20 times a second with the fraction of the cycle that is done; True ends the cycle now.
         started: called once with the process id of each node.

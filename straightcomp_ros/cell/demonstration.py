@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import secrets
 import shutil
-from collections.abc import Callable, Mapping
+import socket
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,15 +18,20 @@ from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, as_parameter_file, run_cycle
-from straightcomp_ros.cell.launcher import LaunchError, verb_command
+from straightcomp_ros.cell.launcher import LaunchError, executable_command, verb_command
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.stage import cycles
-from straightcomp_ros.opcua.demonstrated import driven_by_opcua
+from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
+from straightcomp_ros.opcua.users import OPERATOR, add_user
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.timing.blame import blamed
 from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, summarise
+
+_USER, _PASSWORD = "demo", "STRAIGHTCOMP_OPCUA_PASSWORD"
+Values = Mapping[str, Mapping[str, Any]]
+"""Parameters by node and dotted name."""
 
 
 class DemonstrationFailed(RuntimeError):
@@ -62,7 +72,7 @@ class Demonstration:
 
 
 def demonstrate(
-    values: Mapping[str, Mapping[str, Any]],
+    values: Values,
     output: Path,
     progress: Callable[[float], None] = lambda fraction: None,
     opcua_strokes: int = 0,
@@ -70,7 +80,7 @@ def demonstrate(
     """Run the graph for one cycle and evaluate the bag.
 
     Args:
-        values: parameters by node and dotted name.
+        values: parameters of all nodes.
         output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; an earlier bag there is replaced.
         progress: called with the fraction of the cycle that is done.
         opcua_strokes: instead of one stroke run by the cell, so many run by a client of the OPC UA gateway.
@@ -87,7 +97,7 @@ def demonstrate(
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
     try:
-        with driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
+        with _driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
             parameter_file.write_text(as_parameter_file(values))
             beside = {**emulated_machine(values["driver"], parameter_file), **gateway}
             run_cycle(bag, parameter_file, logs, duration, progress, beside=beside, in_place_of_cell=client)
@@ -107,6 +117,38 @@ def demonstrate(
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
     return Demonstration(bag, evaluation, straightness, metrics, timing)
+
+
+@contextmanager
+def _driven_by_opcua(
+    values: Values, parameter_file: Path, strokes: int
+) -> Iterator[tuple[Values, Mapping[str, Sequence[str]], Sequence[str] | None]]:
+    """Parameters with a gateway's for this run alone, the gateway's command by name, and that of a client that runs
+    ``strokes``; with 0 strokes neither gateway nor client."""
+    if not strokes:
+        yield values, {}, None
+        return
+    with tempfile.TemporaryDirectory(prefix="straightcomp_opcua_") as folder:
+        users, password, port = Path(folder) / "users", secrets.token_urlsafe(16), free_port()
+        add_user(users, _USER, password, OPERATOR)
+        motion = {name: value for name, value in values["cell"].items() if name.startswith("motion.")}
+        gateway = {**values.get("opcua", {}), **motion, "opcua.users": str(users), "opcua.port": port}
+        command = [*executable_command("opcua_node"), "--ros-args", "--params-file", str(parameter_file)]
+        url = OpcuaParameters(port=port).endpoint
+        client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
+        # Programs inherit it; on a command line everybody could read it.
+        os.environ[_PASSWORD] = password
+        try:
+            yield {**values, "opcua": gateway}, {"opcua": command}, client
+        finally:
+            del os.environ[_PASSWORD]
+
+
+def free_port() -> int:
+    """A TCP port of this machine that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
@@ -129,6 +171,5 @@ def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
 def emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
     """Commands of the programs that stand for the board and its bus where that is a hub, by name."""
     parameters = node_parameters("driver", driver)
-    if parameters.hardware != "can" or parameters.can.interface != INTERFACE:
-        return {}
-    return {"board": verb_command("dsp", "--hub", "--params-file", str(parameter_file))}
+    on_a_hub = parameters.hardware == "can" and parameters.can.interface == INTERFACE
+    return {"board": verb_command("dsp", "--hub", "--params-file", str(parameter_file))} if on_a_hub else {}

@@ -88,13 +88,8 @@ class Graph:
     ) -> subprocess.Popen[str]:
         """Start the node ``name`` by its executable ``<name>_node``, or by another ``command``.
 
-        Args:
-            name: of the node.
-            parameters: values that win over those of the ROS 2 ``parameter_file``.
-            parameter_file: see there.
-            arguments: further ROS arguments, e.g. a remapping.
-            command: see there.
-            read_output: standard output is a pipe for the caller instead of going to the log.
+        ``parameters`` win over those of the ROS 2 ``parameter_file``, ``arguments`` are further ROS arguments (e.g. a
+        remapping), and with ``read_output`` the standard output is a pipe for the caller instead of going to the log.
         """
         words = [*(command or executable_command(f"{name}_node")), "--ros-args", *arguments]
         if parameter_file:

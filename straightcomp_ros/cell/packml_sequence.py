@@ -83,7 +83,9 @@ class CellSequence:
         recoveries: int = 0,
     ) -> None:
         self._machine, self._start_timeout, self._clock = machine, start_timeout, clock
-        self._settle, self._home, self._recoveries = motion.settle, home, recoveries
+        self._home, self._recoveries = home, recoveries
+        # A trajectory as one ends with its own rest.
+        self._settled, self._settle = as_one, 0.0 if as_one else motion.settle
         self.movements = StageMovements(motion, as_one)
         self.recovered, self.centred = 0, False
         self._seen, self._now = Observation(), clock()
@@ -116,12 +118,9 @@ class CellSequence:
         return ""
 
     def order(self, order: Order, middle: bool, then: Answer) -> None:
-        """Ask for another reference.
+        """Ask for another reference; with Center that of the ``middle`` of the travel, or, false, of the map.
 
-        Args:
-            order: what is asked.
-            middle: of the travel, for Center; false: back to the map.
-            then: gets why it is refused, or an empty text, now or when the node has answered.
+        ``then`` gets why it is refused, or an empty text, now or when the node has answered.
         """
         reason = refusal(order, self.state)
         if not reason and order is Order.CENTER and middle and self.state is State.EXECUTE and self.movements.strokes:
@@ -239,8 +238,8 @@ class CellSequence:
             yield
 
     def _completing(self) -> Iterator[None]:
-        # A trajectory as one ends with its rest. Otherwise the stage may still be moved by others.
-        while not (self._arrived() and (self.movements.as_one or (self._seen.still and self._overdue(self._settle)))):
+        # The stage's last movement is over; a stage that others move may still be on its way.
+        while not (self._arrived() and (self._settled or self._seen.still) and self._overdue(self._settle)):
             yield
         yield from self._switching_off()
 

@@ -36,12 +36,7 @@ class CycleFailed(Exception):
 
 
 class CellNode:
-    """Has the sequencer run one cycle: see :meth:`_cycle`, where each ``yield`` waits for the next tick.
-
-    Args:
-        node: of the parameters, topics and services.
-        make_sequence: makes the sequencer.
-    """
+    """Has the sequencer run one cycle: see :meth:`_cycle`, where each ``yield`` waits for the next tick."""
 
     def __init__(self, node: Node, make_sequence: Callable[..., CellSequence] = CellSequence) -> None:
         self._parameters = parameters = declare(node, CellNodeParameters)
@@ -70,12 +65,7 @@ class CellNode:
             while time.monotonic() < end:
                 yield
             after = self._watch.reports()
-            latest = {
-                node: held_up([*([before[node]] if node in before else []), after[node]])
-                for node in IN_THE_LOOP
-                if node in after
-            }
-            why = blamed(latest)
+            why = blamed({node: held_up([before.get(node, {}), after[node]]) for node in IN_THE_LOOP if node in after})
             raise CycleFailed(f"{failure} ({why})" if why else str(failure)) from failure
 
     def _cycle(self) -> Iterator[None]:

@@ -89,21 +89,13 @@ class AddressSpace:
 
     def __init__(self, server: Server) -> None:
         self._server = server
-        self._index = 0
+        self._index = self._heartbeat = 0
         self._values: list[tuple[Node, Value]] = []
         self._written: dict[Node, object] = {}
-        self._graph: dict[str, Node] = {}
-        self._alarms: dict[str, Node] = {}
         self._active: Mapping[str, str] = {}
-        self._heartbeat = 0
 
     async def build(self, nodes: Sequence[str], command: Commander) -> None:
-        """Make all nodes.
-
-        Args:
-            nodes: of the graph whose state is shown.
-            command: what the methods do.
-        """
+        """Make all nodes; ``nodes`` are those of the graph whose state is shown, ``command`` is what methods do."""
         self._index = await self._server.register_namespace(NAMESPACE)
         cell = await self._server.nodes.objects.add_object(self._id(""), self._named(CELL))
         counter = Value(T.UInt32, "Counts up ten times a second", lambda _: self._heartbeat)

@@ -52,11 +52,7 @@ class Request:
 
 
 class GatewayServer:
-    """Serves snapshots, collects commands.
-
-    Args:
-        parameters: where, and for whom.
-        nodes: of the graph whose state is shown.
+    """Serves snapshots, with the states of these ``nodes`` of the graph, and collects commands.
 
     Raises:
         OSError, UsersError, CertificateError: address, file of users or certificates cannot be had.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -22,20 +22,15 @@ from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 _LOOK_EVERY_S = 0.5
 _WARN_EVERY_S = 5.0
 _MOST_WAITING = 4
-_UPWARDS: Mapping[str, int] = {
-    "unconfigured": Transition.TRANSITION_CONFIGURE,
-    "inactive": Transition.TRANSITION_ACTIVATE,
-}
+_UPWARDS = {"unconfigured": Transition.TRANSITION_CONFIGURE, "inactive": Transition.TRANSITION_ACTIVATE}
 Answer = Callable[[str], None]
 """Takes why something was refused, or an empty text."""
 
 
-def _ignore(_: str) -> None:
-    """Nobody waits for this answer."""
-
-
 class GraphServices:
-    """Asks without waiting, and keeps the answers.
+    """Asks without waiting, as :class:`~straightcomp_ros.cell.packml_sequence.Machine` says.
+
+    ``then`` gets why something was refused, or an empty text.
 
     Args:
         node: asks.
@@ -63,16 +58,9 @@ class GraphServices:
     def states(self) -> dict[str, str]:
         """State of each node: ``absent``; ``plain`` where it has no lifecycle; ``silent`` where no heartbeat comes;
         else its lifecycle state in lower case."""
-        silent = self._heartbeats.silent()
-
-        def state(name: str) -> str:
-            if name not in self._present:
-                return ABSENT
-            if not self._change_state[name].ready:
-                return PLAIN
-            return SILENT if name in silent else self._heartbeats.states[name]
-
-        return {name: state(name) for name in self._change_state}
+        states = self._heartbeats.states | dict.fromkeys(self._heartbeats.silent(), SILENT)
+        states |= {name: PLAIN for name, change in self._change_state.items() if not change.ready}
+        return states | {name: ABSENT for name in states if name not in self._present}
 
     @property
     def obstacle(self) -> str:
@@ -93,8 +81,7 @@ class GraphServices:
             words = f"{name} did not leave the state '{state}'; its log says why"
             self._node.get_logger().warning(words, throttle_duration_sec=_WARN_EVERY_S)
 
-    def switch_on(self, then: Answer = _ignore) -> None:
-        """Ask for the amplifier; ``then`` gets why that was refused, or an empty text."""
+    def switch_on(self, then: Answer = lambda refusal: None) -> None:
         self.refusal = ""
 
         def answered(refusal: str) -> None:
@@ -103,24 +90,19 @@ class GraphServices:
 
         self._enable.ask(SetBool.Request(data=True), answered)
 
-    def switch_off(self, then: Answer = _ignore) -> None:
-        """Switch the amplifier off."""
+    def switch_off(self, then: Answer = lambda refusal: None) -> None:
         self._enable.ask(SetBool.Request(data=False), then)
 
-    def reset_faults(self, then: Answer = _ignore) -> None:
-        """Clear what is latched."""
+    def reset_faults(self, then: Answer = lambda refusal: None) -> None:
         self._reset.ask(Trigger.Request(), then)
 
     def reload_map(self, then: Answer) -> None:
-        """Read the map's file again."""
         self._reload_map.ask(Trigger.Request(), then)
 
     def center(self, middle: bool, then: Answer) -> None:
-        """Take the reference to the middle of the travel, or back to the map."""
         self._center.ask(SetBool.Request(data=middle), then)
 
     def move(self, waypoints: Sequence[Waypoint]) -> None:
-        """Move the stage, starting when this arrives."""
         self._trajectory.publish(message_from_waypoints(waypoints))
 
     def _look(self) -> None:

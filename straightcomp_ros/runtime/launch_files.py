@@ -5,7 +5,7 @@ It needs `launch` and `launch_ros`, and is imported by the files in launch/ only
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from launch import LaunchContext, LaunchDescription
@@ -42,7 +42,6 @@ class Override(NamedTuple):
 Overrides = Mapping[str, Override]
 Arguments = Mapping[str, tuple[object, str]]
 """By name: default and description."""
-Chosen = dict[str, ParameterValue]
 
 
 def _override(argument: str, parameter: str, what: str, kind: type = str) -> Overrides:
@@ -89,12 +88,7 @@ def described(arguments: Arguments, overrides: Overrides, actions: Iterable[obje
 
 
 def starting(
-    name: str,
-    overrides: Overrides,
-    *,
-    only_if: Mapping[str, bool] | None = None,
-    ends_all: bool = False,
-    chosen: Callable[[LaunchContext], Chosen] = lambda context: {},
+    name: str, overrides: Overrides, *, only_if: Mapping[str, bool] | None = None, runs_cycle: bool = False
 ) -> OpaqueFunction:
     """Start a node.
 
@@ -102,8 +96,8 @@ def starting(
         name: of the node.
         overrides: arguments that win over the file.
         only_if: what these arguments, true or false, must be.
-        ends_all: when this node has ended, all that was launched is shut down.
-        chosen: further parameters, from the arguments.
+        runs_cycle: the node waits for all others, with ``record:=false`` for all but the logger, and when it has ended,
+            all that was launched is shut down.
     """
 
     def actions(context: LaunchContext) -> list[object]:
@@ -111,11 +105,13 @@ def starting(
             return []
         # Known only now. An argument that is empty leaves the parameter to the file, or to the node's own default.
         given = {name: LaunchConfiguration(name).perform(context) for name in overrides}
-        parameters = chosen(context) | {
+        parameters = {
             overrides[name].parameter: ParameterValue(value, value_type=overrides[name].kind)
             for name, value in given.items()
             if value
         }
+        if runs_cycle and not _is_true(context, "record"):
+            parameters["nodes"] = ParameterValue("driver feedforward controller", value_type=str)
         node = Node(
             package=PACKAGE,
             executable=f"{name}_node",
@@ -124,20 +120,13 @@ def starting(
             parameters=[LaunchConfiguration("params_file"), *([parameters] if parameters else [])],
             output="screen",
         )
-        if not ends_all:
+        if not runs_cycle:
             return [node]
         shutdown = EmitEvent(event=Shutdown(reason=f"the {name} has ended"))
         # Before the node: one that ends at once (a wrong parameter) must not end unseen.
         return [RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[shutdown])), node]
 
     return OpaqueFunction(function=actions)
-
-
-def without_a_logger(context: LaunchContext) -> Chosen:
-    """Nodes for who waits for them all, where there is no recording."""
-    if _is_true(context, "record"):
-        return {}
-    return {"nodes": ParameterValue("driver feedforward controller", value_type=str)}
 
 
 def _is_true(context: LaunchContext, argument: str) -> bool:

@@ -40,7 +40,7 @@ class ActionRefused(Exception):
 
 
 class ViewServer(ThreadingHTTPServer):
-    """Serves the page, what the board shows, and the buttons' actions by name, each connection on its own thread.
+    """Serves the page, what the board shows, and the buttons' actions by name: at most 16 connections, each on a thread.
 
     Raises:
         OSError: the TCP port on 127.0.0.1 cannot be had; port 0 takes a free one.
@@ -65,24 +65,21 @@ class ViewServer(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_port}/#{self.token}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection, unless there are too many."""
         if self._places.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a connection to its end."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._places.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A page that was closed is no error, and what else a client does wrong is none of ours."""
+        """A page that was closed is no error, and other errors of a client are its own."""
 
     def close(self) -> None:
-        """Stop."""
         self.stopping.set()
         self.shutdown()
         self.server_close()
@@ -109,8 +106,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True
         if not self._addressed_to_us():
             return
-        given = self.headers.get("X-Token", "")
-        if not secrets.compare_digest(given.encode(), self.server.token.encode()):
+        if not secrets.compare_digest(self.headers.get("X-Token", "").encode(), self.server.token.encode()):
             self._answer(HTTPStatus.FORBIDDEN, "wrong or no token; open the address that `straightcomp view` printed")
             return
         if self.headers.get_content_type() != "application/json":
