@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import json
 import os
 import random
 import signal
@@ -95,7 +96,8 @@ class Graph:
         if parameter_file:
             words += ["--params-file", str(parameter_file)]
         for key, value in parameters.items():
-            words += ["-p", f"{key}:={_as_argument(value)}"]
+            # Quoted, a text stays a text in the YAML of the command line ("1" or "on" would turn into something else).
+            words += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
         return self.start_program(name, words, read_output=read_output)
 
     def start_program(self, name: str, command: Sequence[str], *, read_output: bool = False) -> subprocess.Popen[str]:
@@ -151,13 +153,6 @@ class Graph:
             if process.stdout:
                 process.stdout.close()
         return {name: process.returncode for name, process in stopping.items()}
-
-
-def _as_argument(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    # Quotes keep a text a text in the YAML of the command line ("1" or "on" would turn into something else).
-    return f"'{value}'" if isinstance(value, str) else repr(value)
 
 
 def exit_words(code: int) -> str:

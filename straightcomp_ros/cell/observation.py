@@ -13,42 +13,24 @@ _WORKING = ("active", PLAIN)
 
 @dataclass(frozen=True)
 class Observation:
-    """What the nodes say of themselves and what their streams show.
+    """What the nodes say of themselves and what their streams show."""
 
-    Attributes:
-        nodes: state of each node of the graph: ``absent``, ``plain``, ``silent``, or its lifecycle state in lower case.
-        faults: by node, what is wrong; empty where all is well.
-        fault_code: number of the fault that the driver has latched; 0 without one.
-        unrecorded: topics that the logger, where there is one, is not connected to.
-        fresh: samples are coming in.
-        amplifier_on: samples come in, and the driver says that the amplifier is on.
-        stamp_ns: of the newest sample, ns since the epoch; 0 before the first.
-        first_ns: of the first sample that was seen; 0 before it.
-        x, y: newest position in m; NaN before the first.
-        still: the stage has not moved for a tenth of a second.
-        error: newest compensation error in m.
-        sliding_variable: newest, m/s.
-        stroke_error_pp: peak-to-peak error over the last finished movement of the stage, m; NaN before the first.
-        samples: that the controller has handled since its start.
-        lost_samples: that did not come to the controller since its start.
-    """
-
-    nodes: Mapping[str, str] = field(default_factory=dict)
-    faults: Mapping[str, str] = field(default_factory=dict)
-    fault_code: int = 0
-    unrecorded: tuple[str, ...] = ()
-    fresh: bool = False
-    amplifier_on: bool = False
-    stamp_ns: int = 0
-    first_ns: int = 0
-    x: float = math.nan
-    y: float = math.nan
-    still: bool = True
-    error: float = math.nan
-    sliding_variable: float = math.nan
-    stroke_error_pp: float = math.nan
-    samples: int = 0
-    lost_samples: int = 0
+    nodes: Mapping[str, str] = field(default_factory=dict)  # their states: one of those above, or in the lifecycle
+    faults: Mapping[str, str] = field(default_factory=dict)  # by node, what is wrong; empty where all is well
+    fault_code: int = 0  # of the fault that the driver has latched; 0 without one
+    unrecorded: tuple[str, ...] = ()  # topics that the logger, where there is one, is not connected to
+    fresh: bool = False  # samples are coming in
+    amplifier_on: bool = False  # samples are coming in, and the driver says that the amplifier is on
+    stamp_ns: int = 0  # of the newest sample, ns since the epoch; 0 before the first
+    first_ns: int = 0  # of the first sample that was seen
+    x: float = math.nan  # newest position of the stage in m; NaN before the first
+    y: float = math.nan  # of the platform
+    still: bool = True  # the stage has not moved for a tenth of a second
+    error: float = math.nan  # newest compensation error in m
+    sliding_variable: float = math.nan  # newest, m/s
+    stroke_error_pp: float = math.nan  # peak-to-peak error over the stage's last finished movement, m
+    samples: int = 0  # that the controller has handled since its start
+    lost_samples: int = 0  # that did not come to the controller since its start
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.model.stage import MotionParameters, Waypoint, cycles, trapezoid
@@ -17,15 +16,6 @@ _NS = 1e9
 
 class NotArrived(Exception):
     """The stage did not come to the end of its movement; the message says where it stands."""
-
-
-class _Movement(NamedTuple):
-    """Stamp of the sample before it (0: none), duration, goal in m, latest arrival by the clock."""
-
-    stamp_ns: int
-    duration_ns: int
-    goal: float
-    latest: float
 
 
 class StageMovements:
@@ -43,6 +33,8 @@ class StageMovements:
 
     def __init__(self, motion: MotionParameters, as_one: bool) -> None:
         self._motion, self.as_one = motion, as_one
+        self._begin_ns = self._duration_ns = 0
+        self._goal = self._latest = 0.0
         self.begin(0)
 
     def begin(self, strokes: int) -> None:
@@ -52,22 +44,22 @@ class StageMovements:
 
     def forget(self) -> None:
         """The movement under way is not followed any more."""
-        self._movement: _Movement | None = None
+        self._under_way = False
 
     def next(self, seen: Observation, now: float) -> Sequence[Waypoint]:
         """Waypoints of the next movement, which begins now (clock, s)."""
         waypoints = cycles(self._motion, self.strokes) if self.as_one else self._one(seen.x)
-        duration_ns, goal, _ = waypoints[-1]
-        self._movement = _Movement(seen.stamp_ns, duration_ns, goal, now + duration_ns / _NS + _ARRIVE_WITHIN_S)
+        self._duration_ns, self._goal, _ = waypoints[-1]
+        self._begin_ns, self._latest = seen.stamp_ns, now + self._duration_ns / _NS + _ARRIVE_WITHIN_S
+        self._under_way = True
         return waypoints
 
     def progress(self, seen: Observation) -> float:
         """Fraction of the movement's time that has passed by the newest sample; 0 without a movement."""
-        if self._movement is None:
+        if not self._under_way:
             return 0.0
         # In lockstep there is no sample before the movement.
-        begin_ns = self._movement.stamp_ns or seen.first_ns
-        return (seen.stamp_ns - begin_ns) / max(self._movement.duration_ns, 1)
+        return (seen.stamp_ns - (self._begin_ns or seen.first_ns)) / max(self._duration_ns, 1)
 
     def arrived(self, seen: Observation, now: float) -> bool:
         """Whether no movement is under way; counts one that has just ended.
@@ -75,19 +67,15 @@ class StageMovements:
         Raises:
             NotArrived: the stage stands elsewhere, 5 s after the end of the movement.
         """
-        if self._movement is None:
-            return True
-        goal = self._movement.goal
-        there = self.as_one or (seen.still and abs(seen.x - goal) < _ARRIVED_M)
-        if there and self.progress(seen) > _ARRIVED_SHARE:
+        there = self.as_one or (seen.still and abs(seen.x - self._goal) < _ARRIVED_M)
+        if self._under_way and there and self.progress(seen) > _ARRIVED_SHARE:
             self.forget()
             self._number += 1
             self.strokes_done = self.strokes if self.as_one else self._number // 2
-            return True
-        if seen.still and now > self._movement.latest and not self.as_one:
+        elif self._under_way and seen.still and now > self._latest and not self.as_one:
             self.forget()
-            raise NotArrived(f"the stage did not arrive at {goal:.6f} m; it stands at {seen.x:.6f} m")
-        return False
+            raise NotArrived(f"the stage did not arrive at {self._goal:.6f} m; it stands at {seen.x:.6f} m")
+        return not self._under_way
 
     def _one(self, here: float) -> list[Waypoint]:
         """A rest and a move from ``here`` (m), in turn forward and back; only the rest where the stage is there."""

@@ -6,6 +6,7 @@ import math
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -73,9 +74,8 @@ class GraphWatch:
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._safety = SafetyState()
         self._strokes = StrokeErrors()
-        self._first_ns = self._last_ns = 0
+        self._newest = Observation()
         self._last_came = math.inf if patient else -math.inf
-        self._x = self._y = self._error = self._sigma = math.nan
         self._reports: dict[str, tuple[float, dict[str, str]]] = {}
         self._errors: dict[str, str] = {}
 
@@ -86,16 +86,21 @@ class GraphWatch:
     def fetch(self) -> Fetched:
         """Take what has come; call it some ten times a second or more."""
         fetched = Fetched(*(inbox.fetch() for inbox in self._inboxes))
-        for stamp_ns, (x, y), _ in _yielding(fetched.positions):
+        for stamp_ns, (x, _), _ in _yielding(fetched.positions):
             self._strokes.add_position(stamp_ns, x)
-            self._x, self._y = x, y
         for _, numbers, _ in _yielding(fetched.controller):
             self._strokes.add_error(numbers[_ERROR])
-            self._error, self._sigma = numbers[_ERROR], numbers[_SIGMA]
+        if fetched.positions:
+            x, y = fetched.positions[-1][1]
+            self._newest = replace(self._newest, x=x, y=y)
+        if fetched.controller:
+            numbers = fetched.controller[-1][1]
+            self._newest = replace(self._newest, error=numbers[_ERROR], sliding_variable=numbers[_SIGMA])
         for messages in (fetched.driver, fetched.positions):
             if messages:
-                self._first_ns = self._first_ns or messages[0][0]
-                self._last_ns, self._last_came = messages[-1][0], time.monotonic()
+                first_ns = self._newest.first_ns or messages[0][0]
+                self._newest = replace(self._newest, stamp_ns=messages[-1][0], first_ns=first_ns)
+                self._last_came = time.monotonic()
         return fetched
 
     def reports(self) -> dict[str, dict[str, str]]:
@@ -111,20 +116,15 @@ class GraphWatch:
         # The driver's fault is in its safety state at once, a second before it is in its diagnostics.
         safety = self._safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
         faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
-        return Observation(
+        return replace(
+            self._newest,
             nodes=dict(states),
             faults=faults | ({_DRIVER: safety.fault} if safety.fault else {}),
             fault_code=safety.code,
             unrecorded=self._unrecorded(reports) if "logger" in states else (),
             fresh=fresh,
             amplifier_on=fresh and self._safety.amplifier_on,
-            stamp_ns=self._last_ns,
-            first_ns=self._first_ns,
-            x=self._x,
-            y=self._y,
             still=self._strokes.still,
-            error=self._error,
-            sliding_variable=self._sigma,
             stroke_error_pp=self._strokes.last_pp,
             samples=int(controller.get(SAMPLES, 0)),
             lost_samples=int(controller.get(LOST, 0)),

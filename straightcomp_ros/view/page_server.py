@@ -40,7 +40,7 @@ class ActionRefused(Exception):
 
 
 class ViewServer(ThreadingHTTPServer):
-    """Serves the page, what the board shows, and the buttons' actions by name: at most 16 connections, each on a thread.
+    """Serves the page, what the board shows, and the buttons' actions by name, on a thread for each connection.
 
     Raises:
         OSError: the TCP port on 127.0.0.1 cannot be had; port 0 takes a free one.
