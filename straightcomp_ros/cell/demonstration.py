@@ -67,15 +67,12 @@ class Demonstration:
 
     @property
     def held_up(self) -> str:
-        """Who got no CPU while the amplifier was on, and for how long; empty if nobody was held up for long."""
+        """Who got no CPU while the amplifier was on, and for how long; empty where it was not for long."""
         return blamed({node: timing.held_up for node, timing in self.timing.items() if node in IN_THE_LOOP})
 
 
 def demonstrate(
-    values: Values,
-    output: Path,
-    progress: Callable[[float], None] = lambda fraction: None,
-    opcua_strokes: int = 0,
+    values: Values, output: Path, progress: Callable[[float], None] = lambda fraction: None, opcua_strokes: int = 0
 ) -> Demonstration:
     """Run the graph for one cycle and evaluate the bag.
 

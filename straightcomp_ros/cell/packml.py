@@ -80,8 +80,7 @@ DONE: Mapping[State, State] = {
 
 FAILED: Mapping[State, State] = {
     **dict.fromkeys((State.RESETTING, State.STARTING), State.STOPPING),
-    **dict.fromkeys((State.CLEARING, State.EXECUTE, State.HOLDING, State.UNHOLDING), State.ABORTING),
-    **dict.fromkeys((State.COMPLETING, State.STOPPING), State.ABORTING),
+    **dict.fromkeys((State.CLEARING, State.EXECUTE, State.HOLDING, State.COMPLETING, State.STOPPING), State.ABORTING),
 }
 """Where a state leads whose work cannot be done."""
 

@@ -26,6 +26,7 @@ _OFF_WITHIN_S = 2.0
 _REPORTED_WITHIN_S = 1.5
 """A fault that is there, or one that is gone, shows in the diagnostics by then."""
 MOST_STROKES = 1_000_000
+AMPLIFIER_OFF = "the amplifier went off"
 _WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
 _WITH_AMPLIFIER = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
 Answer = Callable[[str], None]
@@ -176,7 +177,7 @@ class CellSequence:
         if seen.fault or self.state in (State.RESETTING, State.STOPPING, State.COMPLETE):
             return seen.fault
         off = self.state in _WITH_AMPLIFIER and not seen.amplifier_on
-        return seen.absence or ("the amplifier went off" if off else "")
+        return seen.absence or (AMPLIFIER_OFF if off else "")
 
     def _recoverable(self, seen: Observation) -> bool:
         """Whether the trouble is an amplifier that is off, and it may be switched on again."""

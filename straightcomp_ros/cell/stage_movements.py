@@ -27,8 +27,7 @@ class StageMovements:
             after the other, so that the cycle can be held and stopped between them.
 
     Attributes:
-        strokes: of this cycle, each forward and back.
-        strokes_done: of these.
+        strokes, strokes_done: asked for and finished in this cycle, each forward and back.
     """
 
     def __init__(self, motion: MotionParameters, as_one: bool) -> None:

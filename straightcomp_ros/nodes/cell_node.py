@@ -15,7 +15,7 @@ from rclpy.task import Future
 from straightcomp_ros.cell.cycle import IN_THE_LOOP
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, State
-from straightcomp_ros.cell.packml_sequence import CellSequence
+from straightcomp_ros.cell.packml_sequence import AMPLIFIER_OFF, CellSequence
 from straightcomp_ros.configuration.node_parameters import CellNodeParameters
 from straightcomp_ros.model.stage import cycles
 from straightcomp_ros.runtime.declare import declare
@@ -91,7 +91,7 @@ class CellNode:
                 self.node.get_logger().warning(f"fault {recovered}: {self._reason}; switching on again")
             yield
         if sequence.state in _GIVEN_UP:
-            off = not (self._seen.amplifier_on or self._seen.absence)
+            off = sequence.message == (self._seen.fault if "driver" in self._seen.faults else AMPLIFIER_OFF)
             raise CycleFailed(f"amplifier off in mid-cycle: {self._reason}" if off else sequence.message)
 
     @property

@@ -59,7 +59,10 @@ class OpcuaNode:
             self._obey(request)
         sequence = self._sequence
         sequence.tick(seen)
-        self._tell()
+        told = f"{sequence.state.name.lower()}: {sequence.message}"
+        if told != self._told:
+            self._told = told
+            self.node.get_logger().info(told)
         alarms = self._alarms.active(seen, sequence.state, time.monotonic())
         moves = sequence.movements
         shown = Snapshot(sequence.state, sequence.message, moves.strokes, moves.strokes_done, sequence.centred)
@@ -82,12 +85,6 @@ class OpcuaNode:
         else:
             answered(self._sequence.command(request.asked, request.argument))
 
-    def _tell(self) -> None:
-        told = f"{self._sequence.state.name.lower()}: {self._sequence.message}"
-        if told != self._told:
-            self._told = told
-            self.node.get_logger().info(told)
-
     def _limits(self) -> dict[str, float]:
         driver, motion = self._remote.values.get("driver", {}), self._parameters.motion
         backend = "can" if driver.get("hardware") == "can" else "simulated"
@@ -96,9 +93,7 @@ class OpcuaNode:
             "CommandTimeout": driver.get(f"{backend}.command_timeout", math.nan),
             "ErrorPeakToPeak": self._parameters.error_limit,
             "StrokeStart": motion.start,
-            "Stroke": motion.stroke,
-            "Speed": motion.speed,
-            "Acceleration": motion.acceleration,
+            **{name.capitalize(): getattr(motion, name) for name in ("stroke", "speed", "acceleration")},
         }
 
     def close(self) -> None:
@@ -110,8 +105,7 @@ class OpcuaNode:
 
 def _server(parameters: OpcuaNodeParameters, names: list[str]) -> GatewayServer:
     try:
-        from straightcomp_ros.opcua.certificates import CertificateError
-        from straightcomp_ros.opcua.gateway_server import GatewayServer
+        from straightcomp_ros.opcua.gateway_server import CertificateError, GatewayServer
     except ImportError as error:
         raise ParameterError(f"{error.name} is not there; remedy: pip install 'straightcomp_ros[opcua]'") from error
     try:

@@ -33,13 +33,9 @@ _SHOWN_OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99
 
 
 class ViewNode:
-    """All work of the middleware is done on the main thread; pages are served on others, at their leisure.
+    """Serves the page at ``port``, whose address ``ready`` gets; other threads serve it, the main thread talks ROS.
 
-    Args:
-        node: watches.
-        port: of the page.
-        ready: called with the page's address.
-        realtime: must be as that of the graph's nodes: see docs/realtime.md.
+    ``realtime`` must be that of the graph's nodes: see docs/realtime.md.
     """
 
     def __init__(self, node: Node, port: int, ready: Callable[[str], object], realtime: RealtimeParameters) -> None:

@@ -7,18 +7,23 @@ import contextlib
 import logging
 import os
 import queue
+import socket
 import sys
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from asyncua import Server, ua
+from asyncua.crypto.cert_gen import setup_self_signed_certificate
+from asyncua.crypto.truststore import TrustStore
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from straightcomp_ros.cell.packml import Command, Order
+from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.opcua import APPLICATION
 from straightcomp_ros.opcua.address_space import AddressSpace
-from straightcomp_ros.opcua.certificates import own_certificate, trusted_certificates
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
 from straightcomp_ros.opcua.snapshot import Snapshot
@@ -49,6 +54,10 @@ class Request:
     asked: Command | Order
     argument: int
     answer: Future[str] = field(default_factory=Future)
+
+
+class CertificateError(ValueError):
+    """Certificates cannot be made or read; the message says where and why."""
 
 
 class GatewayServer:
@@ -124,7 +133,7 @@ class GatewayServer:
 
     async def _make_server(self) -> Server:
         parameters = self._parameters
-        trust = await trusted_certificates(parameters.trusted) if parameters.trusted else None
+        trust = await _trusted_certificates(parameters.trusted) if parameters.trusted else None
         internal = GuardedServer(Access(self._users, encrypted=parameters.encrypted, trust=trust))
         internal.max_connections = parameters.max_clients
         internal.max_pending_activation_seconds = _ACTIVATE_WITHIN_S
@@ -134,10 +143,10 @@ class GatewayServer:
         server.limits.max_chunk_count = _LARGEST_MESSAGE // server.limits.max_recv_buffer + 1
         await server.init()
         server.set_endpoint(parameters.endpoint)
-        server.set_server_name("straightcomp_ros")
+        server.set_server_name(PACKAGE)
         await server.set_application_uri(APPLICATION)
         if parameters.encrypted:
-            certificate, key = await own_certificate(parameters.certificates, APPLICATION)
+            certificate, key = await _own_certificate(parameters.certificates, APPLICATION)
             await server.load_certificate(certificate)
             await server.load_private_key(key)
         policies, tokens = (
@@ -160,3 +169,33 @@ class GatewayServer:
             raise TimeoutError from error
         await self._space.write(self._snapshot)
         return refusal
+
+
+async def _own_certificate(folder: str | Path, uri: str) -> tuple[Path, Path]:
+    """Certificate (DER) and key (PEM) in ``folder``, made there (self-signed, for a year) if missing or expired."""
+    certificate, key = Path(folder) / "certificate.der", Path(folder) / "key.pem"
+    before = os.umask(0o077)
+    try:
+        certificate.parent.mkdir(parents=True, exist_ok=True)
+        usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+        subject = {"organizationName": PACKAGE}
+        await setup_self_signed_certificate(key, certificate, uri, socket.gethostname(), usage, subject)
+    except (OSError, ValueError) as error:
+        raise CertificateError(f"certificates in {folder}: {error}") from error
+    finally:
+        os.umask(before)
+    return certificate, key
+
+
+async def _trusted_certificates(folder: str | Path) -> TrustStore:
+    """Certificates in ``folder`` (.der, .pem): clients' own, or of issuers."""
+    path = Path(folder)
+    found = [file for file in path.glob("*.*") if file.suffix.lower() in (".der", ".pem")] if path.is_dir() else []
+    if not found:
+        raise CertificateError(f"trusted certificates: {folder} is no folder with .der or .pem files")
+    trust = TrustStore([path], [])
+    try:
+        await trust.load_trust()
+    except (OSError, ValueError) as error:
+        raise CertificateError(f"trusted certificates in {folder}: {error}") from error
+    return trust

@@ -31,13 +31,8 @@ _LOGINS_AT_ONCE = 20.0
 
 
 class Access:
-    """Decides over connections and users.
-
-    Args:
-        users: who may log in.
-        encrypted: whether only signed and encrypted channels will do.
-        trust: certificates of the clients that may connect; None: any.
-    """
+    """Decides who may connect (with ``encrypted``: signed and encrypted, with a certificate that ``trust`` holds, where
+    there is one) and who may log in."""
 
     def __init__(self, users: Users, *, encrypted: bool, trust: TrustStore | None = None) -> None:
         self._users, self._encrypted, self._trust = users, encrypted, trust

@@ -1,7 +1,4 @@
-"""What the launch files share: a node's arguments, the parameters that they override, and where it is found by others.
-
-It needs `launch` and `launch_ros`, and is imported by the files in launch/ only.
-"""
+"""What the files in launch/ share: a node's arguments, and the parameters that they override. Only they import it."""
 
 from __future__ import annotations
 
@@ -32,7 +29,7 @@ _CHOICES = ["true", "false"]
 
 
 class Override(NamedTuple):
-    """A launch argument that, where it is given, wins over the file: its parameter, the type, and what it is."""
+    """What a launch argument means that, where it is given, wins over the file of parameters."""
 
     parameter: str
     kind: type
@@ -68,13 +65,7 @@ def use_opcua(default: str) -> Arguments:
 
 
 def described(arguments: Arguments, overrides: Overrides, actions: Iterable[object]) -> LaunchDescription:
-    """A launch file's content: its arguments, traffic kept on this computer, and what it starts.
-
-    Args:
-        arguments: besides those of all launch files.
-        overrides: arguments that win over the file.
-        actions: what it starts.
-    """
+    """A launch file's content: its arguments besides those of all launch files, and the actions that start nodes."""
     texts = {**OF_ALL, **arguments, **{name: ("", override.description) for name, override in overrides.items()}}
     declared = [
         DeclareLaunchArgument(
@@ -90,14 +81,9 @@ def described(arguments: Arguments, overrides: Overrides, actions: Iterable[obje
 def starting(
     name: str, overrides: Overrides, *, only_if: Mapping[str, bool] | None = None, runs_cycle: bool = False
 ) -> OpaqueFunction:
-    """Start a node.
+    """Start the node ``name``, if the arguments ``only_if`` have these values.
 
-    Args:
-        name: of the node.
-        overrides: arguments that win over the file.
-        only_if: what these arguments, true or false, must be.
-        runs_cycle: the node waits for all others, with ``record:=false`` for all but the logger, and when it has ended,
-            all that was launched is shut down.
+    One that ``runs_cycle`` waits for all others (``record:=false``: but the logger); its end shuts all down.
     """
 
     def actions(context: LaunchContext) -> list[object]:

@@ -104,26 +104,26 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         # Whatever is left unread of a refused request must not be taken for the next one.
         self.close_connection = True
-        if not self._addressed_to_us():
-            return
+        if self._addressed_to_us():
+            self._answer(*self._pressed())
+
+    def _pressed(self) -> tuple[HTTPStatus, str]:
+        """Do what a button says; status and message for the page."""
         if not secrets.compare_digest(self.headers.get("X-Token", "").encode(), self.server.token.encode()):
-            self._answer(HTTPStatus.FORBIDDEN, "wrong or no token; open the address that `straightcomp view` printed")
-            return
+            return HTTPStatus.FORBIDDEN, "wrong or no token; open the address that `straightcomp view` printed"
         if self.headers.get_content_type() != "application/json":
-            self._answer(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "allowed: application/json")
-            return
+            return HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "allowed: application/json"
         try:
             length = int(self.headers.get("Content-Length", ""))
             if not 0 <= length <= _LONGEST_BODY:
                 raise ValueError
             action = self.server.actions[json.loads(self.rfile.read(length))["action"]]
         except (ValueError, KeyError, TypeError):
-            self._answer(HTTPStatus.BAD_REQUEST, f'allowed: {{"action": one of {sorted(self.server.actions)}}}')
-            return
+            return HTTPStatus.BAD_REQUEST, f'allowed: {{"action": one of {sorted(self.server.actions)}}}'
         try:
-            self._answer(HTTPStatus.OK, action())
+            return HTTPStatus.OK, action()
         except ActionRefused as refusal:
-            self._answer(HTTPStatus.CONFLICT, str(refusal))
+            return HTTPStatus.CONFLICT, str(refusal)
 
     def _addressed_to_us(self) -> bool:
         """A name that somebody else's DNS leads here is refused: its page would count as ours."""
