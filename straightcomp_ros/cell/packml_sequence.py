@@ -185,7 +185,7 @@ class CellSequence:
         return allowed and not seen.absence and not seen.amplifier_on
 
     def _recover(self, work: Iterator[None]) -> Iterator[None]:
-        yield from self._resetting_faults()
+        yield from self._clearing(0.0)
         yield from self._switching_on()
         self._recovering = False
         yield from work
@@ -258,10 +258,7 @@ class CellSequence:
                 return
             yield
 
-    def _clearing(self) -> Iterator[None]:
-        yield from self._resetting_faults(_REPORTED_WITHIN_S)
-
-    def _resetting_faults(self, least: float = 0.0) -> Iterator[None]:
+    def _clearing(self, least: float = _REPORTED_WITHIN_S) -> Iterator[None]:
         yield from self._asking(
             self._machine.reset_faults,
             lambda: not self._seen.faults and self._overdue(least),

@@ -71,7 +71,7 @@ class OpcuaNode:
         answers, self._answers = self._answers, []
         for request, refusal in answers:
             request.answer.set_result(refusal)
-        if not self._server.alive and not self.done.done():
+        if not (self._server.alive or self.done.done()):
             self.node.get_logger().error("the OPC UA server has ended")
             self.done.set_result(EXIT_FAILURE)
 

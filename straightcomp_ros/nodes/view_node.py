@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import threading
+import queue
 from collections.abc import Callable
+from functools import partial
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -28,7 +29,7 @@ _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
 _LATENCY = DRIVER_STATE.layout.columns.index("command_latency")
 _SHOWN = {"deviation": 1e6, "y": 1e6, "error": 1e6, "sigma": 1e3, "latency": 1e6, "x": 1e3}
 """Series and their scales: µm, mm/s, µs, mm."""
-_SHOWN_OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": "timer_error_p99_us"}
+_OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": "timer_error_p99_us"}
 """Names on the page, and in the diagnostics."""
 
 
@@ -45,15 +46,12 @@ class ViewNode:
         self._reference = Inbox(node, unspun, REFERENCE, BurstQueue(node, unspun, REFERENCE))
         self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
         self._wanted: list[Callable[[], None]] = []
-        self._server = ViewServer(
-            port,
-            self._board,
-            {
-                "enable": lambda: self._ask(self._services.switch_on, "amplifier on"),
-                "disable": lambda: self._ask(self._services.switch_off, "amplifier off"),
-                "reset": lambda: self._ask(self._services.reset_faults, "faults reset"),
-            },
-        )
+        buttons = {
+            "enable": partial(self._ask, self._services.switch_on, "amplifier on"),
+            "disable": partial(self._ask, self._services.switch_off, "amplifier off"),
+            "reset": partial(self._ask, self._services.reset_faults, "faults reset"),
+        }
+        self._server = ViewServer(port, self._board, buttons)
         node.create_timer(_FETCH_S, self._fetch)
         ready(self._server.url)
 
@@ -76,10 +74,7 @@ class ViewNode:
     def _show(self) -> None:
         seen, reports = self._watch.observation(self._services.states), self._watch.reports()
         nodes = {
-            node: {
-                "state": state,
-                **{shown: reports.get(node, {}).get(key, "") for shown, key in _SHOWN_OF_NODE.items()},
-            }
+            node: {"state": state} | {shown: reports.get(node, {}).get(key, "") for shown, key in _OF_NODE.items()}
             for node, state in seen.nodes.items()
         }
         self._board.show(
@@ -95,17 +90,14 @@ class ViewNode:
 
     def _ask(self, service: Callable[[Callable[[str], None]], None], done: str) -> str:
         """Called by a page's thread: has the main thread ask a service, and waits for the answer."""
-        answered, refusals = threading.Event(), [""]
-
-        def take(refusal: str) -> None:
-            refusals[0] = refusal
-            answered.set()
-
-        self._wanted.append(lambda: service(take))
-        if not answered.wait(_ANSWER_WITHIN_S):
-            raise ActionRefused("the driver does not answer")
-        if refusals[0]:
-            raise ActionRefused(refusals[0])
+        refusals: queue.Queue[str] = queue.Queue()
+        self._wanted.append(lambda: service(refusals.put))
+        try:
+            refusal = refusals.get(timeout=_ANSWER_WITHIN_S)
+        except queue.Empty:
+            refusal = "the driver does not answer"
+        if refusal:
+            raise ActionRefused(refusal)
         return done
 
     def close(self) -> None:

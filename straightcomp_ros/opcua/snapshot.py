@@ -44,7 +44,7 @@ class Alarms:
     def __init__(self, error_limit: float) -> None:
         self._error_limit = error_limit
         self._lost: int | None = None
-        self._loss_text, self._loss_until = "", -math.inf
+        self._loss, self._loss_until = "", -math.inf
 
     def active(self, seen: Observation, state: State, now: float) -> dict[str, str]:
         """By name, the text of each alarm that is active at the monotonic time ``now``."""
@@ -56,12 +56,8 @@ class Alarms:
         if seen.stroke_error_pp > self._error_limit:
             error_um, limit_um = seen.stroke_error_pp * 1e6, self._error_limit * 1e6
             found["ErrorLimit"] = f"{error_um:.3f} µm over the last stroke; limit {limit_um:g} µm"
-        found["SampleLoss"] = self._loss(seen, now)
-        return {name: text for name, text in found.items() if text}
-
-    def _loss(self, seen: Observation, now: float) -> str:
         before, self._lost = self._lost, seen.lost_samples
         if before is not None and seen.lost_samples > before:
-            self._loss_text = f"{seen.lost_samples - before} samples lost"
-            self._loss_until = now + 10.0
-        return self._loss_text if now < self._loss_until else ""
+            self._loss, self._loss_until = f"{seen.lost_samples - before} samples lost", now + 10.0
+        found["SampleLoss"] = self._loss if now < self._loss_until else ""
+        return {name: text for name, text in found.items() if text}

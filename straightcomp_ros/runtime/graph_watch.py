@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -45,14 +45,6 @@ class Fetched(NamedTuple):
     driver: Messages = ()
 
 
-def _yielding(messages: Messages) -> Iterator[tuple[int, Sequence[float], int]]:
-    """The messages; nodes of the same real-time priority need not wait for the end of them."""
-    for number, message in enumerate(messages):
-        if number % _YIELD_EVERY == 0:
-            os.sched_yield()
-        yield message
-
-
 class GraphWatch:
     """Reads bursts, and what comes seldom: its reading costs the loops that publish next to nothing.
 
@@ -86,16 +78,17 @@ class GraphWatch:
     def fetch(self) -> Fetched:
         """Take what has come; call it some ten times a second or more."""
         fetched = Fetched(*(inbox.fetch() for inbox in self._inboxes))
-        for stamp_ns, (x, _), _ in _yielding(fetched.positions):
+        for number, (stamp_ns, (x, y), _) in enumerate(fetched.positions, 1):
             self._strokes.add_position(stamp_ns, x)
-        for _, numbers, _ in _yielding(fetched.controller):
+            if number % _YIELD_EVERY == 0 or number == len(fetched.positions):
+                # With real-time scheduling nodes of the same priority would have to wait for the end of this.
+                os.sched_yield()
+                self._newest = replace(self._newest, x=x, y=y)
+        for number, (_, numbers, _) in enumerate(fetched.controller, 1):
             self._strokes.add_error(numbers[_ERROR])
-        if fetched.positions:
-            x, y = fetched.positions[-1][1]
-            self._newest = replace(self._newest, x=x, y=y)
-        if fetched.controller:
-            numbers = fetched.controller[-1][1]
-            self._newest = replace(self._newest, error=numbers[_ERROR], sliding_variable=numbers[_SIGMA])
+            if number % _YIELD_EVERY == 0 or number == len(fetched.controller):
+                os.sched_yield()
+                self._newest = replace(self._newest, error=numbers[_ERROR], sliding_variable=numbers[_SIGMA])
         for messages in (fetched.driver, fetched.positions):
             if messages:
                 first_ns = self._newest.first_ns or messages[0][0]

@@ -14,13 +14,7 @@ _TICK_S = 0.05
 
 
 class Heartbeats:
-    """Listens from its making on.
-
-    Args:
-        node: listens.
-        names: nodes to watch; they count as silent until the first heartbeat.
-        timeout: silence that counts, s.
-    """
+    """Listens to nodes, which count as silent until their first heartbeat, and ``timeout`` (s) after each."""
 
     def __init__(self, node: Node, names: Sequence[str], timeout: float = 1.0) -> None:
         self._timeout = timeout
