@@ -83,16 +83,15 @@ class Graph:
         parameters: Mapping[str, Any],
         parameter_file: Path | None = None,
         *,
-        arguments: Sequence[str] = (),
         command: Sequence[str] | None = None,
         read_output: bool = False,
     ) -> subprocess.Popen[str]:
         """Start the node ``name`` by its executable ``<name>_node``, or by another ``command``.
 
-        ``parameters`` win over those of the ROS 2 ``parameter_file``, ``arguments`` are further ROS arguments (e.g. a
-        remapping), and with ``read_output`` the standard output is a pipe for the caller instead of going to the log.
+        ``parameters`` win over those of the ROS 2 ``parameter_file``; with ``read_output`` standard output is a pipe
+        for the caller instead of going to the log.
         """
-        words = [*(command or executable_command(f"{name}_node")), "--ros-args", *arguments]
+        words = [*(command or executable_command(f"{name}_node")), "--ros-args"]
         if parameter_file:
             words += ["--params-file", str(parameter_file)]
         for key, value in parameters.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -172,7 +173,7 @@ class AddressSpace:
                 return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
             try:
                 refused = await command(kind, *(inputs or [0]))
-            except TimeoutError:
+            except asyncio.TimeoutError:
                 return ua.StatusCode(ua.StatusCodes.BadTimeout)
             return ua.StatusCode(ua.StatusCodes.BadInvalidState) if refused else []
 

@@ -163,10 +163,7 @@ class GatewayServer:
             self._requests.put_nowait(request)
         except queue.Full:
             return "too many commands at once"
-        try:
-            refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), within)
-        except asyncio.TimeoutError as error:
-            raise TimeoutError from error
+        refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), within)
         await self._space.write(self._snapshot)
         return refusal
 
