@@ -58,11 +58,9 @@ def isolated_environment() -> dict[str, str]:
 
 
 class Graph:
-    """Processes of one graph; use it as a context manager, which stops them all.
+    """Processes of one graph, by default in an :func:`isolated_environment`; as a context manager it stops them all.
 
-    Args:
-        log_folder: gets a file for each node with what it printed.
-        environment: of the processes; :func:`isolated_environment` if None.
+    ``log_folder`` gets a file for each node with what it printed.
     """
 
     def __init__(self, log_folder: Path, environment: Mapping[str, str] | None = None) -> None:
@@ -88,8 +86,7 @@ class Graph:
     ) -> subprocess.Popen[str]:
         """Start the node ``name`` by its executable ``<name>_node``, or by another ``command``.
 
-        ``parameters`` win over those of the ROS 2 ``parameter_file``; with ``read_output`` standard output is a pipe
-        for the caller instead of going to the log.
+        ``parameters`` win over those of the ROS 2 ``parameter_file``; for ``read_output`` see :meth:`start_program`.
         """
         words = [*(command or executable_command(f"{name}_node")), "--ros-args"]
         if parameter_file:
@@ -100,7 +97,10 @@ class Graph:
         return self.start_program(name, words, read_output=read_output)
 
     def start_program(self, name: str, command: Sequence[str], *, read_output: bool = False) -> subprocess.Popen[str]:
-        """Start a program under a ``name`` of its own; one that is started again goes on with its log."""
+        """Start a program under a ``name`` of its own; one that is started again goes on with its log.
+
+        With ``read_output`` standard output is a pipe for the caller instead of going to the log.
+        """
         with self.log(name).open("a" if name in self._processes else "w") as log:
             process = subprocess.Popen(
                 command,

@@ -35,7 +35,7 @@ class Value:
     """Without samples it has no value."""
 
 
-_STATUS: Mapping[str, Value] = {
+_STATUS = {
     "StateCurrent": Value(T.Int32, "State, PackML's number", lambda s: int(s.state)),
     "StateName": Value(T.String, "State, PackML's name", lambda s: name(s.state)),
     "Message": Value(T.String, "Why the state is what it is, or a command was refused", lambda s: s.message),
@@ -45,7 +45,7 @@ _STATUS: Mapping[str, Value] = {
     "FaultCode": Value(T.UInt32, "Number of the latched fault (docs/safety.md); 0: none", lambda s: s.seen.fault_code),
     "AmplifierOn": Value(T.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
 }
-_LIVE: Mapping[str, Value] = {
+_LIVE = {
     "X": Value(T.Double, "Position of the stage", lambda s: s.seen.x, "m", True),
     "Y": Value(T.Double, "Position of the platform", lambda s: s.seen.y, "m", True),
     "Error": Value(T.Double, "Compensation error r − y", lambda s: s.seen.error, "m", True),

@@ -75,10 +75,7 @@ async def connected(
 ) -> tuple[Client, CellClient]:
     """Connect to the endpoint ``url`` as an operator, as soon as the gateway is there.
 
-    Args:
-        url, user, password: endpoint, and whose session it is.
-        certificates: folder with this client's certificate.der and key.pem; None: not encrypted.
-        server_certificate: the gateway's, with encryption.
+    The folder ``certificates`` has this client's certificate.der and key.pem; without one nothing is encrypted.
 
     Raises:
         CycleFailed: the gateway does not answer within a minute, or refuses.

@@ -176,6 +176,6 @@ class GuardedSession(InternalSession):
         return [number for number, subscription in every.items() if subscription.session_id == self.session_id]
 
     def check_own(self, subscription: int) -> None:
-        """Raise ServiceError if another session has made this subscription, or nobody."""
+        """Raise ServiceError if this session has not made the subscription."""
         if subscription not in self._own_subscriptions():
             raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)

@@ -28,17 +28,10 @@ Answer = Callable[[str], None]
 
 
 class GraphServices:
-    """Asks without waiting, as :class:`~straightcomp_ros.cell.packml_sequence.Machine` says.
+    """Asks the nodes ``names`` in the namespace of ``node`` without waiting: see the sequencer's `Machine`.
 
-    ``then`` gets why something was refused, or an empty text.
-
-    Args:
-        node: asks.
-        names: nodes of the graph, in this node's namespace.
-        silent_after: time without a heartbeat after which a node counts as silent, s.
-
-    Attributes:
-        refusal: why the amplifier was not switched on when that was asked last; empty while not answered.
+    ``then`` gets why something was refused, or an empty text. A node counts as silent so many seconds after its last
+    heartbeat (``silent_after``).
     """
 
     def __init__(self, node: Node, names: Sequence[str], silent_after: float = 5.0) -> None:

@@ -50,9 +50,9 @@ class GraphWatch:
 
     Args:
         node: watches; must be spun for the diagnostics and the safety state.
-        bursts: also read `controller_state` and `driver_state`; otherwise the errors and σ stay unknown.
+        bursts: also read `controller_state` and `driver_state`; otherwise errors and σ stay unknown.
         fresh: time after a sample for which samples count as coming in, s.
-        patient: before the first sample, samples count as coming in until :meth:`expect_samples` is called.
+        patient: they count as coming in before the first, too, until :meth:`expect_samples` is called.
     """
 
     def __init__(self, node: Node, *, bursts: bool = True, fresh: float = 0.5, patient: bool = False) -> None:
