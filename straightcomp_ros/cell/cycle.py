@@ -70,7 +70,7 @@ def run_cycle(
             cell = graph.start("cell", extra, parameter_file, command=command, read_output=True)
         started(ids)
         _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
-        # The others send what waits in their last bursts as they end.
+        # The others send what waits in their last batches as they end.
         codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
         if codes["logger"] != 0:
             raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")

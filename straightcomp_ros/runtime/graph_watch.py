@@ -1,4 +1,4 @@
-"""Watches the graph without touching its loop: streams from inboxes, diagnostics, and what both say together."""
+"""Watches the graph without touching its loop: streams, diagnostics, safety state, and what they say together."""
 
 from __future__ import annotations
 
@@ -46,20 +46,20 @@ class Fetched(NamedTuple):
 
 
 class GraphWatch:
-    """Reads bursts, and what comes seldom: its reading costs the loops that publish next to nothing.
+    """Reads batches, and what comes seldom: its reading costs the loops that publish next to nothing.
 
     Args:
         node: watches; must be spun for the diagnostics and the safety state.
-        bursts: also read `controller_state` and `driver_state`; otherwise errors and σ stay unknown.
+        batches: also read `controller_state` and `driver_state`; otherwise errors and σ stay unknown.
         fresh: time after a sample for which samples count as coming in, s.
         patient: they count as coming in before the first, too, until :meth:`expect_samples` is called.
     """
 
-    def __init__(self, node: Node, *, bursts: bool = True, fresh: float = 0.5, patient: bool = False) -> None:
+    def __init__(self, node: Node, *, batches: bool = True, fresh: float = 0.5, patient: bool = False) -> None:
         self._node, self._fresh = node, fresh
         unspun = unspun_node(node)
         self._inboxes = [Inbox(node, unspun, POSITION)]
-        if bursts:
+        if batches:
             streams = (CONTROLLER_STATE, DRIVER_STATE)
             self._inboxes += [Inbox(node, unspun, stream, BurstQueue(node, unspun, stream)) for stream in streams]
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
