@@ -6,10 +6,10 @@ two would move the stage and switch the amplifier.
 
 from launch import LaunchDescription
 
-from straightcomp_ros.runtime.launch_files import RECORD, RT_PRIORITY, described, starting, use_opcua, without_a_logger
+from straightcomp_ros.runtime.launch_files import RECORD, RT_PRIORITY, described, starting, use_opcua
 
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros cell_node.launch.py`, and by cell.launch.py."""
-    cell = starting("cell", RT_PRIORITY, only_if={"use_opcua": False}, ends_all=True, chosen=without_a_logger)
+    cell = starting("cell", RT_PRIORITY, only_if={"use_opcua": False}, runs_cycle=True)
     return described({**RECORD, **use_opcua("false")}, RT_PRIORITY, [cell])

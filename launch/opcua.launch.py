@@ -12,7 +12,6 @@ from straightcomp_ros.runtime.launch_files import (
     described,
     starting,
     use_opcua,
-    without_a_logger,
 )
 
 OVERRIDES = {**OPCUA_USERS, **RT_PRIORITY}
@@ -20,5 +19,5 @@ OVERRIDES = {**OPCUA_USERS, **RT_PRIORITY}
 
 def generate_launch_description() -> LaunchDescription:
     """Called by `ros2 launch straightcomp_ros opcua.launch.py`, and by cell.launch.py."""
-    gateway = starting("opcua", OVERRIDES, only_if={"use_opcua": True}, ends_all=True, chosen=without_a_logger)
+    gateway = starting("opcua", OVERRIDES, only_if={"use_opcua": True}, runs_cycle=True)
     return described({**RECORD, **use_opcua("true")}, OVERRIDES, [gateway])

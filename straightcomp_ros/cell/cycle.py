@@ -43,15 +43,14 @@ def run_cycle(
     """Run the graph until the cell has finished its cycle, and record it.
 
     Args:
-        bag: folder that the logger makes.
+        bag, logs: folders that the logger makes, and that gets what the nodes print.
         parameter_file: of all nodes.
-        logs: folder for what the nodes print.
         duration: of the cycle, s.
         progress: called some 20 times a second with the fraction of the cycle that is done; True ends the cycle now.
         started: called once with the process id of each node.
         commands: by node, what to start in its place.
-        beside: further programs by name that the nodes need, started before them: a bus, an emulated board.
-        in_place_of_cell: a program that runs the cycle from outside the graph, and prints progress as the cell does.
+        beside: by name, programs to start before the nodes, which need them: a bus, an emulated board.
+        in_place_of_cell: a program that runs the cycle from outside the graph and prints progress as the cell does.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
@@ -67,12 +66,11 @@ def run_cycle(
         if in_place_of_cell:
             cell = graph.start_program("cell", in_place_of_cell, read_output=True)
         else:
-            cell = graph.start(
-                "cell", {"progress": True}, parameter_file, command=commands.get("cell"), read_output=True
-            )
+            extra, command = {"progress": True}, commands.get("cell")
+            cell = graph.start("cell", extra, parameter_file, command=command, read_output=True)
         started(ids)
         _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
-        # The others send what waits in their last bursts as they end.
+        # The others send what waits in their last batches as they end.
         codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
         if codes["logger"] != 0:
             raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")

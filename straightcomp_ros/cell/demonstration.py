@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import secrets
 import shutil
-from collections.abc import Callable, Mapping
+import socket
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,14 +18,19 @@ from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, as_parameter_file, run_cycle
-from straightcomp_ros.cell.launcher import LaunchError, verb_command
+from straightcomp_ros.cell.launcher import LaunchError, executable_command, verb_command
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.stage import cycles
-from straightcomp_ros.opcua.demonstrated import driven_by_opcua
+from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
+from straightcomp_ros.opcua.users import OPERATOR, add_user
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, blamed, summarise
+
+_USER, _PASSWORD = "demo", "STRAIGHTCOMP_OPCUA_PASSWORD"
+Values = Mapping[str, Mapping[str, Any]]
+"""Parameters by node and dotted name."""
 
 
 class DemonstrationFailed(RuntimeError):
@@ -56,20 +66,17 @@ class Demonstration:
 
     @property
     def held_up(self) -> str:
-        """Who got no CPU while the amplifier was on, and for how long; empty if nobody was held up for long."""
+        """Who got no CPU while the amplifier was on, and for how long; empty where it was not for long."""
         return blamed({node: timing.held_up for node, timing in self.timing.items() if node in IN_THE_LOOP})
 
 
 def demonstrate(
-    values: Mapping[str, Mapping[str, Any]],
-    output: Path,
-    progress: Callable[[float], None] = lambda fraction: None,
-    opcua_strokes: int = 0,
+    values: Values, output: Path, progress: Callable[[float], None] = lambda fraction: None, opcua_strokes: int = 0
 ) -> Demonstration:
     """Run the graph for one cycle and evaluate the bag.
 
     Args:
-        values: parameters by node and dotted name.
+        values: parameters of all nodes.
         output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; an earlier bag there is replaced.
         progress: called with the fraction of the cycle that is done.
         opcua_strokes: instead of one stroke run by the cell, so many run by a client of the OPC UA gateway.
@@ -79,25 +86,17 @@ def demonstrate(
         ParameterError: a parameter is refused.
         SurveyError: the map is refused.
     """
-    bag, parameter_file = output / "bag", output / "parameters.yaml"
+    bag, logs, parameter_file = output / "bag", output / "logs", output / "parameters.yaml"
     cell = node_parameters("cell", values["cell"])
     duration = cycles(cell.motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
     straightness = load_map(node_parameters("feedforward", values["feedforward"]).map)
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
-    logs = output / "logs"
     try:
-        with driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
+        with _driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
             parameter_file.write_text(as_parameter_file(values))
-            run_cycle(
-                bag,
-                parameter_file,
-                logs,
-                duration,
-                progress,
-                beside={**emulated_machine(values["driver"], parameter_file), **gateway},
-                in_place_of_cell=client,
-            )
+            beside = {**emulated_machine(values["driver"], parameter_file), **gateway}
+            run_cycle(bag, parameter_file, logs, duration, progress, beside=beside, in_place_of_cell=client)
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
     try:
@@ -114,6 +113,38 @@ def demonstrate(
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
     return Demonstration(bag, evaluation, straightness, metrics, timing)
+
+
+@contextmanager
+def _driven_by_opcua(
+    values: Values, parameter_file: Path, strokes: int
+) -> Iterator[tuple[Values, Mapping[str, Sequence[str]], Sequence[str] | None]]:
+    """Parameters with a gateway's for this run alone, the gateway's command by name, and that of a client that runs
+    ``strokes``; with 0 strokes neither gateway nor client."""
+    if not strokes:
+        yield values, {}, None
+        return
+    with tempfile.TemporaryDirectory(prefix="straightcomp_opcua_") as folder:
+        users, password, port = Path(folder) / "users", secrets.token_urlsafe(16), free_port()
+        add_user(users, _USER, password, OPERATOR)
+        motion = {name: value for name, value in values["cell"].items() if name.startswith("motion.")}
+        gateway = {**values.get("opcua", {}), **motion, "opcua.users": str(users), "opcua.port": port}
+        command = [*executable_command("opcua_node"), "--ros-args", "--params-file", str(parameter_file)]
+        url = OpcuaParameters(port=port).endpoint
+        client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
+        # Programs inherit it; on a command line everybody could read it.
+        os.environ[_PASSWORD] = password
+        try:
+            yield {**values, "opcua": gateway}, {"opcua": command}, client
+        finally:
+            del os.environ[_PASSWORD]
+
+
+def free_port() -> int:
+    """A TCP port of this machine that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
@@ -136,6 +167,5 @@ def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
 def emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
     """Commands of the programs that stand for the board and its bus where that is a hub, by name."""
     parameters = node_parameters("driver", driver)
-    if parameters.hardware != "can" or parameters.can.interface != INTERFACE:
-        return {}
-    return {"board": verb_command("dsp", "--hub", "--params-file", str(parameter_file))}
+    on_a_hub = parameters.hardware == "can" and parameters.can.interface == INTERFACE
+    return {"board": verb_command("dsp", "--hub", "--params-file", str(parameter_file))} if on_a_hub else {}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import json
 import os
 import random
 import signal
@@ -57,11 +58,9 @@ def isolated_environment() -> dict[str, str]:
 
 
 class Graph:
-    """Processes of one graph; use it as a context manager, which stops them all.
+    """Processes of one graph, by default in an :func:`isolated_environment`; as a context manager it stops them all.
 
-    Args:
-        log_folder: gets one file for each node with what it printed.
-        environment: of the processes; :func:`isolated_environment` if None.
+    ``log_folder`` gets a file for each node with what it printed.
     """
 
     def __init__(self, log_folder: Path, environment: Mapping[str, str] | None = None) -> None:
@@ -82,30 +81,26 @@ class Graph:
         parameters: Mapping[str, Any],
         parameter_file: Path | None = None,
         *,
-        arguments: Sequence[str] = (),
         command: Sequence[str] | None = None,
         read_output: bool = False,
     ) -> subprocess.Popen[str]:
-        """Start the node ``name`` (executable ``<name>_node``).
+        """Start the node ``name`` by its executable ``<name>_node``, or by another ``command``.
 
-        Args:
-            name: the node.
-            parameters: values that win over the file's.
-            parameter_file: ROS 2 parameter file.
-            arguments: further ROS arguments, e.g. a remapping.
-            command: what to start instead of the executable.
-            read_output: standard output is a pipe for the caller instead of going to the log.
+        ``parameters`` win over those of the ROS 2 ``parameter_file``; for ``read_output`` see :meth:`start_program`.
         """
-        words = [*(command or executable_command(f"{name}_node")), "--ros-args", *arguments]
+        words = [*(command or executable_command(f"{name}_node")), "--ros-args"]
         if parameter_file:
             words += ["--params-file", str(parameter_file)]
         for key, value in parameters.items():
-            words += ["-p", f"{key}:={_as_argument(value)}"]
+            # Quoted, a text stays a text in the YAML of the command line ("1" or "on" would turn into something else).
+            words += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
         return self.start_program(name, words, read_output=read_output)
 
     def start_program(self, name: str, command: Sequence[str], *, read_output: bool = False) -> subprocess.Popen[str]:
-        """Start another program beside the nodes, under a ``name`` of its own; one that is started again goes on with
-        its log."""
+        """Start a program under a ``name`` of its own; one that is started again goes on with its log.
+
+        With ``read_output`` standard output is a pipe for the caller instead of going to the log.
+        """
         with self.log(name).open("a" if name in self._processes else "w") as log:
             process = subprocess.Popen(
                 command,
@@ -129,8 +124,7 @@ class Graph:
     def check(self, names: Sequence[str]) -> None:
         """Raise LaunchError if one of these nodes, which should run on, has ended."""
         for name in names:
-            code = self.exit_code(name)
-            if code is not None:
+            if (code := self.exit_code(name)) is not None:
                 raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {self.last_words(name)}")
 
     def exit_code(self, name: str) -> int | None:
@@ -158,13 +152,6 @@ class Graph:
             if process.stdout:
                 process.stdout.close()
         return {name: process.returncode for name, process in stopping.items()}
-
-
-def _as_argument(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    # Quotes keep a text a text in the YAML of the command line ("1" or "on" would turn into something else).
-    return f"'{value}'" if isinstance(value, str) else repr(value)
 
 
 def exit_words(code: int) -> str:

@@ -6,54 +6,36 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-ACTIVE = "active"
-ABSENT = "absent"
-SILENT = "silent"
-READY_STATES = (ACTIVE, "plain")
-"""A node in one of these states works. ``plain``: it is there and has no lifecycle."""
+ABSENT, SILENT, PLAIN = "absent", "silent", "plain"
+"""States of a node that says no lifecycle state: it is not there, does not answer, or has no lifecycle."""
+_WORKING = ("active", PLAIN)
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What the nodes say of themselves and what their streams show.
+    """What the nodes say of themselves and what their streams show."""
 
-    Attributes:
-        nodes: state of each node of the graph: ``absent``, ``plain``, ``silent``, or its lifecycle state in lower case.
-        faults: by node, what is wrong; empty where all is well.
-        fault_code: number of the fault that the driver has latched; 0 without one.
-        unrecorded: topics that the logger, where there is one, is not connected to.
-        fresh: samples are coming in.
-        amplifier_on: samples come in, and the driver says that the amplifier is on.
-        stamp_ns: of the newest sample, ns since the epoch; 0 before the first.
-        x, y: newest position in m; NaN before the first.
-        still: the stage has not moved for a tenth of a second.
-        error: newest compensation error in m.
-        sliding_variable: newest, m/s.
-        stroke_error_pp: peak-to-peak error over the last finished movement of the stage, m; NaN before the first.
-        samples: that the controller has handled since its start.
-        lost_samples: that did not come to the controller since its start.
-    """
-
-    nodes: Mapping[str, str] = field(default_factory=dict)
-    faults: Mapping[str, str] = field(default_factory=dict)
-    fault_code: int = 0
-    unrecorded: tuple[str, ...] = ()
-    fresh: bool = False
-    amplifier_on: bool = False
-    stamp_ns: int = 0
-    x: float = math.nan
-    y: float = math.nan
-    still: bool = True
-    error: float = math.nan
-    sliding_variable: float = math.nan
-    stroke_error_pp: float = math.nan
-    samples: int = 0
-    lost_samples: int = 0
+    nodes: Mapping[str, str] = field(default_factory=dict)  # their states: one of those above, or in the lifecycle
+    faults: Mapping[str, str] = field(default_factory=dict)  # by node, what is wrong; empty where all is well
+    fault_code: int = 0  # of the fault that the driver has latched; 0 without one
+    unrecorded: tuple[str, ...] = ()  # topics that the logger, where there is one, is not connected to
+    fresh: bool = False  # samples are coming in
+    amplifier_on: bool = False  # samples are coming in, and the driver says that the amplifier is on
+    stamp_ns: int = 0  # of the newest sample, ns since the epoch; 0 before the first
+    first_ns: int = 0  # of the first sample that was seen
+    x: float = math.nan  # newest position of the stage in m; NaN before the first
+    y: float = math.nan  # of the platform
+    still: bool = True  # the stage has not moved for a tenth of a second
+    error: float = math.nan  # newest compensation error in m
+    sliding_variable: float = math.nan  # newest, m/s
+    stroke_error_pp: float = math.nan  # peak-to-peak error over the stage's last finished movement, m
+    samples: int = 0  # that the controller has handled since its start
+    lost_samples: int = 0  # that did not come to the controller since its start
 
     @property
     def missing(self) -> tuple[str, ...]:
         """Nodes that do not work, with their state, e.g. ``logger (absent)``."""
-        return tuple(f"{name} ({state})" for name, state in self.nodes.items() if state not in READY_STATES)
+        return tuple(f"{name} ({state})" for name, state in self.nodes.items() if state not in _WORKING)
 
     @property
     def fault(self) -> str:
@@ -61,14 +43,14 @@ class Observation:
         return "; ".join(f"{node}: {text}" for node, text in self.faults.items())
 
     @property
-    def obstacle(self) -> str:
-        """Why a cycle cannot start now; empty where it can."""
-        if self.fault:
-            return self.fault
+    def absence(self) -> str:
+        """Which nodes do not work, or that no samples come in; empty where all is there."""
         if self.missing:
             return f"nodes that do not work: {', '.join(self.missing)}"
-        if not self.fresh:
-            return "no samples come in"
-        if self.unrecorded:
-            return f"not recorded: {', '.join(self.unrecorded)}"
-        return "" if self.still else "the stage moves"
+        return "" if self.fresh else "no samples come in"
+
+    @property
+    def obstacle(self) -> str:
+        """Why a cycle cannot start now; empty where it can."""
+        unrecorded = f"not recorded: {', '.join(self.unrecorded)}" if self.unrecorded else ""
+        return self.fault or self.absence or unrecorded or ("" if self.still else "the stage moves")

@@ -14,17 +14,12 @@ class StrokeErrors:
     """Peak-to-peak error over each movement, from the streams of position and error.
 
     The two streams need not be in step: at the ends of a movement a tenth of a second counts to neither or either side.
-
-    Attributes:
-        still: the stage stands.
-        last_pp: peak-to-peak error over the last finished movement, m; NaN before the first.
-        finished: movements so far.
     """
 
     def __init__(self) -> None:
-        self.still = True
-        self.last_pp = math.nan
-        self.finished = 0
+        self.still = True  # the stage stands
+        self.last_pp = math.nan  # error over the last finished movement, m
+        self.finished = 0  # movements so far
         self._positions: deque[tuple[int, float]] = deque()
         self._low, self._high = math.inf, -math.inf
 

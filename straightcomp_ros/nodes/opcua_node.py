@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import sys
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 from rclpy.task import Future
 
+from straightcomp_ros.cell.packml import Order
+from straightcomp_ros.cell.packml_sequence import CellSequence
 from straightcomp_ros.configuration.node_parameters import OpcuaNodeParameters
-from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.packml_sequence import CellSequence
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
+from straightcomp_ros.opcua.users import UsersError
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.graph_services import GraphServices
 from straightcomp_ros.runtime.graph_watch import GraphWatch
@@ -24,7 +26,7 @@ from straightcomp_ros.settings.declaration import ParameterError
 
 if TYPE_CHECKING:
     # It needs asyncua, which is not everywhere.
-    from straightcomp_ros.opcua.gateway_server import Request
+    from straightcomp_ros.opcua.gateway_server import GatewayServer, Request
 
 _TICK_S = 0.02
 
@@ -55,60 +57,43 @@ class OpcuaNode:
         for request in self._server.requests():
             self._commands += 1
             self._obey(request)
-        self._sequence.tick(seen)
-        self._tell()
         sequence = self._sequence
-        self._server.show(
-            Snapshot(
-                state=sequence.state,
-                message=sequence.message,
-                strokes=sequence.strokes,
-                strokes_done=sequence.strokes_done,
-                centred=sequence.centred,
-                seen=seen,
-                alarms=self._alarms.active(seen, sequence.state, time.monotonic()),
-                limits=self._limits(),
-            )
-        )
+        sequence.tick(seen)
+        told = f"{sequence.state.name.lower()}: {sequence.message}"
+        if told != self._told:
+            self._told = told
+            self.node.get_logger().info(told)
+        alarms = self._alarms.active(seen, sequence.state, time.monotonic())
+        moves = sequence.movements
+        shown = Snapshot(sequence.state, sequence.message, moves.strokes, moves.strokes_done, sequence.centred)
+        self._server.show(replace(shown, seen=seen, alarms=alarms, limits=self._limits()))
         # Afterwards: a client that reads the state when its call has returned sees what the call has done.
         answers, self._answers = self._answers, []
         for request, refusal in answers:
             request.answer.set_result(refusal)
-        if not self._server.alive and not self.done.done():
+        if not (self._server.alive or self.done.done()):
             self.node.get_logger().error("the OPC UA server has ended")
             self.done.set_result(EXIT_FAILURE)
 
     def _obey(self, request: Request) -> None:
+        def answered(refusal: str) -> None:
+            self._answers.append((request, refusal))
+
         if isinstance(request.asked, Order):
             # The answer comes when the feedforward has given it.
-            self._sequence.order(
-                request.asked, bool(request.argument), lambda refusal: self._answers.append((request, refusal))
-            )
+            self._sequence.order(request.asked, bool(request.argument), answered)
         else:
-            self._answers.append((request, self._sequence.command(request.asked, request.argument)))
-
-    def _tell(self) -> None:
-        told = f"{self._sequence.state.name.lower()}: {self._sequence.message}"
-        if told != self._told:
-            self._told = told
-            self.node.get_logger().info(told)
+            answered(self._sequence.command(request.asked, request.argument))
 
     def _limits(self) -> dict[str, float]:
         driver, motion = self._remote.values.get("driver", {}), self._parameters.motion
         backend = "can" if driver.get("hardware") == "can" else "simulated"
-
-        def limit(name: str) -> float:
-            value = driver.get(name)
-            return float(value) if isinstance(value, int | float) else math.nan
-
         return {
-            "ControlCurrent": limit("current_limit"),
-            "CommandTimeout": limit(f"{backend}.command_timeout"),
+            "ControlCurrent": driver.get("current_limit", math.nan),
+            "CommandTimeout": driver.get(f"{backend}.command_timeout", math.nan),
             "ErrorPeakToPeak": self._parameters.error_limit,
             "StrokeStart": motion.start,
-            "Stroke": motion.stroke,
-            "Speed": motion.speed,
-            "Acceleration": motion.acceleration,
+            **{name.capitalize(): getattr(motion, name) for name in ("stroke", "speed", "acceleration")},
         }
 
     def close(self) -> None:
@@ -118,14 +103,11 @@ class OpcuaNode:
         self._server.close()
 
 
-def _server(parameters: OpcuaNodeParameters, names: list[str]):
+def _server(parameters: OpcuaNodeParameters, names: list[str]) -> GatewayServer:
     try:
-        from straightcomp_ros.opcua.certificates import CertificateError
-        from straightcomp_ros.opcua.gateway_server import GatewayServer
+        from straightcomp_ros.opcua.gateway_server import CertificateError, GatewayServer
     except ImportError as error:
         raise ParameterError(f"{error.name} is not there; remedy: pip install 'straightcomp_ros[opcua]'") from error
-    from straightcomp_ros.opcua.users import UsersError
-
     try:
         return GatewayServer(parameters.opcua, names)
     except (UsersError, CertificateError) as error:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import threading
+import queue
 from collections.abc import Callable
+from functools import partial
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -28,16 +29,14 @@ _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
 _LATENCY = DRIVER_STATE.layout.columns.index("command_latency")
 _SHOWN = {"deviation": 1e6, "y": 1e6, "error": 1e6, "sigma": 1e3, "latency": 1e6, "x": 1e3}
 """Series and their scales: µm, mm/s, µs, mm."""
+_OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": "timer_error_p99_us"}
+"""Names on the page, and in the diagnostics."""
 
 
 class ViewNode:
-    """All work of the middleware is done on the main thread; pages are served on others, at their leisure.
+    """Serves the page at ``port``, whose address ``ready`` gets; other threads serve it, the main thread talks ROS.
 
-    Args:
-        node: watches.
-        port: of the page.
-        ready: called with the page's address.
-        realtime: must be as that of the graph's nodes: see docs/realtime.md.
+    ``realtime`` must be that of the graph's nodes: see docs/realtime.md.
     """
 
     def __init__(self, node: Node, port: int, ready: Callable[[str], object], realtime: RealtimeParameters) -> None:
@@ -47,33 +46,37 @@ class ViewNode:
         self._reference = Inbox(node, unspun, REFERENCE, BurstQueue(node, unspun, REFERENCE))
         self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
         self._wanted: list[Callable[[], None]] = []
-        self._server = ViewServer(
-            port,
-            self._board,
-            {
-                "enable": lambda: self._ask(self._enable),
-                "disable": lambda: self._ask(self._disable),
-                "reset": lambda: self._ask(self._reset),
-            },
-        )
+        buttons = {
+            "enable": partial(self._ask, self._services.switch_on, "amplifier on"),
+            "disable": partial(self._ask, self._services.switch_off, "amplifier off"),
+            "reset": partial(self._ask, self._services.reset_faults, "faults reset"),
+        }
+        self._server = ViewServer(port, self._board, buttons)
         node.create_timer(_FETCH_S, self._fetch)
         ready(self._server.url)
 
     def _fetch(self) -> None:
-        fetched, add = self._watch.fetch(), self._board.add
-        add("x", [(stamp_ns, numbers[0]) for stamp_ns, numbers, _ in fetched.positions])
-        add("y", [(stamp_ns, numbers[1]) for stamp_ns, numbers, _ in fetched.positions])
-        add("error", [(stamp_ns, numbers[_ERROR]) for stamp_ns, numbers, _ in fetched.controller])
-        add("sigma", [(stamp_ns, numbers[_SIGMA]) for stamp_ns, numbers, _ in fetched.controller])
-        add("latency", [(stamp_ns, numbers[_LATENCY]) for stamp_ns, numbers, _ in fetched.driver])
-        # What the map says of the guide: the reference is its mirror image.
-        add("deviation", [(stamp_ns, -numbers[0]) for stamp_ns, numbers, _ in self._reference.fetch()])
+        fetched = self._watch.fetch()
+        for name, messages, column, sign in (
+            ("x", fetched.positions, 0, 1.0),
+            ("y", fetched.positions, 1, 1.0),
+            ("error", fetched.controller, _ERROR, 1.0),
+            ("sigma", fetched.controller, _SIGMA, 1.0),
+            ("latency", fetched.driver, _LATENCY, 1.0),
+            # The deviation of the guide by the map: the reference is its mirror image.
+            ("deviation", self._reference.fetch(), 0, -1.0),
+        ):
+            self._board.add(name, [(stamp_ns, sign * numbers[column]) for stamp_ns, numbers, _ in messages])
         while self._wanted:
             self._wanted.pop(0)()
         self._show()
 
     def _show(self) -> None:
         seen, reports = self._watch.observation(self._services.states), self._watch.reports()
+        nodes = {
+            node: {"state": state} | {shown: reports.get(node, {}).get(key, "") for shown, key in _OF_NODE.items()}
+            for node, state in seen.nodes.items()
+        }
         self._board.show(
             {
                 "fresh": seen.fresh,
@@ -81,42 +84,21 @@ class ViewNode:
                 "x_mm": seen.x * 1e3,
                 "stroke_error_pp_um": seen.stroke_error_pp * 1e6,
                 "faults": dict(seen.faults),
-                "nodes": {
-                    node: {
-                        "state": state,
-                        "rate_hz": reports.get(node, {}).get(RATE, ""),
-                        "overruns": reports.get(node, {}).get(OVERRUNS, ""),
-                        "lost": reports.get(node, {}).get(LOST, ""),
-                        "late_p99_us": reports.get(node, {}).get("timer_error_p99_us", ""),
-                    }
-                    for node, state in seen.nodes.items()
-                },
+                "nodes": nodes,
             }
         )
 
-    def _ask(self, action: Callable[[Callable[[str, str], None]], None]) -> str:
-        """Called by a page's thread: has the main thread do it, and waits for the answer."""
-        answered, answer = threading.Event(), ["", ""]
-
-        def take(refusal: str, message: str) -> None:
-            answer[:] = refusal, message
-            answered.set()
-
-        self._wanted.append(lambda: action(take))
-        if not answered.wait(_ANSWER_WITHIN_S):
-            raise ActionRefused("the driver does not answer")
-        if answer[0]:
-            raise ActionRefused(answer[0])
-        return answer[1]
-
-    def _enable(self, take: Callable[[str, str], None]) -> None:
-        self._services.switch_on(lambda refusal: take(refusal, "amplifier on"))
-
-    def _disable(self, take: Callable[[str, str], None]) -> None:
-        self._services.switch_off(lambda refusal: take(refusal, "amplifier off"))
-
-    def _reset(self, take: Callable[[str, str], None]) -> None:
-        self._services.reset_faults(lambda refusal: take(refusal, "faults reset"))
+    def _ask(self, service: Callable[[Callable[[str], None]], None], done: str) -> str:
+        """Called by a page's thread: has the main thread ask a service, and waits for the answer."""
+        refusals: queue.Queue[str] = queue.Queue()
+        self._wanted.append(lambda: service(refusals.put))
+        try:
+            refusal = refusals.get(timeout=_ANSWER_WITHIN_S)
+        except queue.Empty:
+            refusal = "the driver does not answer"
+        if refusal:
+            raise ActionRefused(refusal)
+        return done
 
     def close(self) -> None:
         """The page goes away; the graph is left as it is."""
@@ -124,15 +106,5 @@ class ViewNode:
 
 
 def view(port: int, ready: Callable[[str], object], realtime: RealtimeParameters, arguments: list[str]) -> int:
-    """Serve the view until SIGINT or SIGTERM.
-
-    Args:
-        port: of the page; 0 takes a free one.
-        ready: called with the page's address.
-        realtime: scheduling.
-        arguments: ROS arguments, e.g. a namespace.
-
-    Returns:
-        Exit code.
-    """
+    """Serve the view until SIGINT or SIGTERM, see :class:`ViewNode`, with ROS ``arguments``; returns the exit code."""
     return run("view", lambda node: ViewNode(node, port, ready, realtime), arguments)

@@ -1,4 +1,4 @@
-"""OPC UA gateway: state model, address space, server and a reference client. No ROS in here; needs asyncua."""
+"""OPC UA gateway: address space, server and a reference client. No ROS in here; needs asyncua."""
 
 NAMESPACE = "urn:straightcomp_ros:cell"
 """Namespace of all nodes of ours; index 2 on the server."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,11 +12,11 @@ from typing import Any
 from asyncua import Server, ua
 from asyncua.common.node import Node
 
+from straightcomp_ros.cell.packml import Command, Order, name
 from straightcomp_ros.opcua import CELL, NAMESPACE
-from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.packml import Command, name
 from straightcomp_ros.opcua.snapshot import ALARMS, Snapshot
 
+T = ua.VariantType
 Commander = Callable[[Command | Order, int], Awaitable[str]]
 """Takes what is asked, and the argument, 0 without one; gives why it is refused, or an empty text."""
 # UNECE Recommendation 20, as OPC UA numbers it: three characters, base 256.
@@ -34,30 +35,26 @@ class Value:
     """Without samples it has no value."""
 
 
-_STATUS: Mapping[str, Value] = {
-    "StateCurrent": Value(ua.VariantType.Int32, "State, PackML's number", lambda s: int(s.state)),
-    "StateName": Value(ua.VariantType.String, "State, PackML's name", lambda s: name(s.state)),
-    "Message": Value(
-        ua.VariantType.String, "Why the state is what it is, or a command was refused", lambda s: s.message
-    ),
-    "StrokesAsked": Value(ua.VariantType.UInt32, "Strokes forward and back of the last Start", lambda s: s.strokes),
-    "StrokesDone": Value(ua.VariantType.UInt32, "Of these", lambda s: s.strokes_done),
-    "Centred": Value(ua.VariantType.Boolean, "Reference in the middle of the travel, by Center", lambda s: s.centred),
-    "FaultCode": Value(
-        ua.VariantType.UInt32, "Number of the latched fault (docs/safety.md); 0: none", lambda s: s.seen.fault_code
-    ),
-    "AmplifierOn": Value(ua.VariantType.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
+_STATUS = {
+    "StateCurrent": Value(T.Int32, "State, PackML's number", lambda s: int(s.state)),
+    "StateName": Value(T.String, "State, PackML's name", lambda s: name(s.state)),
+    "Message": Value(T.String, "Why the state is what it is, or a command was refused", lambda s: s.message),
+    "StrokesAsked": Value(T.UInt32, "Strokes forward and back of the last Start", lambda s: s.strokes),
+    "StrokesDone": Value(T.UInt32, "Of these", lambda s: s.strokes_done),
+    "Centred": Value(T.Boolean, "Reference in the middle of the travel, by Center", lambda s: s.centred),
+    "FaultCode": Value(T.UInt32, "Number of the latched fault (docs/safety.md); 0: none", lambda s: s.seen.fault_code),
+    "AmplifierOn": Value(T.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
 }
-_LIVE: Mapping[str, Value] = {
-    "X": Value(ua.VariantType.Double, "Position of the stage", lambda s: s.seen.x, "m", True),
-    "Y": Value(ua.VariantType.Double, "Position of the platform", lambda s: s.seen.y, "m", True),
-    "Error": Value(ua.VariantType.Double, "Compensation error r − y", lambda s: s.seen.error, "m", True),
-    "SlidingVariable": Value(ua.VariantType.Double, "σ of the law", lambda s: s.seen.sliding_variable, "m/s", True),
+_LIVE = {
+    "X": Value(T.Double, "Position of the stage", lambda s: s.seen.x, "m", True),
+    "Y": Value(T.Double, "Position of the platform", lambda s: s.seen.y, "m", True),
+    "Error": Value(T.Double, "Compensation error r − y", lambda s: s.seen.error, "m", True),
+    "SlidingVariable": Value(T.Double, "σ of the law", lambda s: s.seen.sliding_variable, "m/s", True),
     "ErrorPeakToPeak": Value(
-        ua.VariantType.Double, "Error over the last movement of the stage", lambda s: s.seen.stroke_error_pp, "m"
+        T.Double, "Error over the last movement of the stage", lambda s: s.seen.stroke_error_pp, "m"
     ),
-    "Samples": Value(ua.VariantType.UInt64, "Samples since the controller's start", lambda s: s.seen.samples),
-    "LostSamples": Value(ua.VariantType.UInt64, "That did not come to it", lambda s: s.seen.lost_samples),
+    "Samples": Value(T.UInt64, "Samples since the controller's start", lambda s: s.seen.samples),
+    "LostSamples": Value(T.UInt64, "That did not come to it", lambda s: s.seen.lost_samples),
 }
 LIMITS: Mapping[str, tuple[str, str]] = {
     "ControlCurrent": ("A", "Command beyond ± this: fault"),
@@ -82,8 +79,8 @@ _METHODS: Mapping[Command | Order, str] = {
     Order.CENTER: "Reference to the middle of the travel, or back to the map, without a bump; Reset takes it back too",
 }
 _ARGUMENTS: Mapping[Command | Order, tuple[str, ua.VariantType, str]] = {
-    Command.START: ("Strokes", ua.VariantType.UInt32, "Forward and back; 0: until Complete"),
-    Order.CENTER: ("Middle", ua.VariantType.Boolean, "false: back to the map"),
+    Command.START: ("Strokes", T.UInt32, "Forward and back; 0: until Complete"),
+    Order.CENTER: ("Middle", T.Boolean, "false: back to the map"),
 }
 """Of the methods that take one: name, type and meaning."""
 
@@ -93,52 +90,33 @@ class AddressSpace:
 
     def __init__(self, server: Server) -> None:
         self._server = server
-        self._index = 0
+        self._index = self._heartbeat = 0
         self._values: list[tuple[Node, Value]] = []
         self._written: dict[Node, object] = {}
-        self._graph: dict[str, Node] = {}
-        self._alarms: dict[str, Node] = {}
         self._active: Mapping[str, str] = {}
-        self._heartbeat = 0
 
     async def build(self, nodes: Sequence[str], command: Commander) -> None:
-        """Make all nodes.
-
-        Args:
-            nodes: of the graph whose state is shown.
-            command: what the methods do.
-        """
+        """Make all nodes; ``nodes`` are those of the graph whose state is shown, ``command`` is what methods do."""
         self._index = await self._server.register_namespace(NAMESPACE)
         cell = await self._server.nodes.objects.add_object(self._id(""), self._named(CELL))
-        status = await self._folder(cell, "Status")
-        await self._add(status, _STATUS)
-        counter = Value(ua.VariantType.UInt32, "Counts up ten times a second", lambda _: self._heartbeat)
-        await self._add(status, {"Heartbeat": counter})
-        await self._add(await self._folder(cell, "Live"), _LIVE)
-        await self._add(
-            await self._folder(cell, "Limits"),
-            {
-                key: Value(ua.VariantType.Double, text, lambda s, key=key: s.limits.get(key, math.nan), unit)
-                for key, (unit, text) in LIMITS.items()
-            },
-        )
-        await self._add(
-            await self._folder(cell, "Nodes"),
-            {
-                node: Value(ua.VariantType.String, "State", lambda s, node=node: s.seen.nodes.get(node, "absent"))
-                for node in nodes
-            },
-        )
-        await self._add(
-            await self._folder(cell, "Alarms"),
-            {
-                key: Value(
-                    ua.VariantType.String, f"{text}; empty: not active", lambda s, key=key: s.alarms.get(key, "")
-                )
-                for key, (_, text) in ALARMS.items()
-            },
-        )
-        commands = await self._folder(cell, "Commands")
+        counter = Value(T.UInt32, "Counts up ten times a second", lambda _: self._heartbeat)
+        limits = {
+            key: Value(T.Double, text, lambda s, key=key: s.limits.get(key, math.nan), unit)
+            for key, (unit, text) in LIMITS.items()
+        }
+        states = {
+            node: Value(T.String, "State", lambda s, node=node: s.seen.nodes.get(node, "absent")) for node in nodes
+        }
+        alarms = {
+            key: Value(T.String, f"{text}; empty: not active", lambda s, key=key: s.alarms.get(key, ""))
+            for key, (_, text) in ALARMS.items()
+        }
+        await self._add_folder(cell, "Status", {**_STATUS, "Heartbeat": counter})
+        await self._add_folder(cell, "Live", _LIVE)
+        await self._add_folder(cell, "Limits", limits)
+        await self._add_folder(cell, "Nodes", states)
+        await self._add_folder(cell, "Alarms", alarms)
+        commands = await self._add_folder(cell, "Commands", {})
         for kind, text in _METHODS.items():
             await self._add_method(commands, kind, text, command)
         self._events = await self._server.get_event_generator(ua.ObjectIds.SystemEventType, cell)
@@ -156,7 +134,7 @@ class AddressSpace:
             if self._written.get(node) == (number, status):
                 continue
             self._written[node] = (number, status)
-            variant = ua.Variant(None if absent else number, ua.VariantType.Null if absent else value.kind)
+            variant = ua.Variant(None if absent else number, T.Null if absent else value.kind)
             await self._server.write_attribute_value(
                 node.nodeid, ua.DataValue(variant, ua.StatusCode(status), SourceTimestamp=now)
             )
@@ -173,25 +151,18 @@ class AddressSpace:
     def _named(self, text: str) -> ua.QualifiedName:
         return ua.QualifiedName(text, self._index)
 
-    async def _folder(self, cell: Node, title: str) -> Node:
-        return await cell.add_folder(self._id(title), self._named(title))
-
-    async def _add(self, folder: Node, values: Mapping[str, Value]) -> None:
-        title = (await folder.read_browse_name()).Name
+    async def _add_folder(self, cell: Node, title: str, values: Mapping[str, Value]) -> Node:
+        folder = await cell.add_folder(self._id(title), self._named(title))
         for key, value in values.items():
-            node = await folder.add_variable(
-                self._id(f"{title}.{key}"), self._named(key), ua.get_default_value(value.kind), varianttype=value.kind
-            )
-            await node.write_attribute(
-                ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(value.description)))
-            )
+            path, kind = f"{title}.{key}", value.kind
+            start = ua.get_default_value(kind)
+            node = await folder.add_variable(self._id(path), self._named(key), start, varianttype=kind)
+            await _describe(node, value.description)
             if value.unit:
-                await node.add_property(
-                    self._id(f"{title}.{key}.EngineeringUnits"),
-                    ua.QualifiedName("EngineeringUnits"),
-                    _unit(value.unit),
-                )
+                unit = ua.QualifiedName("EngineeringUnits")
+                await node.add_property(self._id(f"{path}.EngineeringUnits"), unit, _unit(value.unit))
             self._values.append((node, value))
+        return folder
 
     async def _add_method(self, folder: Node, kind: Command | Order, text: str, command: Commander) -> None:
         async def called(_: ua.NodeId, *given: ua.Variant) -> ua.StatusCode | list[ua.Variant]:
@@ -202,7 +173,7 @@ class AddressSpace:
                 return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
             try:
                 refused = await command(kind, *(inputs or [0]))
-            except TimeoutError:
+            except asyncio.TimeoutError:
                 return ua.StatusCode(ua.StatusCodes.BadTimeout)
             return ua.StatusCode(ua.StatusCodes.BadInvalidState) if refused else []
 
@@ -213,9 +184,13 @@ class AddressSpace:
             argument.DataType, argument.ValueRank = ua.NodeId(data_type.value), -1
             argument.Description = ua.LocalizedText(meaning)
             arguments, types = [argument], [data_type]
-        title = kind.value if isinstance(kind, Order) else name(kind)
+        title = name(kind)
         method = await folder.add_method(self._id(f"Commands.{title}"), self._named(title), called, arguments, [])
-        await method.write_attribute(ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(text))))
+        await _describe(method, text)
+
+
+async def _describe(node: Node, text: str) -> None:
+    await node.write_attribute(ua.AttributeIds.Description, ua.DataValue(ua.Variant(ua.LocalizedText(text))))
 
 
 def _unit(text: str) -> ua.EUInformation:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,9 +12,8 @@ from asyncua import Client, ua
 from asyncua.common.node import Node
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
+from straightcomp_ros.cell.packml import Command, Order, State, name
 from straightcomp_ros.opcua import CELL, NAMESPACE
-from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.packml import Command, State, name
 
 _LOOK_EVERY_S = 0.1
 _CONNECT_WITHIN_S = 60.0
@@ -24,12 +24,7 @@ class CycleFailed(Exception):
 
 
 class CellClient:
-    """The cell behind a gateway.
-
-    Args:
-        client: connected.
-        index: of the gateway's namespace.
-    """
+    """The cell behind a gateway, by a connected client and the index of the gateway's namespace."""
 
     def __init__(self, client: Client, index: int) -> None:
         self._client, self._index = client, index
@@ -44,15 +39,15 @@ class CellClient:
 
     async def command(self, command: Command, strokes: int | None = None) -> None:
         """Give a command; raises CycleFailed where it is refused."""
-        await self._call(name(command), *([] if strokes is None else [ua.Variant(strokes, ua.VariantType.UInt32)]))
+        await self._call(command, *([] if strokes is None else [ua.Variant(strokes, ua.VariantType.UInt32)]))
 
     async def reload_map(self) -> None:
         """Have the map's file read again; raises CycleFailed where that is refused."""
-        await self._call(Order.RELOAD_MAP.value)
+        await self._call(Order.RELOAD_MAP)
 
     async def center(self, middle: bool) -> None:
         """Reference to the middle of the travel, or back to the map; raises CycleFailed where that is refused."""
-        await self._call(Order.CENTER.value, ua.Variant(middle, ua.VariantType.Boolean))
+        await self._call(Order.CENTER, ua.Variant(middle, ua.VariantType.Boolean))
 
     async def until(self, wanted: State, on_the_way: set[State], progress: Callable[[float], None]) -> None:
         """Wait for a state; raises CycleFailed where the machine leaves the way."""
@@ -63,7 +58,8 @@ class CellClient:
             progress(done / asked if asked and state is not State.RESETTING else 0.0)
             await asyncio.sleep(_LOOK_EVERY_S)
 
-    async def _call(self, method: str, *arguments: ua.Variant) -> None:
+    async def _call(self, asked: Command | Order, *arguments: ua.Variant) -> None:
+        method = name(asked)
         try:
             await self._node("Commands").call_method(self._node(f"Commands.{method}").nodeid, *arguments)
         except ua.UaStatusCodeError as error:
@@ -77,19 +73,15 @@ class CellClient:
 async def connected(
     url: str, user: str, password: str, certificates: Path | None = None, server_certificate: Path | None = None
 ) -> tuple[Client, CellClient]:
-    """Connect, as soon as the gateway is there.
+    """Connect to the endpoint ``url`` as an operator, as soon as the gateway is there.
 
-    Args:
-        url: endpoint.
-        user, password: an operator's.
-        certificates: folder with this client's certificate.der and key.pem; None: not encrypted.
-        server_certificate: the gateway's, with encryption.
+    The folder ``certificates`` has this client's certificate.der and key.pem; without one nothing is encrypted.
 
     Raises:
-        CycleFailed: it is not there in time, or refuses.
+        CycleFailed: the gateway does not answer within a minute, or refuses.
     """
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
-    deadline = asyncio.get_running_loop().time() + _CONNECT_WITHIN_S
+    deadline = time.monotonic() + _CONNECT_WITHIN_S
     while True:
         client = Client(url)
         client.set_user(user)
@@ -97,29 +89,22 @@ async def connected(
         try:
             if certificates is not None:
                 client.application_uri = "urn:straightcomp_ros:client"
-                await client.set_security(
-                    SecurityPolicyBasic256Sha256,
-                    certificate=certificates / "certificate.der",
-                    private_key=certificates / "key.pem",
-                    server_certificate=server_certificate,
-                )
+                own = certificates / "certificate.der", certificates / "key.pem"
+                await client.set_security(SecurityPolicyBasic256Sha256, *own, server_certificate=server_certificate)
             await client.connect()
             return client, CellClient(client, await client.get_namespace_index(NAMESPACE))
         except ua.UaError as error:
             raise CycleFailed(f"{url} refuses: {error}") from error
         except (OSError, asyncio.TimeoutError, ValueError) as error:
-            if asyncio.get_running_loop().time() > deadline:
+            if time.monotonic() > deadline:
                 raise CycleFailed(f"{url} does not answer: {error}") from error
             await asyncio.sleep(0.5)
 
 
 async def run_cycle(client: CellClient, strokes: int, progress: Callable[[float], None] = lambda done: None) -> None:
-    """Bring the machine up, run strokes, wait for the end.
+    """Bring the machine up, run ``strokes`` (at least 1) forward and back, wait for the end.
 
-    Args:
-        client: connected.
-        strokes: forward and back, at least 1.
-        progress: called some ten times a second with the fraction of the strokes that is done.
+    ``progress`` is called some ten times a second with the fraction of the strokes that is done.
 
     Raises:
         CycleFailed: a command is refused, or the machine stops or aborts.

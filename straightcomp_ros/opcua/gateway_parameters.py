@@ -39,11 +39,8 @@ class OpcuaParameters:
                 f"allowed: auto, encrypted, or a host of {', '.join(LOOPBACK)}",
             )
         if self.encrypted:
-            for name, value, what in (
-                ("certificates", self.certificates, "a folder for the server's certificate"),
-                ("users", self.users, "a file of users"),
-            ):
-                if not value:
+            for name, what in (("certificates", "a folder for the server's certificate"), ("users", "a file of users")):
+                if not getattr(self, name):
                     raise RefusedParameter(name, f"is empty; with encryption it must name {what}")
         elif self.trusted:
             raise RefusedParameter("trusted", "needs encryption; allowed with '{group}security': encrypted")

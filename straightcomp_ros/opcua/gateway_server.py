@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import queue
+import socket
 import sys
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from asyncua import Server, ua
+from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from asyncua.crypto.truststore import TrustStore
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from straightcomp_ros.cell.packml import Command, Order
+from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.opcua import APPLICATION
 from straightcomp_ros.opcua.address_space import AddressSpace
-from straightcomp_ros.opcua.certificates import own_certificate, trusted_certificates
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
-from straightcomp_ros.opcua.orders import Order
-from straightcomp_ros.opcua.packml import Command
 from straightcomp_ros.opcua.snapshot import Snapshot
 from straightcomp_ros.opcua.users import Users
 
@@ -38,6 +42,7 @@ _ENCRYPTED = [
     ua.SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
     ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
 ]
+_OPEN, _KNOWN = [ua.SecurityPolicyType.NoSecurity], [ua.UserNameIdentityToken]
 # They write a line for whatever a client does wrong: a flood of such would fill the disk.
 _TALKATIVE = ("asyncua.server.uaprocessor", "asyncua.server.binary_server_asyncio", "asyncua.server.internal_session")
 
@@ -51,17 +56,15 @@ class Request:
     answer: Future[str] = field(default_factory=Future)
 
 
-class GatewayServer:
-    """Serves snapshots, collects commands.
+class CertificateError(ValueError):
+    """Certificates cannot be made or read; the message says where and why."""
 
-    Args:
-        parameters: where, and for whom.
-        nodes: of the graph whose state is shown.
+
+class GatewayServer:
+    """Serves snapshots, with the states of these ``nodes`` of the graph, and collects commands.
 
     Raises:
-        OSError: the address cannot be had.
-        UsersError: the users' file is refused.
-        CertificateError: certificates cannot be made or read.
+        OSError, UsersError, CertificateError: address, file of users or certificates cannot be had.
     """
 
     def __init__(self, parameters: OpcuaParameters, nodes: Sequence[str]) -> None:
@@ -91,16 +94,14 @@ class GatewayServer:
     def requests(self) -> Iterator[Request]:
         """What has been asked for since the last call; each is to be answered.
 
-        Who has gone, or was told that it took too long, is left out: nothing is done that nobody waits for any more.
+        Requests whose client has gone, or was told that it took too long, are left out: nobody waits for them any more.
         """
-        while True:
-            try:
+        with contextlib.suppress(queue.Empty):
+            while True:
                 request = self._requests.get_nowait()
-            except queue.Empty:
-                return
-            # From here on nobody can cancel it: an answer that nobody takes does no harm.
-            if request.answer.set_running_or_notify_cancel():
-                yield request
+                # From here on nobody can cancel it: an answer that nobody takes does no harm.
+                if request.answer.set_running_or_notify_cancel():
+                    yield request
 
     def close(self) -> None:
         """Disconnect all clients and stop."""
@@ -132,9 +133,7 @@ class GatewayServer:
 
     async def _make_server(self) -> Server:
         parameters = self._parameters
-        trust: TrustStore | None = None
-        if parameters.trusted:
-            trust = await trusted_certificates(parameters.trusted)
+        trust = await _trusted_certificates(parameters.trusted) if parameters.trusted else None
         internal = GuardedServer(Access(self._users, encrypted=parameters.encrypted, trust=trust))
         internal.max_connections = parameters.max_clients
         internal.max_pending_activation_seconds = _ACTIVATE_WITHIN_S
@@ -144,17 +143,17 @@ class GatewayServer:
         server.limits.max_chunk_count = _LARGEST_MESSAGE // server.limits.max_recv_buffer + 1
         await server.init()
         server.set_endpoint(parameters.endpoint)
-        server.set_server_name("straightcomp_ros")
+        server.set_server_name(PACKAGE)
         await server.set_application_uri(APPLICATION)
         if parameters.encrypted:
-            certificate, key = await own_certificate(parameters.certificates, APPLICATION)
+            certificate, key = await _own_certificate(parameters.certificates, APPLICATION)
             await server.load_certificate(certificate)
             await server.load_private_key(key)
-            server.set_security_policy(_ENCRYPTED, LeftToTheSession())
-            server.set_identity_tokens([ua.UserNameIdentityToken])
-        else:
-            server.set_security_policy([ua.SecurityPolicyType.NoSecurity], LeftToTheSession())
-            server.set_identity_tokens([ua.AnonymousIdentityToken, ua.UserNameIdentityToken])
+        policies, tokens = (
+            (_ENCRYPTED, _KNOWN) if parameters.encrypted else (_OPEN, [ua.AnonymousIdentityToken, *_KNOWN])
+        )
+        server.set_security_policy(policies, LeftToTheSession())
+        server.set_identity_tokens(tokens)
         return server
 
     async def _command(self, asked: Command | Order, argument: int) -> str:
@@ -164,9 +163,36 @@ class GatewayServer:
             self._requests.put_nowait(request)
         except queue.Full:
             return "too many commands at once"
-        try:
-            refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), within)
-        except asyncio.TimeoutError as error:
-            raise TimeoutError from error
+        refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), within)
         await self._space.write(self._snapshot)
         return refusal
+
+
+async def _own_certificate(folder: str | Path, uri: str) -> tuple[Path, Path]:
+    """Certificate (DER) and key (PEM) in ``folder``, made there (self-signed, for a year) if missing or expired."""
+    certificate, key = Path(folder) / "certificate.der", Path(folder) / "key.pem"
+    before = os.umask(0o077)
+    try:
+        certificate.parent.mkdir(parents=True, exist_ok=True)
+        usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+        subject = {"organizationName": PACKAGE}
+        await setup_self_signed_certificate(key, certificate, uri, socket.gethostname(), usage, subject)
+    except (OSError, ValueError) as error:
+        raise CertificateError(f"certificates in {folder}: {error}") from error
+    finally:
+        os.umask(before)
+    return certificate, key
+
+
+async def _trusted_certificates(folder: str | Path) -> TrustStore:
+    """Certificates in ``folder`` (.der, .pem): clients' own, or of issuers."""
+    path = Path(folder)
+    found = [file for file in path.glob("*.*") if file.suffix.lower() in (".der", ".pem")] if path.is_dir() else []
+    if not found:
+        raise CertificateError(f"trusted certificates: {folder} is no folder with .der or .pem files")
+    trust = TrustStore([path], [])
+    try:
+        await trust.load_trust()
+    except (OSError, ValueError) as error:
+        raise CertificateError(f"trusted certificates in {folder}: {error}") from error
+    return trust

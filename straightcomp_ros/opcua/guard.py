@@ -1,15 +1,15 @@
 """Who may do what on the server: enforced in the session, whatever the connection.
 
-asyncua's own rules hang on the secure channel, and do not hold where a client opens none: it takes unsecured messages
+asyncua ties its rules to the secure channel. A client that opens none escapes them: asyncua takes unsecured messages
 even where no unsecured endpoint is offered, lets any connection take over a session whose (consecutive) token it
-guesses, checks a client's certificate only where the client shows it a second time, and lets anybody register servers.
-So each session here asks for itself.
+guesses, checks a client's certificate only where the client shows it twice, and lets anybody register servers.
 """
 
 from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from asyncua import ua
@@ -31,21 +31,15 @@ _LOGINS_AT_ONCE = 20.0
 
 
 class Access:
-    """Decides over connections and users.
-
-    Args:
-        users: who may log in.
-        encrypted: whether only signed and encrypted channels will do.
-        trust: certificates of the clients that may connect; None: any.
-    """
+    """Decides who may connect (with ``encrypted``: signed and encrypted, with a certificate that ``trust`` holds, where
+    there is one) and who may log in."""
 
     def __init__(self, users: Users, *, encrypted: bool, trust: TrustStore | None = None) -> None:
         self._users, self._encrypted, self._trust = users, encrypted, trust
         self._logins, self._refilled = _LOGINS_AT_ONCE, time.monotonic()
 
     def check_channel(self, certificate: bytes | None) -> None:
-        """Raise ServiceError if a session may not live on a channel of this client ``certificate`` (DER); an
-        unsecured channel has none."""
+        """Raise ServiceError if a client with this certificate (DER; None: unsecured channel) may have no session."""
         if not self._encrypted:
             return
         if not certificate:
@@ -78,10 +72,9 @@ class Access:
 
 
 class LeftToTheSession(PermissionRuleset):
-    """Rules of the secure channel: all is allowed there, since :class:`GuardedSession` decides."""
+    """Rules of the secure channel: everything is allowed there, since :class:`GuardedSession` decides."""
 
     def check_validity(self, user: User, action_type: Any, body: Any) -> bool:
-        """Always."""
         return True
 
 
@@ -93,18 +86,11 @@ class GuardedServer(InternalServer):
         self.access = access
 
     def create_session(self, name: str, user: User | None = None, external: bool = False) -> InternalSession:
-        """A session of a client."""
-        return GuardedSession(
-            self,
-            self.aspace,
-            self.subscription_service,
-            name,
-            user=user or User(role=UserRole.Anonymous),
-            external=external,
-        )
+        user = user or User(role=UserRole.Anonymous)
+        return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
-        """None: nobody takes over a session; who lost the connection logs in again."""
+        """None: nobody takes over a session; a client that lost its connection logs in again."""
         return None
 
     def register_server(self, server: Any, conf: Any = None) -> None:
@@ -112,8 +98,22 @@ class GuardedServer(InternalServer):
         raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
 
 
+def _own_only(method: Callable[..., Any], subscriptions: Callable[[Any], Sequence[int]]) -> Any:
+    """``method`` of a session, refused where its parameters name a subscription of another session."""
+
+    def guarded(self: GuardedSession, params: Any) -> Any:
+        for number in subscriptions(params):
+            self.check_own(number)
+        return method(self, params)
+
+    return guarded
+
+
 class GuardedSession(InternalSession):
-    """A client's session: anybody who was let in reads, operators call methods, nobody writes or changes nodes."""
+    """A client's session: anybody who was let in reads, operators call methods, nobody writes or changes nodes.
+
+    Subscriptions are bounded in number and speed, and only the session that made one can change, use or end it.
+    """
 
     iserver: GuardedServer
     _items = 0
@@ -121,22 +121,19 @@ class GuardedSession(InternalSession):
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
-        """Log in."""
         self.iserver.access.check_channel(peer_certificate)
         return super().activate_session(params, peer_certificate)
 
     async def close_session(self, delete_subs: bool = True) -> None:
-        """Log out. Subscriptions end too: nobody could take them over."""
+        """Subscriptions always end too: nobody could take them over."""
         await super().close_session(True)
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Methods: operators only."""
         if self.user.role is not UserRole.User:
             raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
         return await super().call(params)
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
-        """Refused, each."""
         return [ua.StatusCode(ua.StatusCodes.BadUserAccessDenied) for _ in params.NodesToWrite]
 
     async def _refuse(self, *_: Any) -> Any:
@@ -144,50 +141,32 @@ class GuardedSession(InternalSession):
 
     add_nodes = delete_nodes = add_references = delete_references = _refuse
     history_update = transfer_subscriptions = _refuse
+    delete_subscriptions = _own_only(InternalSession.delete_subscriptions, lambda numbers: numbers)
+    set_publishing_mode = _own_only(InternalSession.set_publishing_mode, lambda params: params.SubscriptionIds)
+    republish = _own_only(InternalSession.republish, lambda params: [params.SubscriptionId])
 
     async def create_subscription(self, params: ua.CreateSubscriptionParameters, *rest: Any, **options: Any) -> Any:
-        """As many and as fast as the values are."""
         if len(self._own_subscriptions()) >= _MOST_SUBSCRIPTIONS:
             raise ServiceError(ua.StatusCodes.BadTooManySubscriptions)
         params.RequestedPublishingInterval = max(params.RequestedPublishingInterval, _FASTEST_PUBLISHING_MS)
         return await super().create_subscription(params, *rest, **options)
 
     def modify_subscription(self, params: ua.ModifySubscriptionParameters) -> ua.ModifySubscriptionResult:
-        """The session's own only."""
-        self._check_own(params.SubscriptionId)
+        self.check_own(params.SubscriptionId)
         params.RequestedPublishingInterval = max(params.RequestedPublishingInterval, _FASTEST_PUBLISHING_MS)
         return super().modify_subscription(params)
-
-    async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
-        """The session's own only."""
-        for subscription in ids:
-            self._check_own(subscription)
-        return await super().delete_subscriptions(ids)
-
-    async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
-        """The session's own only."""
-        for subscription in params.SubscriptionIds:
-            self._check_own(subscription)
-        return await super().set_publishing_mode(params)
-
-    def republish(self, params: ua.RepublishParameters) -> ua.NotificationMessage:
-        """The session's own only."""
-        self._check_own(params.SubscriptionId)
-        return super().republish(params)
 
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
-        """In the session's own subscriptions, and not without end."""
-        self._check_own(params.SubscriptionId)
+        self.check_own(params.SubscriptionId)
         self._items += len(params.ItemsToCreate)
         if self._items > _MOST_MONITORED_ITEMS:
             raise ServiceError(ua.StatusCodes.BadTooManyMonitoredItems)
         return await super().create_monitored_items(params)
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
-        """The session's own only."""
-        self._check_own(params.SubscriptionId)
+        self.check_own(params.SubscriptionId)
         results = await super().delete_monitored_items(params)
         self._items -= sum(result.is_good() for result in results)
         return results
@@ -196,6 +175,7 @@ class GuardedSession(InternalSession):
         every = self.subscription_service.subscriptions
         return [number for number, subscription in every.items() if subscription.session_id == self.session_id]
 
-    def _check_own(self, subscription: int) -> None:
+    def check_own(self, subscription: int) -> None:
+        """Raise ServiceError if this session has not made the subscription."""
         if subscription not in self._own_subscriptions():
             raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.opcua.packml import State
+from straightcomp_ros.cell.packml import State
 
 ALARMS: Mapping[str, tuple[int, str]] = {
     "Fault": (900, "a node reports a fault; the amplifier is off"),
@@ -21,11 +21,9 @@ ALARMS: Mapping[str, tuple[int, str]] = {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """State of the machine, what is seen of it, and the alarms.
+    """State, message, strokes and reference of the cell's sequence, and what is seen of the graph.
 
     Attributes:
-        state, message, strokes, strokes_done, centred: of the cell's sequence.
-        seen: the graph.
         alarms: by name, for those that are active, the text.
         limits: by name, in SI units; NaN where not known yet.
     """
@@ -41,45 +39,25 @@ class Snapshot:
 
 
 class Alarms:
-    """Finds the active alarms.
-
-    Args:
-        error_limit: of a stroke's error, peak to peak, m.
-    """
+    """Finds the active alarms, with a limit of a stroke's peak-to-peak error in m."""
 
     def __init__(self, error_limit: float) -> None:
         self._error_limit = error_limit
         self._lost: int | None = None
-        self._loss_text, self._loss_until = "", -math.inf
+        self._loss, self._loss_until = "", -math.inf
 
     def active(self, seen: Observation, state: State, now: float) -> dict[str, str]:
-        """By name, the text of each alarm that is active.
-
-        Args:
-            seen: the graph.
-            state: of the machine. Nothing need run in a machine that is stopped.
-            now: monotonic time, s.
-        """
-        found = {}
-        if seen.fault:
-            found["Fault"] = seen.fault
+        """By name, the text of each alarm that is active at the monotonic time ``now``."""
+        found = {"Fault": seen.fault}
+        # Nothing need run in a machine that is stopped.
         if state is not State.STOPPED:
-            if seen.missing:
-                found["NodeMissing"] = ", ".join(seen.missing)
-            if not seen.fresh:
-                found["NoSamples"] = "no samples come in"
+            found["NodeMissing"] = ", ".join(seen.missing)
+            found["NoSamples"] = "" if seen.fresh else "no samples come in"
         if seen.stroke_error_pp > self._error_limit:
-            found["ErrorLimit"] = (
-                f"{seen.stroke_error_pp * 1e6:.3f} µm over the last stroke; limit {self._error_limit * 1e6:g} µm"
-            )
-        loss = self._loss(seen, now)
-        if loss:
-            found["SampleLoss"] = loss
-        return found
-
-    def _loss(self, seen: Observation, now: float) -> str:
+            error_um, limit_um = seen.stroke_error_pp * 1e6, self._error_limit * 1e6
+            found["ErrorLimit"] = f"{error_um:.3f} µm over the last stroke; limit {limit_um:g} µm"
         before, self._lost = self._lost, seen.lost_samples
         if before is not None and seen.lost_samples > before:
-            self._loss_text = f"{seen.lost_samples - before} samples lost"
-            self._loss_until = now + 10.0
-        return self._loss_text if now < self._loss_until else ""
+            self._loss, self._loss_until = f"{seen.lost_samples - before} samples lost", now + 10.0
+        found["SampleLoss"] = self._loss if now < self._loss_until else ""
+        return {name: text for name, text in found.items() if text}

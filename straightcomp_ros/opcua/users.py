@@ -22,10 +22,7 @@ class UsersError(ValueError):
 
 
 class Users:
-    """The users of one file.
-
-    Args:
-        path: the file; empty knows nobody.
+    """The users of one file; an empty path knows nobody.
 
     Raises:
         UsersError: the file cannot be read, or a line is no user.

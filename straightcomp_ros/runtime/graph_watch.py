@@ -1,11 +1,12 @@
-"""Watches the graph without touching its loop: streams from inboxes, diagnostics, and what both say together."""
+"""Watches the graph without touching its loop: streams, diagnostics, safety state, and what they say together."""
 
 from __future__ import annotations
 
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -27,13 +28,12 @@ from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.streams import Inbox, unspun_node
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
-_FRESH_S = 0.5
 _REPORT_LASTS_S = 5.0
 _YIELD_EVERY = 64
 _DRIVER = "driver"
 _ERROR = CONTROLLER_STATE.layout.columns.index("error")
 _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
-Messages = list[tuple[int, list[float], int]]
+Messages = Sequence[tuple[int, Sequence[float], int]]
 """As :meth:`Inbox.fetch` gives them."""
 
 
@@ -41,49 +41,59 @@ class Fetched(NamedTuple):
     """What has come since the last look."""
 
     positions: Messages
-    controller: Messages
-    driver: Messages
+    controller: Messages = ()
+    driver: Messages = ()
 
 
 class GraphWatch:
-    """Reads bursts, and what comes seldom: its reading costs the loops that publish next to nothing.
+    """Reads batches, and what comes seldom: its reading costs the loops that publish next to nothing.
 
     Args:
         node: watches; must be spun for the diagnostics and the safety state.
+        batches: also read `controller_state` and `driver_state`; otherwise errors and σ stay unknown.
+        fresh: time after a sample for which samples count as coming in, s.
+        patient: they count as coming in before the first, too, until :meth:`expect_samples` is called.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(self, node: Node, *, batches: bool = True, fresh: float = 0.5, patient: bool = False) -> None:
+        self._node, self._fresh = node, fresh
         unspun = unspun_node(node)
-        self._position = Inbox(node, unspun, POSITION)
-        self._controller = Inbox(node, unspun, CONTROLLER_STATE, BurstQueue(node, unspun, CONTROLLER_STATE))
-        self._driver = Inbox(node, unspun, DRIVER_STATE, BurstQueue(node, unspun, DRIVER_STATE))
+        self._inboxes = [Inbox(node, unspun, POSITION)]
+        if batches:
+            streams = (CONTROLLER_STATE, DRIVER_STATE)
+            self._inboxes += [Inbox(node, unspun, stream, BurstQueue(node, unspun, stream)) for stream in streams]
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._safety = SafetyState()
         self._strokes = StrokeErrors()
-        self._last_ns, self._last_came = 0, -math.inf
-        self._x = self._y = self._error = self._sigma = math.nan
+        self._newest = Observation()
+        self._last_came = math.inf if patient else -math.inf
         self._reports: dict[str, tuple[float, dict[str, str]]] = {}
         self._errors: dict[str, str] = {}
 
+    def expect_samples(self) -> None:
+        """From now on the absence of a first sample counts as silence, too."""
+        self._last_came = min(self._last_came, time.monotonic())
+
     def fetch(self) -> Fetched:
         """Take what has come; call it some ten times a second or more."""
-        fetched = Fetched(self._position.fetch(), self._controller.fetch(), self._driver.fetch())
-        for number, (stamp_ns, (x, y), _) in enumerate(fetched.positions):
+        fetched = Fetched(*(inbox.fetch() for inbox in self._inboxes))
+        for number, (stamp_ns, (x, y), _) in enumerate(fetched.positions, 1):
             self._strokes.add_position(stamp_ns, x)
-            self._x, self._y = x, y
-            if number % _YIELD_EVERY == 0:
+            if number % _YIELD_EVERY == 0 or number == len(fetched.positions):
                 # With real-time scheduling nodes of the same priority would have to wait for the end of this.
                 os.sched_yield()
-        for number, (_, numbers, _) in enumerate(fetched.controller):
+                self._newest = replace(self._newest, x=x, y=y)
+        for number, (_, numbers, _) in enumerate(fetched.controller, 1):
             self._strokes.add_error(numbers[_ERROR])
-            if number % _YIELD_EVERY == 0:
+            if number % _YIELD_EVERY == 0 or number == len(fetched.controller):
                 os.sched_yield()
-        if fetched.controller:
-            self._error, self._sigma = fetched.controller[-1][1][_ERROR], fetched.controller[-1][1][_SIGMA]
-        if fetched.driver:
-            self._last_ns, self._last_came = fetched.driver[-1][0], time.monotonic()
+                self._newest = replace(self._newest, error=numbers[_ERROR], sliding_variable=numbers[_SIGMA])
+        for messages in (fetched.driver, fetched.positions):
+            if messages:
+                first_ns = self._newest.first_ns or messages[0][0]
+                self._newest = replace(self._newest, stamp_ns=messages[-1][0], first_ns=first_ns)
+                self._last_came = time.monotonic()
         return fetched
 
     def reports(self) -> dict[str, dict[str, str]]:
@@ -93,41 +103,27 @@ class GraphWatch:
 
     def observation(self, states: Mapping[str, str]) -> Observation:
         """The graph now; ``states`` are those of its nodes."""
-        fresh = time.monotonic() - self._last_came < _FRESH_S
+        fresh = time.monotonic() - self._last_came < self._fresh
         reports = self.reports()
         controller = reports.get("controller", {})
-        return Observation(
+        # The driver's fault is in its safety state at once, a second before it is in its diagnostics.
+        safety = self._safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
+        faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
+        return replace(
+            self._newest,
             nodes=dict(states),
-            faults=self._faults(states, reports),
-            fault_code=self._safety.code if self._driver_speaks(states) else 0,
-            unrecorded=self._unrecorded(states, reports),
+            faults=faults | ({_DRIVER: safety.fault} if safety.fault else {}),
+            fault_code=safety.code,
+            unrecorded=self._unrecorded(reports) if "logger" in states else (),
             fresh=fresh,
             amplifier_on=fresh and self._safety.amplifier_on,
-            stamp_ns=self._last_ns,
-            x=self._x,
-            y=self._y,
             still=self._strokes.still,
-            error=self._error,
-            sliding_variable=self._sigma,
             stroke_error_pp=self._strokes.last_pp,
             samples=int(controller.get(SAMPLES, 0)),
             lost_samples=int(controller.get(LOST, 0)),
         )
 
-    def _faults(self, states: Mapping[str, str], reports: Mapping[str, object]) -> dict[str, str]:
-        """By node. The driver's are in its safety state at once, a second before they are in its diagnostics."""
-        faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
-        if self._safety.fault and self._driver_speaks(states):
-            faults[_DRIVER] = self._safety.fault
-        return faults
-
-    @staticmethod
-    def _driver_speaks(states: Mapping[str, str]) -> bool:
-        return states.get(_DRIVER) not in (ABSENT, SILENT)
-
-    def _unrecorded(self, states: Mapping[str, str], reports: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
-        if "logger" not in states:
-            return ()
+    def _unrecorded(self, reports: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
         unconnected = reports.get("logger", {}).get(UNCONNECTED)
         if unconnected is None:
             return ("all topics",)
@@ -141,7 +137,6 @@ class GraphWatch:
         for status in message.status:
             name = status.name.rsplit("/", 1)[-1]
             self._reports[name] = (time.monotonic(), {value.key: value.value for value in status.values})
+            self._errors.pop(name, None)
             if status.level == DiagnosticStatus.ERROR:
                 self._errors[name] = status.message
-            else:
-                self._errors.pop(name, None)

@@ -1,4 +1,4 @@
-"""Which lifecycle nodes are alive, and in which state, from their heartbeats."""
+"""Which nodes are alive, and in which lifecycle state, from their heartbeats."""
 
 from __future__ import annotations
 
@@ -14,19 +14,13 @@ _TICK_S = 0.05
 
 
 class Heartbeats:
-    """Listens from its making on.
-
-    Args:
-        node: listens.
-        names: nodes to watch; they count as silent until the first heartbeat.
-        timeout: silence that counts, s.
-    """
+    """Listens to nodes, which count as silent until their first heartbeat, and ``timeout`` (s) after each."""
 
     def __init__(self, node: Node, names: Sequence[str], timeout: float = 1.0) -> None:
         self._timeout = timeout
         self._ages = dict.fromkeys(names, timeout)
         self.states = dict.fromkeys(names, "")
-        """Lifecycle state of each node, as it said last."""
+        """Lifecycle state of each node by its last heartbeat; empty before the first."""
         self._ticked = time.monotonic()
         node.create_subscription(DiagnosticStatus, HEARTBEAT, self._on_heartbeat, 100)
         node.create_timer(_TICK_S, self._tick)
@@ -35,12 +29,8 @@ class Heartbeats:
         """Nodes without a heartbeat for that long."""
         return [name for name, age in self._ages.items() if age >= self._timeout]
 
-    def lost(self) -> list[str]:
-        """Those of them that had one before."""
-        return [name for name in self.silent() if self.states[name]]
-
     def forget(self, name: str) -> None:
-        """Take the node for silent until its next heartbeat: it has been started anew."""
+        """Count the node as silent until its next heartbeat: it has been started anew."""
         self._ages[name] = self._timeout
 
     def in_state(self, state: str) -> bool:

@@ -14,47 +14,44 @@ _ASK_EVERY_S = 0.25
 
 
 class RemoteParameters:
-    """Asks each node once, when it is there, for all its parameters.
+    """Asks each of the nodes ``names`` in this node's namespace once, when it is there, for all its parameters.
 
-    Args:
-        node: asks.
-        names: nodes to ask, in this node's namespace.
+    Attributes:
+        values: what was collected, by node and dotted name.
     """
 
     def __init__(self, node: Node, names: Sequence[str]) -> None:
-        self._clients = {name: AsyncParameterClient(node, name) for name in names}
-        self._asked: set[str] = set()
-        self._values: dict[str, dict[str, object]] = {}
+        self.values: dict[str, dict[str, object]] = {}
+        self._count = len(names)
+        self._waiting = {name: AsyncParameterClient(node, name) for name in names}
         self._timer = node.create_timer(_ASK_EVERY_S, self._ask)
 
     def _ask(self) -> None:
-        for name, client in self._clients.items():
-            if name not in self._asked and client.services_are_ready():
-                self._asked.add(name)
-                client.list_parameters([], 10).add_done_callback(lambda future, name=name: self._listed(name, future))
-        if len(self._asked) == len(self._clients):
+        for name in [name for name, client in self._waiting.items() if client.services_are_ready()]:
+            self._collect(name, self._waiting.pop(name))
+        if not self._waiting:
             self._timer.cancel()
 
-    def _listed(self, name: str, future: Future) -> None:
-        names = list(future.result().result.names)
-        self._clients[name].get_parameters(names).add_done_callback(
-            lambda answer: self._values.update(
-                {name: dict(zip(names, map(parameter_value_to_python, answer.result().values), strict=True))}
-            )
-        )
+    def _collect(self, node: str, client: AsyncParameterClient) -> None:
+        def listed(future: Future) -> None:
+            names = list(future.result().result.names)
+
+            def got(answer: Future) -> None:
+                self.values[node] = dict(
+                    zip(names, map(parameter_value_to_python, answer.result().values), strict=True)
+                )
+
+            client.get_parameters(names).add_done_callback(got)
+
+        client.list_parameters([], 10).add_done_callback(listed)
 
     @property
     def complete(self) -> bool:
         """Whether all nodes have answered."""
-        return len(self._values) == len(self._clients)
-
-    @property
-    def values(self) -> dict[str, dict[str, object]]:
-        """What was collected, by node and dotted name."""
-        return dict(self._values)
+        return len(self.values) == self._count
 
     def as_yaml(self) -> str:
         """What was collected, in the form of a ROS 2 parameter file."""
         return yaml.safe_dump(
-            {name: {"ros__parameters": values} for name, values in self._values.items()}, sort_keys=False
+            {name: {"ros__parameters": values} for name, values in self.values.items()}, sort_keys=False
         )

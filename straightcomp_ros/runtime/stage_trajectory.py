@@ -14,17 +14,12 @@ from straightcomp_ros.model.stage import Trajectory, Waypoint
 
 def message_from_waypoints(waypoints: Sequence[Waypoint]) -> JointTrajectory:
     """A message with one point for each waypoint; stamp zero: the trajectory starts when it arrives."""
-    message = JointTrajectory(joint_names=[STAGE])
-    for point in waypoints:
-        sec, nanosec = divmod(point.time_ns, NANOSECONDS)
-        message.points.append(
-            JointTrajectoryPoint(
-                positions=[point.position],
-                velocities=[point.velocity],
-                time_from_start=Duration(sec=sec, nanosec=nanosec),
-            )
-        )
-    return message
+    points = []
+    for time_ns, position, velocity in waypoints:
+        sec, nanosec = divmod(time_ns, NANOSECONDS)
+        after = Duration(sec=sec, nanosec=nanosec)
+        points.append(JointTrajectoryPoint(positions=[position], velocities=[velocity], time_from_start=after))
+    return JointTrajectory(joint_names=[STAGE], points=points)
 
 
 def trajectory_from_message(message: JointTrajectory) -> Trajectory:

@@ -23,6 +23,13 @@ _MOST_CONNECTIONS = 16
 _LONGEST_BODY = 4096
 _IDLE_S = 30.0
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; img-src data:"
+_GUARDS = {
+    "Content-Security-Policy": _POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
 
 Action = Callable[[], str]
 """Does what a button says; gives the answer for the person who pressed it. Raises ActionRefused."""
@@ -33,15 +40,10 @@ class ActionRefused(Exception):
 
 
 class ViewServer(ThreadingHTTPServer):
-    """Serves one page, its news, and its buttons, each on a thread of its own.
-
-    Args:
-        port: TCP port on 127.0.0.1; 0 takes a free one.
-        board: what is shown.
-        actions: by name, what the buttons do.
+    """Serves the page, what the board shows, and the buttons' actions by name, on a thread for each connection.
 
     Raises:
-        OSError: the port cannot be had.
+        OSError: the TCP port on 127.0.0.1 cannot be had; port 0 takes a free one.
     """
 
     daemon_threads = True
@@ -58,34 +60,26 @@ class ViewServer(ThreadingHTTPServer):
         self._thread.start()
 
     @property
-    def port(self) -> int:
-        """Where it listens."""
-        return int(self.server_address[1])
-
-    @property
     def url(self) -> str:
         """The page, with the token; the part behind the # stays in the browser."""
-        return f"http://127.0.0.1:{self.port}/#{self.token}"
+        return f"http://127.0.0.1:{self.server_port}/#{self.token}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection, unless there are too many."""
-        if not self._places.acquire(blocking=False):
+        if self._places.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
             self.shutdown_request(request)
-            return
-        super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a connection to its end."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._places.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A page that was closed is no error, and what else a client does wrong is none of ours."""
+        """A page that was closed is no error, and other errors of a client are its own."""
 
     def close(self) -> None:
-        """Stop."""
         self.stopping.set()
         self.shutdown()
         self.server_close()
@@ -110,32 +104,30 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         # Whatever is left unread of a refused request must not be taken for the next one.
         self.close_connection = True
-        if not self._addressed_to_us():
-            return
-        given = self.headers.get("X-Token", "")
-        if not secrets.compare_digest(given.encode(), self.server.token.encode()):
-            self._answer(HTTPStatus.FORBIDDEN, "wrong or no token; open the address that `straightcomp view` printed")
-            return
+        if self._addressed_to_us():
+            self._answer(*self._pressed())
+
+    def _pressed(self) -> tuple[HTTPStatus, str]:
+        """Do what a button says; status and message for the page."""
+        if not secrets.compare_digest(self.headers.get("X-Token", "").encode(), self.server.token.encode()):
+            return HTTPStatus.FORBIDDEN, "wrong or no token; open the address that `straightcomp view` printed"
         if self.headers.get_content_type() != "application/json":
-            self._answer(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "allowed: application/json")
-            return
+            return HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "allowed: application/json"
         try:
             length = int(self.headers.get("Content-Length", ""))
             if not 0 <= length <= _LONGEST_BODY:
                 raise ValueError
-            wanted = json.loads(self.rfile.read(length))["action"]
-            action = self.server.actions[wanted]
+            action = self.server.actions[json.loads(self.rfile.read(length))["action"]]
         except (ValueError, KeyError, TypeError):
-            self._answer(HTTPStatus.BAD_REQUEST, f'allowed: {{"action": one of {sorted(self.server.actions)}}}')
-            return
+            return HTTPStatus.BAD_REQUEST, f'allowed: {{"action": one of {sorted(self.server.actions)}}}'
         try:
-            self._answer(HTTPStatus.OK, action())
+            return HTTPStatus.OK, action()
         except ActionRefused as refusal:
-            self._answer(HTTPStatus.CONFLICT, str(refusal))
+            return HTTPStatus.CONFLICT, str(refusal)
 
     def _addressed_to_us(self) -> bool:
         """A name that somebody else's DNS leads here is refused: its page would count as ours."""
-        if self.headers.get("Host", "") in (f"{name}:{self.server.port}" for name in ("127.0.0.1", "localhost")):
+        if self.headers.get("Host", "") in (f"{name}:{self.server.server_port}" for name in ("127.0.0.1", "localhost")):
             return True
         self.close_connection = True
         self._answer(HTTPStatus.FORBIDDEN, "allowed hosts: 127.0.0.1, localhost")
@@ -143,10 +135,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send_news(self) -> None:
         self.close_connection = True
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.end_headers()
+        self._send_head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Cache-Control": "no-store"})
         seen: dict[str, int] = {}
         while not self.server.stopping.wait(_NEWS_EVERY_S):
             text = json.dumps(plain(self.server.board.news(seen)), separators=(",", ":"), allow_nan=False)
@@ -156,19 +145,14 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(status, "application/json", json.dumps({"message": message}).encode())
 
     def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
+        self._send_head(status, {"Content-Type": kind, "Content-Length": str(len(body)), **_GUARDS})
+        self.wfile.write(body)
+
+    def _send_head(self, status: HTTPStatus, headers: Mapping[str, str]) -> None:
         self.send_response(status)
-        for name, value in {
-            "Content-Type": kind,
-            "Content-Length": str(len(body)),
-            "Content-Security-Policy": _POLICY,
-            "X-Content-Type-Options": "nosniff",
-            "X-Frame-Options": "DENY",
-            "Referrer-Policy": "no-referrer",
-            "Cache-Control": "no-store",
-        }.items():
+        for name, value in headers.items():
             self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(body)
 
     def log_message(self, *_: Any) -> None:
         """Nothing: ten lines a second would be."""

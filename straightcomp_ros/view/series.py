@@ -20,7 +20,7 @@ class Series:
 
     def __init__(self, slot: float, scale: float) -> None:
         self._slot_ns, self._scale = round(slot * 1e9), scale
-        self._slots: deque[tuple[int, float, float]] = deque(maxlen=round(_KEEP_S / slot))
+        self._slots: deque[list[float]] = deque(maxlen=round(_KEEP_S / slot))
         self._number, self._low, self._high = -1, math.inf, -math.inf
 
     def add(self, samples: Iterable[tuple[int, float]]) -> None:
@@ -37,29 +37,22 @@ class Series:
             # The source was started anew.
             self._slots.clear()
         elif self._low <= self._high:
-            self._slots.append((self._number, self._low * self._scale, self._high * self._scale))
+            values = (float(f"{value * self._scale:.5g}") for value in (self._low, self._high))
+            self._slots.append([self._number, self._number * self._slot_ns * 1e-9, *values])
         self._number, self._low, self._high = number, math.inf, -math.inf
 
     def after(self, number: int) -> list[list[float]]:
         """Finished slots after slot ``number``: [number, time in s since the epoch, least, greatest], to 5 digits."""
-        return [
-            [slot, slot * self._slot_ns * 1e-9, float(f"{low:.5g}"), float(f"{high:.5g}")]
-            for slot, low, high in self._slots
-            if slot > number
-        ]
+        return [slot for slot in self._slots if slot[0] > number]
 
     @property
     def newest(self) -> int:
         """Number of the newest finished slot; -1 without any."""
-        return self._slots[-1][0] if self._slots else -1
+        return int(self._slots[-1][0]) if self._slots else -1
 
 
 class Board:
-    """All series and the present state, written by one thread and read by those that serve pages.
-
-    Args:
-        series: by name.
-    """
+    """All series by name and the present state, written by one thread and read by those that serve pages."""
 
     def __init__(self, series: dict[str, Series]) -> None:
         self._series = series
@@ -79,9 +72,10 @@ class Board:
     def news(self, seen: dict[str, int]) -> dict[str, object]:
         """State, and what each series has after the slot that ``seen`` names, which is then brought up to date."""
         with self._lock:
-            fresh = {name: series.after(seen.get(name, -1)) for name, series in self._series.items()}
+            fresh = {}
             for name, series in self._series.items():
-                if series.newest < seen.get(name, -1):
-                    fresh[name] = series.after(-1)
+                last = seen.get(name, -1)
+                # A source that was started anew counts from the beginning.
+                fresh[name] = series.after(last if last <= series.newest else -1)
                 seen[name] = series.newest
             return {"state": self._state, "series": fresh}

@@ -60,10 +60,11 @@ def test_a_cycle_that_fails_says_which_node_got_no_cpu(monkeypatch):
     monkeypatch.setattr(cell_node, "_REPORTED_S", 0.0)
     try:
         cell = cell_node.CellNode(node)
-        cell._reports = {
+        reports = {
             "driver": {SCHEDULING: REFUSED, CPU_WAIT: "900", "timer_error_max_us": "1200.0"},
             "controller": {SCHEDULING: REFUSED, CPU_WAIT: "181000", "timer_error_max_us": "180000.0"},
         }
+        monkeypatch.setattr(cell._watch, "reports", lambda: reports)
 
         def cycle():
             yield
@@ -75,7 +76,7 @@ def test_a_cycle_that_fails_says_which_node_got_no_cpu(monkeypatch):
             "amplifier off in mid-cycle: command_timeout (the controller got no CPU for 180 ms; "
             "real-time priority is not permitted; remedy: straightcomp doctor)"
         )
-        cell._reports.clear()
+        reports.clear()
         with pytest.raises(cell_node.CycleFailed, match=r"^amplifier off in mid-cycle: command_timeout$"):
             list(cell._explained(cycle()))
     finally:

@@ -24,12 +24,8 @@ def test_two_graphs_in_two_namespaces_do_not_disturb_each_other(graph, forgiving
             ("feedforward", {}),
             ("controller", {"sample_timeout": 30.0}),
         ):
-            graph.start(
-                f"{stage} {node}",
-                parameters,
-                arguments=["-r", f"__ns:=/{stage}"],
-                command=executable_command(f"{node}_node"),
-            )
+            command = [*executable_command(f"{node}_node"), "--ros-args", "-r", f"__ns:=/{stage}"]
+            graph.start(f"{stage} {node}", parameters, command=command)
     rclpy.init()
     node = Node("observer")
     try:

@@ -17,7 +17,7 @@ from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
 
-from straightcomp_ros.opcua.demonstrated import free_port
+from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.users import OPERATOR, add_user
 

@@ -20,7 +20,7 @@ from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
 
-from straightcomp_ros.opcua.demonstrated import free_port
+from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 
 pytestmark = [pytest.mark.keeps_time, pytest.mark.soak]

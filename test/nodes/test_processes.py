@@ -75,7 +75,8 @@ def test_the_logger_refuses_a_folder_that_holds_something(single, tmp_path):
 def test_a_cell_without_a_driver_fails_and_names_what_is_missing(single):
     process = single.start("cell", {"start_timeout": 1.0})
     assert process.wait(timeout=120) == 1
-    assert "missing: driver, feedforward, controller, logger" in single.last_words("cell")
+    missing = ", ".join(f"{node} (absent)" for node in ("driver", "feedforward", "controller", "logger"))
+    assert f"nodes that do not work: {missing}" in single.last_words("cell")
 
 
 def test_a_cell_that_the_driver_refuses_to_enable_fails_with_the_reason(single, short_cycle):

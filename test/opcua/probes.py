@@ -14,8 +14,8 @@ from pathlib import Path
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
+from straightcomp_ros.cell.packml import Command, State
 from straightcomp_ros.opcua.client import CycleFailed, connected
-from straightcomp_ros.opcua.packml import Command, State
 
 CELL = "StraightnessCell"
 OPERATOR = ("ann", "correct horse")

@@ -18,10 +18,9 @@ from asyncua.crypto.cert_gen import setup_self_signed_certificate  # noqa: E402
 from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: E402
 
 from straightcomp_ros.cell.observation import Observation  # noqa: E402
+from straightcomp_ros.cell.packml import Command, Order  # noqa: E402
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters  # noqa: E402
 from straightcomp_ros.opcua.gateway_server import GatewayServer  # noqa: E402
-from straightcomp_ros.opcua.orders import Order  # noqa: E402
-from straightcomp_ros.opcua.packml import Command  # noqa: E402
 from straightcomp_ros.opcua.snapshot import Snapshot  # noqa: E402
 from straightcomp_ros.opcua.users import add_user  # noqa: E402
 

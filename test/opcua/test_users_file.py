@@ -5,9 +5,9 @@ import stat
 import pytest
 
 from straightcomp_ros.cell.observation import Observation
+from straightcomp_ros.cell.packml import State
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
-from straightcomp_ros.opcua.packml import State
 from straightcomp_ros.opcua.snapshot import Alarms
 from straightcomp_ros.opcua.users import Users, UsersError, add_user
 from straightcomp_ros.settings.declaration import ParameterError

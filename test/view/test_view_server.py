@@ -26,7 +26,7 @@ def served():
 
 
 def ask(server, method, path, body=None, **headers):
-    connection = HTTPConnection("127.0.0.1", server.port, timeout=30)
+    connection = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
     try:
         connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
         answer = connection.getresponse()
@@ -42,7 +42,7 @@ def press(server, action, **headers):
 
 
 def news(server, count):
-    connection = HTTPConnection("127.0.0.1", server.port, timeout=30)
+    connection = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
     try:
         connection.request("GET", "/news")
         answer = connection.getresponse()
@@ -99,8 +99,8 @@ def test_whatever_another_page_could_send_is_refused(served, headers, status):
 
 
 def test_another_name_for_this_machine_is_refused(served):
-    assert ask(served, "GET", "/", Host=f"evil.example:{served.port}")[0] == 403
-    assert ask(served, "GET", "/", Host=f"localhost:{served.port}")[0] == 200
+    assert ask(served, "GET", "/", Host=f"evil.example:{served.server_port}")[0] == 403
+    assert ask(served, "GET", "/", Host=f"localhost:{served.server_port}")[0] == 200
 
 
 def test_it_listens_on_this_machine_only(served):
@@ -111,7 +111,7 @@ def test_pages_beyond_the_limit_are_turned_away_and_get_in_when_others_leave(ser
     pages = []
     try:
         for _ in range(16):
-            page = HTTPConnection("127.0.0.1", served.port, timeout=30)
+            page = HTTPConnection("127.0.0.1", served.server_port, timeout=30)
             page.request("GET", "/news")
             # The answer owns the socket.
             pages.append(page.getresponse())

@@ -7,52 +7,59 @@ python -m straightcomp_ros.trials.bench.steady_cell --ros-args …
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterator
+from dataclasses import replace
 
-from std_srvs.srv import Trigger
-
+from straightcomp_ros.cell.observation import Observation
+from straightcomp_ros.cell.packml_sequence import CellSequence
 from straightcomp_ros.nodes.cell_node import CellNode
 from straightcomp_ros.runtime.runner import run
 
 _PATIENCE_S = 5.0
-_AGAIN_S = 0.5
 
 
-class SteadyCell(CellNode):
+class SteadySequence(CellSequence):
     """Switches the amplifier on again whenever a fault has switched it off; ends when it is told to."""
 
-    def _switch_on(self) -> Iterator[None]:
-        deadline = time.monotonic() + _PATIENCE_S
-        while time.monotonic() < deadline:
-            answer = yield from self._switch(True)
-            if answer.success:
-                return
-            yield from self._reset_fault()
-        self.node.get_logger().warning(f"measuring with the amplifier off: {answer.message}")
+    _began = _duration = 0.0
 
-    def _follow_motion(self, first_ns: int) -> Iterator[None]:
-        duration = self._waypoints[-1].time_ns * 1e-9
-        begin = tried = time.monotonic()
+    def tick(self, seen: Observation) -> None:
+        """Go on, whatever faults there are."""
+        super().tick(replace(seen, faults={}))
+
+    def _trouble(self, seen: Observation) -> str:
+        return ""
+
+    def _starting(self) -> Iterator[None]:
+        while not (self._seen.amplifier_on or self._overdue(_PATIENCE_S)):
+            self._switch_on_again()
+            yield
+        if not self._seen.amplifier_on:
+            print(f"measuring with the amplifier off: {self._machine.refusal}", file=sys.stderr, flush=True)
+
+    def _execute(self) -> Iterator[None]:
+        waypoints = self.movements.next(self._seen, self._now)
+        self._machine.move(waypoints)
+        self._began, self._duration = self._now, waypoints[-1].time_ns * 1e-9
         while True:
-            now = time.monotonic()
-            print(f"progress {min((now - begin) / duration, 1.0):.3f}", flush=True)
-            if not self._safety.amplifier_on and now - tried > _AGAIN_S:
-                tried = now
-                yield from self._reset_fault()
-                yield from self._switch(True)
+            if not self._seen.amplifier_on:
+                self._switch_on_again()
             yield
 
-    def _reset_fault(self) -> Iterator[None]:
-        if self._reset.service_is_ready():
-            future = self._reset.call_async(Trigger.Request())
-            yield from self._until(future.done, lambda: "the driver does not answer 'reset_fault'")
-        yield
+    def _switch_on_again(self) -> None:
+        if self._due():
+            self._machine.reset_faults()
+            self._machine.switch_on()
+
+    @property
+    def progress(self) -> float:
+        """By the clock: samples may be missing."""
+        return (self._now - self._began) / self._duration if self._duration else 0.0
 
 
 def main() -> int:
     """Run the node."""
-    return run("cell", SteadyCell)
+    return run("cell", lambda node: CellNode(node, SteadySequence))
 
 
 if __name__ == "__main__":

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from straightcomp_ros.cell.observation import Observation
+from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, ORDERED_IN, Command, Order, State
+from straightcomp_ros.cell.packml_sequence import CellSequence
 from straightcomp_ros.model.stage import MotionParameters
-from straightcomp_ros.opcua.orders import ORDERED_IN, Order
-from straightcomp_ros.opcua.packml import ACCEPTED, DONE, FAILED, Command, State
-from straightcomp_ros.opcua.packml_sequence import CellSequence
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
 TICK_S = 0.05
@@ -21,13 +20,13 @@ AT_REST_WITHOUT_CURRENT = (State.STOPPED, State.IDLE, State.COMPLETE, State.ABOR
 class Bench:
     """A graph that does what it is told within a tick, and a clock that ticks by hand."""
 
-    def __init__(self) -> None:
-        self.now, self.refusal = 100.0, ""
+    def __init__(self, **options) -> None:
+        self.now, self.refusal, self.obstacle = 100.0, "", ""
         self.obeys, self.active = True, False
         self.moves, self.told = [], []
-        self.answers, self.centred = [], True
+        self.answers, self.centred, self.centerings = [], True, []
         self.seen = Observation(nodes={"driver": "inactive"}, fresh=True, x=0.0, stamp_ns=1)
-        self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now)
+        self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now, **options)
 
     def activate(self):
         self.seen = replace(self.seen, nodes={"driver": "active"})
@@ -55,7 +54,8 @@ class Bench:
         self.answers.append(then)
 
     def center(self, middle, then):
-        if self.sequence.state is State.RESETTING:
+        self.centerings.append(middle)
+        if self.sequence.state in (State.RESETTING, State.STARTING):
             self.centred = middle
             then("")
         else:
@@ -103,7 +103,7 @@ def test_a_cycle_runs_its_strokes_forward_and_back_and_ends_with_the_amplifier_o
     assert not bench.sequence.command(Command.START, 2)
     assert bench.until(State.COMPLETE) == [State.STARTING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
     assert [goal for _, goal in bench.moves] == [0.1, 0.0, 0.1, 0.0]
-    assert bench.sequence.strokes_done == 2 and not bench.seen.amplifier_on
+    assert bench.sequence.movements.strokes_done == 2 and not bench.seen.amplifier_on
 
 
 def test_hold_rests_at_the_end_of_the_movement_and_unhold_goes_on_with_the_next():
@@ -201,9 +201,9 @@ def test_orders_are_accepted_where_the_nodes_work_and_nothing_else_is_under_way(
         for state in State:
             bench = Bench()
             bench.sequence.state = state
-            assert bench.ordered(order, middle=True) is (state in ORDERED_IN[order])
+            assert bench.ordered(order, middle=True) is (state in ORDERED_IN)
             assert bench.sequence.state is state
-            if state not in ORDERED_IN[order]:
+            if state not in ORDERED_IN:
                 assert "accepted in: Idle, Execute, Held, Complete" in bench.sequence.message
 
 
@@ -249,6 +249,105 @@ def test_an_answer_that_comes_late_does_not_hide_why_the_machine_aborted():
     bench.until(State.ABORTED)
     bench.answers.pop()("")
     assert "coil burnt" in bench.sequence.message
+
+
+def test_strokes_as_one_are_a_single_trajectory_and_the_cycle_ends_with_its_time():
+    bench = Bench(as_one=True)
+    bench.started(3)
+    bench.until(State.COMPLETE)
+    assert len(bench.moves) == 1 and bench.sequence.movements.strokes_done == 3
+    end, goal = bench.moves[0]
+    assert goal == 0.0 and end <= bench.now < end + 0.5
+
+
+def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_after_it():
+    bench = Bench(as_one=True, home=True)
+    bench.seen = replace(bench.seen, stamp_ns=0)
+    sample_ns, began, move = 0, 0.0, bench.move
+
+    def lockstep():
+        nonlocal sample_ns
+        if bench.moves:
+            end_ns = round((bench.moves[0][0] - began) * 1e9)
+            sample_ns = min(sample_ns + 50_000_000, end_ns - 500_000)
+        bench.now += TICK_S
+        first_ns = 10**18 if sample_ns else 0
+        stamp_ns = first_ns + sample_ns if sample_ns else 0
+        bench.seen = replace(bench.seen, stamp_ns=stamp_ns, first_ns=first_ns, still=not sample_ns)
+        bench.sequence.tick(bench.seen)
+
+    def moved(waypoints):
+        nonlocal began
+        began = bench.now
+        move(waypoints)
+
+    bench.tick, bench.move = lockstep, moved
+    bench.started(1)
+    assert bench.centerings and not any(bench.centerings)
+    bench.until(State.COMPLETE)
+    assert sample_ns < round((bench.moves[0][0] - began) * 1e9)
+
+
+def test_homing_takes_the_platform_to_the_middle_and_back_to_the_map_before_the_first_stroke():
+    bench = Bench(home=True)
+    assert not bench.sequence.command(Command.RESET)
+    bench.until(State.IDLE)
+    bench.centerings.clear()
+    assert not bench.sequence.command(Command.START, 1)
+    began = bench.now
+    bench.until(State.EXECUTE)
+    assert bench.centerings == [True, False] and bench.now - began > 2.0 and not bench.moves
+
+
+def test_a_reference_that_refuses_to_be_homed_stops_the_machine_with_its_words():
+    bench = Bench(home=True)
+    assert not bench.sequence.command(Command.RESET)
+    bench.until(State.IDLE)
+    bench.center = lambda middle, then: then("not finished")
+    assert not bench.sequence.command(Command.START, 1)
+    assert bench.until(State.STOPPED)[-2:] == [State.STOPPING, State.STOPPED]
+    assert bench.sequence.message == "homing: not finished"
+
+
+def test_an_amplifier_that_goes_off_in_mid_cycle_is_switched_on_again_as_often_as_that_is_allowed():
+    bench = Bench(as_one=True, recoveries=2)
+    bench.started(1)
+    for fault in ({"driver": "tripped"}, {}):
+        bench.tick()
+        bench.seen = replace(bench.seen, faults=fault, amplifier_on=False)
+        for _ in range(5):
+            bench.tick()
+        assert bench.sequence.state is State.EXECUTE and bench.seen.amplifier_on and not bench.seen.faults
+    assert bench.sequence.recovered == 2 and len(bench.moves) == 1
+    bench.seen = replace(bench.seen, amplifier_on=False)
+    bench.until(State.ABORTED)
+    assert bench.sequence.message == "the amplifier went off"
+
+
+@pytest.mark.parametrize("trouble", [{"nodes": {"driver": "silent"}}, {"fresh": False, "amplifier_on": False}])
+def test_a_graph_that_has_died_in_mid_cycle_is_not_recovered(trouble):
+    bench = Bench(as_one=True, recoveries=2)
+    bench.started(1)
+    bench.seen = replace(bench.seen, **trouble)
+    bench.until(State.ABORTED)
+    assert bench.sequence.recovered == 0
+
+
+def test_a_fault_that_remains_ends_the_recovery():
+    bench = Bench(as_one=True, recoveries=2)
+    bench.started(1)
+    bench.obeys = False
+    bench.seen = replace(bench.seen, faults={"driver": "coil burnt"}, amplifier_on=False)
+    bench.until(State.ABORTED)
+    assert bench.sequence.message == "the fault remains: driver: coil burnt"
+
+
+def test_nothing_starts_while_nobody_takes_the_trajectory():
+    bench = Bench()
+    bench.obstacle = "nobody takes the stage's trajectory"
+    assert not bench.sequence.command(Command.RESET)
+    bench.until(State.STOPPED)
+    assert bench.sequence.message == "not ready: nobody takes the stage's trajectory"
 
 
 @pytest.mark.parametrize("strokes", [-1, 10**7])

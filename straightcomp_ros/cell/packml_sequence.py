@@ -1,0 +1,298 @@
+"""The sequencer of the stage's cycle: PackML's state machine, run by the cell node and by the OPC UA gateway.
+
+The work of a state is the generator of its name, e.g. `_starting`. Each tick advances it once; it returns when the work
+is done, and raises when it cannot be done.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
+
+from straightcomp_ros.cell.observation import Observation
+from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
+from straightcomp_ros.cell.stage_movements import NotArrived, StageMovements
+from straightcomp_ros.model.stage import MotionParameters, Waypoint
+
+_ASK_AGAIN_S = 0.5
+_SETTLE_S = 1.5
+"""A node that has just come up allocates and connects for about a second more, and loses messages meanwhile."""
+_HOME_S = 1.0
+"""Time that the reference takes to the middle, or back to the map, and the platform to follow."""
+_OFF_WITHIN_S = 2.0
+"""A driver that has not switched off by then is dead or deaf; its machine's own watchdog has switched off."""
+_REPORTED_WITHIN_S = 1.5
+"""A fault that is there, or one that is gone, shows in the diagnostics by then."""
+MOST_STROKES = 1_000_000
+AMPLIFIER_OFF = "the amplifier went off"
+_WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
+_WITH_AMPLIFIER = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
+Answer = Callable[[str], None]
+"""Takes why something was refused, or an empty text."""
+
+
+class Machine(Protocol):
+    """What the sequence asks of the graph. Nothing here waits; answers show in the next observations."""
+
+    refusal: str  # why the last switch_on was refused; empty while it is not answered, and when it was done
+    obstacle: str  # why the stage could not be moved; empty where it can
+
+    def activate(self) -> None: ...
+    def switch_on(self) -> None: ...
+    def switch_off(self) -> None: ...
+    def reset_faults(self) -> None: ...
+    def move(self, waypoints: Sequence[Waypoint]) -> None: ...
+    def reload_map(self, then: Answer) -> None: ...
+    def center(self, middle: bool, then: Answer) -> None: ...
+
+
+class _Failed(Exception):
+    """The work of a state cannot be done; the message says why."""
+
+
+class CellSequence:
+    """State machine of the cell.
+
+    Args:
+        machine: what acts.
+        motion: of each stroke.
+        start_timeout: longest Resetting, Starting, Clearing or step of a recovery, s.
+        clock: monotonic time, s.
+        as_one: all strokes are one trajectory; see :class:`StageMovements`.
+        home: before the first stroke, bring the platform to the middle of its travel, then back onto the map.
+        recoveries: how often the amplifier is switched on again after it went off in Execute.
+
+    Attributes:
+        state: present state.
+        message: why the state is what it is, or why the last command was refused.
+        movements: of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop.
+        centred: the reference is in the middle of the travel, or has been asked to go there.
+        recovered: how often the amplifier has been switched on again.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        motion: MotionParameters,
+        start_timeout: float,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        as_one: bool = False,
+        home: bool = False,
+        recoveries: int = 0,
+    ) -> None:
+        self._machine, self._start_timeout, self._clock = machine, start_timeout, clock
+        self._home, self._recoveries = home, recoveries
+        # A trajectory as one ends with its own rest.
+        self._settled, self._settle = as_one, 0.0 if as_one else motion.settle
+        self.movements = StageMovements(motion, as_one)
+        self.recovered, self.centred = 0, False
+        self._seen, self._now = Observation(), clock()
+        self._enter(State.STOPPED, "")
+
+    @property
+    def at_work(self) -> bool:
+        """Whether the sequence may have the amplifier on."""
+        return self.state in ACCEPTED[Command.STOP] or self.state is State.STOPPING
+
+    @property
+    def progress(self) -> float:
+        """Fraction of the present movement's time that has passed; 0 without a movement."""
+        return self.movements.progress(self._seen)
+
+    def command(self, command: Command, strokes: int = 0) -> str:
+        """Take a command, with the number of ``strokes`` for Start; returns why it is refused, or an empty text."""
+        reason = refusal(command, self.state)
+        to_be_run = {Command.START: strokes, Command.UNHOLD: self.movements.strokes}.get(command, 0)
+        if not reason and not 0 <= to_be_run <= MOST_STROKES:
+            reason = f"strokes {strokes} is out of range; allowed: 0 to {MOST_STROKES}"
+        elif not reason and self.centred and to_be_run:
+            reason = f"{name(command)} is not accepted while the reference is in the middle; call Center(false) before"
+        if reason:
+            self.message = reason
+            return reason
+        if command is Command.START:
+            self.movements.begin(strokes)
+        self._enter(ACCEPTED[command][self.state], f"command {name(command)}")
+        return ""
+
+    def order(self, order: Order, middle: bool, then: Answer) -> None:
+        """Ask for another reference; with Center that of the ``middle`` of the travel, or, false, of the map.
+
+        ``then`` gets why it is refused, or an empty text, now or when the node has answered.
+        """
+        reason = refusal(order, self.state)
+        if not reason and order is Order.CENTER and middle and self.state is State.EXECUTE and self.movements.strokes:
+            reason = "Center(true) is not accepted while strokes are run; accepted after Hold, or with 0 strokes"
+        if reason:
+            self.message = reason
+            then(reason)
+            return
+        state, before = self.state, self.centred
+
+        def answered(refusal: str) -> None:
+            if order is Order.CENTER:
+                self.centred = before if refusal else middle
+            if self.state is state:
+                self.message = refusal or f"command {order.value}"
+            then(refusal)
+
+        if order is Order.RELOAD_MAP:
+            self._machine.reload_map(answered)
+        else:
+            # No stroke may begin before the answer.
+            self.centred = before or middle
+            self._machine.center(middle, answered)
+
+    def tick(self, seen: Observation) -> None:
+        """Go on, with the graph as it is ``seen`` now."""
+        self._now, self._seen = self._clock(), seen
+        trouble = "" if self._recovering else self._trouble(seen)
+        if trouble and self._recoverable(seen):
+            self.recovered += 1
+            self._recovering, self._work = True, self._recover(self._work)
+        elif trouble:
+            self._enter(State.ABORTING, trouble)
+        try:
+            next(self._work)
+        except StopIteration:
+            if self.state in DONE:
+                self._enter(DONE[self.state], self.message)
+        except (_Failed, NotArrived) as failure:
+            self._enter(FAILED[self.state], str(failure))
+
+    def _enter(self, state: State, message: str) -> None:
+        self.state, self.message, self._since = state, message, self._clock()
+        self._asked, self._recovering = -math.inf, False
+        self._work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
+        if state is State.ABORTING:
+            self._machine.switch_off()
+
+    def _trouble(self, seen: Observation) -> str:
+        # In Stopped the graph may be somebody else's: its faults show as alarms only.
+        if self.state in _WITHOUT_AMPLIFIER:
+            return ""
+        if seen.fault or self.state in (State.RESETTING, State.STOPPING, State.COMPLETE):
+            return seen.fault
+        off = self.state in _WITH_AMPLIFIER and not seen.amplifier_on
+        return seen.absence or (AMPLIFIER_OFF if off else "")
+
+    def _recoverable(self, seen: Observation) -> bool:
+        """Whether the trouble is an amplifier that is off, and it may be switched on again."""
+        allowed = self.state is State.EXECUTE and self.recovered < self._recoveries
+        return allowed and not seen.absence and not seen.amplifier_on
+
+    def _recover(self, work: Iterator[None]) -> Iterator[None]:
+        yield from self._clearing(0.0)
+        yield from self._switching_on()
+        self._recovering = False
+        yield from work
+
+    def _resetting(self) -> Iterator[None]:
+        ready_since = self._now
+        while True:
+            obstacle = self._seen.obstacle or self._machine.obstacle
+            if obstacle:
+                ready_since = self._now
+                if self._overdue(self._start_timeout):
+                    raise _Failed(f"not ready: {obstacle}")
+                if self._seen.missing and self._due():
+                    self._machine.activate()
+            elif self._due():
+                # Whoever left the reference in the middle. Refused while a change is under way: then again.
+                self._machine.center(False, self._back_on_the_map)
+            if self._now - ready_since >= _SETTLE_S:
+                return
+            yield
+
+    def _back_on_the_map(self, refusal: str) -> None:
+        self.centred = self.centred and bool(refusal)
+
+    def _starting(self) -> Iterator[None]:
+        yield from self._switching_on()
+        # In lockstep no time passes before the motion.
+        for middle in (True, False) if self._home and self._seen.stamp_ns else ():
+            answers: list[str] = []
+            self._machine.center(middle, answers.append)
+            asked = self._now
+            while not answers or self._now - asked < _HOME_S:
+                if any(answers) or self._now - asked > self._start_timeout:
+                    raise _Failed(f"homing: {'; '.join(answers) or 'the feedforward does not answer'}")
+                yield
+
+    def _execute(self) -> Iterator[None]:
+        moves = self.movements
+        while True:
+            if moves.strokes and self._arrived():
+                if moves.strokes_done >= moves.strokes:
+                    return
+                self._machine.move(moves.next(self._seen, self._now))
+            yield
+
+    def _arrived(self) -> bool:
+        return self.movements.arrived(self._seen, self._now)
+
+    def _holding(self) -> Iterator[None]:
+        while not (self._arrived() and self._seen.still):
+            yield
+
+    def _completing(self) -> Iterator[None]:
+        # The stage's last movement is over; a stage that others move may still be on its way.
+        while not (self._arrived() and (self._settled or self._seen.still) and self._overdue(self._settle)):
+            yield
+        yield from self._switching_off()
+
+    def _stopping(self) -> Iterator[None]:
+        # Without samples nothing tells when the movement ends.
+        while self._seen.fresh and not self._arrived():
+            yield
+        yield from self._switching_off()
+
+    def _aborting(self) -> Iterator[None]:
+        # The stage keeps its trajectory: it comes to rest where its movement ends.
+        self.movements.forget()
+        for _ in self._switching_off():
+            if self._overdue(_OFF_WITHIN_S):
+                return
+            yield
+
+    def _clearing(self, least: float = _REPORTED_WITHIN_S) -> Iterator[None]:
+        yield from self._asking(
+            self._machine.reset_faults,
+            lambda: not self._seen.faults and self._overdue(least),
+            lambda: f"the fault remains: {self._seen.fault}",
+        )
+
+    def _switching_on(self) -> Iterator[None]:
+        yield from self._asking(
+            self._machine.switch_on,
+            lambda: self._seen.amplifier_on,
+            lambda: f"the driver refuses to enable: {self._machine.refusal or 'no answer'}",
+        )
+
+    def _switching_off(self) -> Iterator[None]:
+        while self._seen.amplifier_on:
+            if self._due():
+                self._machine.switch_off()
+            yield
+
+    def _asking(self, ask: Callable[[], None], done: Callable[[], bool], why: Callable[[], str]) -> Iterator[None]:
+        """Ask again and again until it is done; fails after the start timeout with what ``why`` says."""
+        end, self._asked = self._now + self._start_timeout, -math.inf
+        while not done():
+            if self._now > end:
+                raise _Failed(why())
+            if self._due():
+                ask()
+            yield
+
+    def _due(self) -> bool:
+        """Whether to ask (again) now."""
+        if due := self._now - self._asked >= _ASK_AGAIN_S:
+            self._asked = self._now
+        return due
+
+    def _overdue(self, seconds: float) -> bool:
+        return self._now - self._since > seconds
