@@ -102,7 +102,7 @@ class Receiver:
         try:
             handler(payload, arrival_ns)
         except FrameError as error:
-            self._strike(error.reason)
+            self._strike(str(error))
 
     def receive_error_frame(self, classes: int, details: bytes) -> None:
         """The interface reports an error on the bus. The controller repeats what it concerned, unless it is bus-off.
@@ -196,14 +196,14 @@ class Receiver:
             try:
                 self._place(waiting, number - self.sequence.index, waiting_ns)
             except FrameError as error:
-                self._strike(error.reason)
+                self._strike(str(error))
 
     def _hear_truth(self, payload: bytes, _: int) -> None:
         try:
             self._truth = truth_of(payload)
         except FrameError as error:
             # Nobody acts on it: no reason for a strike.
-            self.counts[error.reason] += 1
+            self.counts[str(error)] += 1
 
     def _heartbeat(self, payload: bytes, arrival_ns: int) -> None:
         if len(payload) != 1:
