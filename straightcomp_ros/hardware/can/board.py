@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
+from straightcomp_ros.hardware.can.emulator_frames import StageInbox, truth_payload
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     BOOT_UP,
@@ -30,8 +31,6 @@ from straightcomp_ros.hardware.can.frames import (
     Switch,
     status_bits,
 )
-from straightcomp_ros.hardware.can.stage_frames import StageInbox
-from straightcomp_ros.hardware.can.truth_frame import truth_payload
 from straightcomp_ros.hardware.interface import HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 

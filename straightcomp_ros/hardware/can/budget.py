@@ -1,13 +1,14 @@
-"""How long the frames take on the wire at worst, how much of the bus they fill, how late a round trip can be.
+"""Worst-case time of each frame on the wire, bus load and round-trip time.
 
-Worst case of bit stuffing, error-free bus. Sources: ISO 11898-1:2015; for the response times R. I. Davis, A. Burns,
-R. J. Bril, J. J. Lukkien, "Controller Area Network (CAN) schedulability analysis: refuted, revisited and revised",
-Real-Time Systems 35 (2007): a frame waits for at most one frame of lower priority, which cannot be interrupted.
+They hold for the worst case of bit stuffing on an error-free bus. Sources: ISO 11898-1:2015; for the response times
+R. I. Davis, A. Burns, R. J. Bril, J. J. Lukkien, "Controller Area Network (CAN) schedulability analysis: refuted,
+revisited and revised", Real-Time Systems 35 (2007): a frame waits for at most one frame of lower priority, which cannot
+be interrupted.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.hardware.can.frames import (
@@ -24,8 +25,7 @@ HEARTBEAT_PERIOD = 0.05
 _FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
-@dataclass(frozen=True)
-class Bitrate:
+class Bitrate(NamedTuple):
     """Bit rates in bit/s; ``data`` is that of the data phase of CAN FD, None on a classic bus."""
 
     nominal: int
@@ -36,8 +36,7 @@ CLASSIC_1M = Bitrate(1_000_000)
 FD_1M_5M = Bitrate(1_000_000, 5_000_000)
 
 
-@dataclass(frozen=True)
-class Traffic:
+class Traffic(NamedTuple):
     """A frame that is sent again and again: payload in bytes, frames per second; ``fd`` in the format of CAN FD."""
 
     name: str
@@ -46,16 +45,16 @@ class Traffic:
     fd: bool
 
     def time(self, bitrate: Bitrate) -> float:
-        """Longest time on the wire in s, the space to the next frame included."""
+        """Longest time on the wire in s, with the space to the next frame."""
         if self.fd and bitrate.data:
             return fd_time(self.size, bitrate.nominal, bitrate.data)
         return classic_bits(self.size) / bitrate.nominal
 
 
 def classic_bits(size: int) -> int:
-    """Bits of a classic frame with an 11-bit identifier and ``size`` bytes, stuffed at worst, with intermission.
+    """Most bits of a classic frame with an 11-bit identifier and ``size`` bytes, with intermission.
 
-    47 bits besides the payload, of which 34 are stuffed with it: one more after four, at worst.
+    There are 47 bits besides the payload; 34 of them are stuffed with it, at worst with one bit after every four.
     """
     return 47 + 8 * size + (34 + 8 * size - 1) // 4
 
@@ -63,9 +62,9 @@ def classic_bits(size: int) -> int:
 def fd_time(size: int, nominal: int, data: int) -> float:
     """Longest time in s of an FD frame with an 11-bit identifier and bit rate switch.
 
-    Nominal rate: SOF, identifier, RRS, IDE, FDF, res and BRS, 17 bits and up to 4 stuffed; ACK, its delimiter, EOF and
-    intermission, 12 bits. Data rate: ESI, DLC and payload, stuffed after four at worst; stuff count, CRC and their
-    fixed stuff bits; the CRC delimiter.
+    Nominal rate: SOF, identifier, RRS, IDE, FDF, res and BRS, 17 bits and up to 4 stuff bits; ACK, its delimiter, EOF
+    and intermission, 12 bits. Data rate: ESI, DLC and payload, at worst with a stuff bit after every four; stuff count,
+    CRC and their fixed stuff bits; the CRC delimiter.
 
     Raises:
         ValueError: CAN FD has no frames of this size.
@@ -79,14 +78,11 @@ def fd_time(size: int, nominal: int, data: int) -> float:
 
 
 def traffic(fd: bool, rate: float = DEFAULT_RATE) -> list[Traffic]:
-    """All that is on the bus while the servo runs, in the order of priority."""
+    """All frames on the bus while the servo runs, highest priority first."""
     heartbeat = Traffic("heartbeat", 1, 1.0 / HEARTBEAT_PERIOD, False)
     if fd:
-        return [
-            Traffic("command", COMMAND_FD_BYTES, rate, True),
-            Traffic("encoder", ENCODER_FD_BYTES, rate, True),
-            heartbeat,
-        ]
+        command, encoder = COMMAND_FD_BYTES, ENCODER_FD_BYTES
+        return [Traffic("command", command, rate, True), Traffic("encoder", encoder, rate, True), heartbeat]
     return [
         Traffic("encoder", ENCODER_BYTES, rate, False),
         Traffic("command", COMMAND_BYTES, rate, False),
@@ -96,21 +92,17 @@ def traffic(fd: bool, rate: float = DEFAULT_RATE) -> list[Traffic]:
 
 
 def load(frames: list[Traffic], bitrate: Bitrate) -> float:
-    """Fraction of the time that the bus is taken, at worst."""
+    """Fraction of the time for which the bus is busy, at worst."""
     return sum(frame.time(bitrate) * frame.rate for frame in frames)
 
 
 def round_trip(frames: list[Traffic], bitrate: Bitrate) -> float:
     """Longest time in s on the bus from sample to command: each of the two waits for the longest other frame.
 
-    It holds while it is shorter than a control period; the time that the host computes comes on top.
+    It holds while it is shorter than a control period. The host's computing time comes on top.
     """
-    by_name = {frame.name: frame for frame in frames}
-    total = 0.0
-    for own in ("encoder", "command"):
-        total += by_name[own].time(bitrate)
-        total += max(frame.time(bitrate) for name, frame in by_name.items() if name != own)
-    return total
+    times = {frame.name: frame.time(bitrate) for frame in frames}
+    return sum(times[own] + max(time for name, time in times.items() if name != own) for own in ("encoder", "command"))
 
 
 def table() -> str:

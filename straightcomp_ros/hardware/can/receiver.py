@@ -1,7 +1,7 @@
 """From frames to samples: every check between the wire and a number that may be used.
 
-Knows neither python-can nor threads: payloads and times of arrival go in, samples come out. In the order of the
-checks: length, CRC with data id, range of the alive counter, state, number, plausibility.
+Payloads and times of arrival go in, samples come out; neither python-can nor threads are involved. The checks in their
+order: length, CRC with data id, range of the alive counter, state, number, plausibility.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 from collections import deque
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator_frames import truth_of
 from straightcomp_ros.hardware.can.frames import (
     BOOT_UP,
     CURRENT_COUNT,
@@ -25,28 +26,27 @@ from straightcomp_ros.hardware.can.frames import (
 )
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
-from straightcomp_ros.hardware.can.truth_frame import truth_of
 from straightcomp_ros.hardware.interface import Sample, Truth
 
 _STRIKE = 4
 _UNSETTLED = 9.0
 _CONTROLLER, _BUS_OFF = 0x04, 0x40
-"""Classes of errors: the second byte of the payload has the controller's state; bus-off."""
+"""Error classes of linux/can/error.h: with the first, the payload's second byte is the controller's state."""
 _PASSIVE = 0x10 | 0x20
 
 
 class Receiver:
-    """Samples of one board; :attr:`samples` is filled, the caller empties it.
+    """Samples of one board; the caller empties :attr:`samples`.
 
     Attributes:
-        samples: new samples, oldest first: number, sample, and what an emulated board tells of it besides.
-        amplifier: state that the newest good frame reports; None before the first.
+        samples: new samples, oldest first: number, sample, and an emulated board's truth.
+        amplifier: state in the newest good frame; None before the first.
         board_fault: why the board switched off.
-        newest_ns: time of arrival of the newest sample that was good to use.
-        heartbeat_ns: time of arrival of the newest heartbeat, and ``node_state``, what it said.
+        newest_ns: time of arrival of the newest usable sample.
+        heartbeat_ns: time of arrival of the newest heartbeat; ``node_state`` is its content.
         boot_ups: boot-up messages since the start.
-        strikes: count of bad frames, see ``strike_limit``; ``strike_outs``, how often it reached that.
-        counts: frames that were refused, by reason, and errors that the interface reported.
+        strikes: error counter of bad frames, see ``strike_limit``; ``strike_outs``: how often it reached the limit.
+        counts: refused frames by reason, and errors that the interface reported.
     """
 
     def __init__(self, parameters: CanParameters) -> None:
@@ -86,7 +86,7 @@ class Receiver:
         return list(self._handlers)
 
     def restart(self) -> None:
-        """Forget what is known of the board's samples, as after its restart; counters stay."""
+        """Forget the board's samples, as after its restart; counters stay."""
         self.clock.reset()
         self.sequence.reset()
         self._accepted = None
@@ -105,10 +105,10 @@ class Receiver:
             self._strike(str(error))
 
     def receive_error_frame(self, classes: int, details: bytes) -> None:
-        """The interface reports an error on the bus. The controller repeats what it concerned, unless it is bus-off.
+        """Count an error that the interface reports; the controller repeats the frame, unless it is bus-off.
 
         Args:
-            classes: the frame's identifier, where Linux has the classes of errors (linux/can/error.h).
+            classes: identifier of the error frame, which Linux uses for the error classes.
             details: its payload.
         """
         self.counts["error_frames"] += 1
@@ -127,7 +127,7 @@ class Receiver:
     def _elapsed(self, index: int, arrival_ns: int) -> float:
         if self.clock.settled:
             return self.clock.elapsed(index, arrival_ns)
-        # The first frames may all have come late: the time between two of them says little yet.
+        # The first frames may all be late, so the time between two of them is not yet meaningful.
         return max((arrival_ns - self._arrival_ns) / self._period_ns, _UNSETTLED)
 
     def _encoder(self, payload: bytes, arrival_ns: int) -> None:
@@ -147,10 +147,8 @@ class Receiver:
         if ahead <= 0:
             self.sequence.count_old(ahead)
             return
-        last = self._accepted
-        if last and (
-            abs(frame.x - last.x) > 2 + self._x_step * ahead or abs(frame.y - last.y) > 2 + self._y_step * ahead
-        ):
+        last = self._accepted or frame
+        if abs(frame.x - last.x) > 2 + self._x_step * ahead or abs(frame.y - last.y) > 2 + self._y_step * ahead:
             raise FrameError("implausible")
         self._accepted = frame
         index = self.sequence.accept(frame, ahead)
@@ -168,7 +166,7 @@ class Receiver:
     def _deliver(self, frame: Encoder, index: int, arrival_ns: int) -> None:
         stamp_ns = self.clock.stamp(index)
         if stamp_ns <= self._stamp_ns:
-            # The clock has been set anew, and must not run backwards for those who live by it.
+            # After a reset of the clock, stamps must still not run backwards.
             return
         self._stamp_ns, self.newest_ns = stamp_ns, arrival_ns
         if arrival_ns - stamp_ns > self._stale_ns:
@@ -202,7 +200,7 @@ class Receiver:
         try:
             self._truth = truth_of(payload)
         except FrameError as error:
-            # Nobody acts on it: no reason for a strike.
+            # Nothing acts on the truth, so a damaged one does not count as a bad frame.
             self.counts[str(error)] += 1
 
     def _heartbeat(self, payload: bytes, arrival_ns: int) -> None:

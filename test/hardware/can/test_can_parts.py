@@ -7,6 +7,7 @@ import pytest
 
 from straightcomp_ros.hardware.can.bus_faults import Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator_frames import StageInbox, stage_payloads
 from straightcomp_ros.hardware.can.frames import Identifiers
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.hub_packet import (
@@ -21,7 +22,6 @@ from straightcomp_ros.hardware.can.hub_packet import (
     to_packet,
 )
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
-from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payloads
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.model.stage import Waypoint
 from straightcomp_ros.settings.declaration import ParameterError

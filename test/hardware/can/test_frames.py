@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from straightcomp_ros.hardware.can.emulator_frames import StageInbox, stage_payloads, truth_of, truth_payload
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     COUNTER_MODULUS,
@@ -26,8 +27,6 @@ from straightcomp_ros.hardware.can.frames import (
     start_value,
     status_bits,
 )
-from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payloads
-from straightcomp_ros.hardware.can.truth_frame import truth_of, truth_payload
 from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.settings.share import share_path
