@@ -56,7 +56,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def start(self, now_ns: int) -> None:
-        """Begin sampling, or begin again after a pause in which nobody read; the first sample is taken at ``now_ns``."""
+        """Begin sampling, or begin again after a pause in which nobody read; take the first sample at ``now_ns``."""
 
     @abstractmethod
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:

@@ -46,7 +46,7 @@ def stage_payloads(ids: Identifiers, waypoints: Sequence[Waypoint]) -> list[tupl
     return [*frames, (ids.stage_start, _START.pack(len(waypoints), seal))]
 
 
-class StageInbox:
+class StageReceiver:
     """Collects the frames of :func:`stage_payloads` on the simulated machine's side."""
 
     def __init__(self, ids: Identifiers) -> None:
@@ -90,7 +90,7 @@ def _waypoint(time: bytes, motion: bytes) -> Waypoint:
 
 
 def truth_payload(counter: int, truth: Truth) -> bytes:
-    """Sample counter, CRC-32 of the rest with the counter as its start, six doubles in SI units, eight bytes of zero."""
+    """Sample counter, CRC-32 of the rest with the counter as start value, six doubles in SI units, 8 bytes of zero."""
     content = _CONTENT.pack(*truth)
     return _HEAD.pack(counter, zlib.crc32(content, counter)) + content
 

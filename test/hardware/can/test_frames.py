@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.hardware.can.emulator_frames import StageInbox, stage_payloads, truth_of, truth_payload
+from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, stage_payloads, truth_of, truth_payload
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     COUNTER_MODULUS,
@@ -260,8 +260,8 @@ def test_a_number_that_does_not_fit_is_refused_and_not_wrapped(x, y):
 
 def test_a_cycle_of_the_stage_survives_its_frames():
     waypoints = forward_and_back(MotionParameters())
-    inbox = StageInbox(CLASSIC.ids)
-    *_, received = [inbox.add(*frame) for frame in stage_payloads(CLASSIC.ids, waypoints)]
+    receiver = StageReceiver(CLASSIC.ids)
+    *_, received = [receiver.add(*frame) for frame in stage_payloads(CLASSIC.ids, waypoints)]
     sent = Trajectory(waypoints)
     assert received.end_ns == sent.end_ns
     for time_ns in range(0, sent.end_ns, 37_000_000):
@@ -272,7 +272,7 @@ def test_a_trajectory_that_lacks_a_frame_or_has_a_damaged_one_is_refused():
     frames = stage_payloads(CLASSIC.ids, forward_and_back(MotionParameters()))
     damaged = [(frames[0][0], frames[0][1][:-1] + b"\1"), *frames[1:]]
     for received in (frames[1:], damaged):
-        inbox = StageInbox(CLASSIC.ids)
+        receiver = StageReceiver(CLASSIC.ids)
         with pytest.raises(HardwareError, match="refused"):
             for frame in received:
-                inbox.add(*frame)
+                receiver.add(*frame)
