@@ -54,6 +54,19 @@ class HardwareError(RuntimeError):
 class Hardware(ABC):
     """A machine. None of these calls blocks but :meth:`wait`."""
 
+    state: State
+    """State of the amplifier."""
+    fault: str
+    """Why the state is FAULT, empty otherwise."""
+    fault_kind: Fault | None
+    """Which fault that is, None without one."""
+    lost_samples: int
+    """Samples that were taken but fetched too late, since the start."""
+    applied_current: float
+    """Control current in A that is asked of the amplifier at present."""
+    newest_arrival_ns: int | None = None
+    """When the newest sample arrived; None for a machine that does not send samples by itself."""
+
     @abstractmethod
     def start(self, now_ns: int) -> None:
         """Begin sampling, or begin again after a pause in which nobody read; take the first sample at ``now_ns``."""
@@ -100,36 +113,6 @@ class Hardware(ABC):
         Raises:
             HardwareError: this machine's stage cannot be commanded from here, or does not stand at the first point.
         """
-
-    @property
-    @abstractmethod
-    def state(self) -> State:
-        """State of the amplifier."""
-
-    @property
-    @abstractmethod
-    def fault(self) -> str:
-        """Why the state is FAULT, empty otherwise."""
-
-    @property
-    @abstractmethod
-    def fault_kind(self) -> Fault | None:
-        """Which fault that is, None without one."""
-
-    @property
-    @abstractmethod
-    def lost_samples(self) -> int:
-        """Samples that were taken but fetched too late, since the start."""
-
-    @property
-    @abstractmethod
-    def applied_current(self) -> float:
-        """Control current in A that is asked of the amplifier at present."""
-
-    @property
-    def newest_arrival_ns(self) -> int | None:
-        """When the newest sample arrived; None for a machine that does not send samples by itself."""
-        return None
 
     def wait(self, timeout_ns: int) -> None:
         """Receive what the machine has sent, waiting up to ``timeout_ns`` for the first of it.

@@ -5,18 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import stage_payloads
-from straightcomp_ros.hardware.can.frames import (
-    ALIVE_MODULUS,
-    COUNTER_MODULUS,
-    CURRENT_COUNT,
-    CURRENT_LIMIT,
-    OPERATIONAL,
-    Amplifier,
-    Command,
-    Switch,
-)
+from straightcomp_ros.hardware.can.frames import Amplifier, Switch
 from straightcomp_ros.hardware.can.hub_packet import ERROR, REMOTE, Frame
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
@@ -88,13 +80,13 @@ class CanHardware(Hardware):
     def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
-        counts = round(current / CURRENT_COUNT)
-        if abs(counts) > CURRENT_LIMIT:
-            largest = CURRENT_LIMIT * CURRENT_COUNT
+        counts = round(current / frames.CURRENT_COUNT)
+        if abs(counts) > frames.CURRENT_LIMIT:
+            largest = frames.CURRENT_LIMIT * frames.CURRENT_COUNT
             raise ValueError(f"control current {current} A does not fit its frame; allowed: ±{largest:g} A")
         number = self._newest_number if sample_ns is None else self._numbers.get(sample_ns, self._newest_number)
         if self._send(number, counts):
-            self._current = counts * CURRENT_COUNT
+            self._current = counts * frames.CURRENT_COUNT
 
     def enable(self) -> None:
         if self.fault:
@@ -244,8 +236,8 @@ class CanHardware(Hardware):
         receiver = self._receiver
         if not receiver.heartbeat_ns or not receiver.newest_ns:
             return f"nothing has come from the board yet{': ' if self._link.problem else ''}{self._link.problem}"
-        if receiver.node_state != OPERATIONAL:
-            return f"the board's heartbeat says state {receiver.node_state}, not {OPERATIONAL} (operational)"
+        if receiver.node_state != frames.OPERATIONAL:
+            return f"the board's heartbeat says state {receiver.node_state}, not {frames.OPERATIONAL} (operational)"
         silence = self._silence(now_ns)
         return silence[1] if silence is not None else ""
 
@@ -258,10 +250,12 @@ class CanHardware(Hardware):
 
     def _send(self, number: int, counts: int = 0) -> bool:
         enable, reset = (Switch.YES if asked else Switch.NO for asked in (self._wanted, self._resetting))
-        frame = Command(self._alive, enable, reset, counts if self._wanted else 0, number % COUNTER_MODULUS)
+        frame = frames.Command(
+            self._alive, enable, reset, counts if self._wanted else 0, number % frames.COUNTER_MODULUS
+        )
         sent = self._link.send(self._codec.command_id, self._codec.pack_command(frame), fd=self._codec.fd)
         if sent:
-            self._alive = (self._alive + 1) % ALIVE_MODULUS
+            self._alive = (self._alive + 1) % frames.ALIVE_MODULUS
         return sent
 
 

@@ -9,29 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, truth_payload
-from straightcomp_ros.hardware.can.frames import (
-    ALIVE_MODULUS,
-    BOOT_UP,
-    COUNTER_MODULUS,
-    CURRENT_COUNT,
-    CURRENT_EVERY,
-    CURRENT_LIMIT,
-    OPERATIONAL,
-    POSITION_COUNT,
-    X_LIMIT,
-    Y_LIMIT,
-    Amplifier,
-    BoardFault,
-    Codec,
-    Command,
-    Current,
-    Encoder,
-    FrameError,
-    Switch,
-    status_bits,
-)
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Switch
 from straightcomp_ros.hardware.interface import HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 
@@ -64,7 +45,7 @@ class Board:
     def __init__(
         self,
         machine: SimulatedHardware,
-        codec: Codec,
+        codec: frames.Codec,
         current_range: float,
         send: Send,
         now_ns: int,
@@ -87,7 +68,7 @@ class Board:
         self._newest_ns = self._next_heartbeat_ns = now_ns
         self._stage = StageReceiver(codec.ids)
         machine.start(now_ns)
-        send(codec.ids.heartbeat, bytes((BOOT_UP,)), False)
+        send(codec.ids.heartbeat, bytes((frames.BOOT_UP,)), False)
 
     def cycle(self, now_ns: int) -> None:
         """Take and send the samples up to ``now_ns``."""
@@ -95,7 +76,7 @@ class Board:
             self._send_sample(sample, truth)
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + round(HEARTBEAT_PERIOD * 1e9)
-            self._send(self._codec.ids.heartbeat, bytes((OPERATIONAL,)), False)
+            self._send(self._codec.ids.heartbeat, bytes((frames.OPERATIONAL,)), False)
 
     def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
         """Take a frame that arrived at ``at_ns``."""
@@ -103,8 +84,8 @@ class Board:
             try:
                 command = self._codec.unpack_command(payload)
                 if not {command.enable, command.reset} <= _PATTERNS:
-                    raise FrameError("pattern")
-            except FrameError:
+                    raise frames.FrameError("pattern")
+            except frames.FrameError:
                 self._strike()
             else:
                 self._obey(command, at_ns)
@@ -138,7 +119,7 @@ class Board:
         self.machine.disable()
         self._seen_off = False
 
-    def _obey(self, command: Command, at_ns: int) -> None:
+    def _obey(self, command: frames.Command, at_ns: int) -> None:
         if command.enable == Switch.NO:
             # "Off" is obeyed from any frame that passes its CRC, even an old one.
             self._seen_off = True
@@ -148,12 +129,12 @@ class Board:
                 self._fault, self._strikes = BoardFault.NONE, 0
         repeated = command.alive == self._command_alive
         self._command_alive = command.alive
-        age = (self._counter - command.echo) % (COUNTER_MODULUS if self._codec.fd else 256)
+        age = (self._counter - command.echo) % (frames.COUNTER_MODULUS if self._codec.fd else 256)
         if repeated or age > self._oldest_echo:
             self.refused_commands += 1
             return
         self._strikes = max(0, self._strikes - 1)
-        current = command.current * CURRENT_COUNT
+        current = command.current * frames.CURRENT_COUNT
         if abs(current) > self._range:
             self._trip(BoardFault.CURRENT_RANGE)
             return
@@ -166,18 +147,18 @@ class Board:
     def _send_sample(self, sample: Sample, truth: Truth) -> None:
         codec = self._codec
         self._newest_ns = sample.stamp_ns
-        self._counter = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns) % COUNTER_MODULUS
-        x, y = round(sample.x / POSITION_COUNT), round(sample.y / POSITION_COUNT)
-        valid = abs(x) <= X_LIMIT and abs(y) <= Y_LIMIT
-        current = 0 if math.isnan(sample.current) else round(sample.current / CURRENT_COUNT)
-        current = min(max(current, -CURRENT_LIMIT), CURRENT_LIMIT)
-        status = status_bits(self.amplifier, self.fault, valid)
-        alive = self._counter % ALIVE_MODULUS
-        frame = Encoder(alive, status, x if valid else 0, y if valid else 0, current, self._counter)
+        self._counter = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns) % frames.COUNTER_MODULUS
+        x, y = round(sample.x / frames.POSITION_COUNT), round(sample.y / frames.POSITION_COUNT)
+        valid = abs(x) <= frames.X_LIMIT and abs(y) <= frames.Y_LIMIT
+        current = 0 if math.isnan(sample.current) else round(sample.current / frames.CURRENT_COUNT)
+        current = min(max(current, -frames.CURRENT_LIMIT), frames.CURRENT_LIMIT)
+        status = frames.status_bits(self.amplifier, self.fault, valid)
+        alive = self._counter % frames.ALIVE_MODULUS
+        frame = frames.Encoder(alive, status, x if valid else 0, y if valid else 0, current, self._counter)
         if self._tells_truth:
             self._send(codec.ids.truth, truth_payload(self._counter, truth), True)
         self._send(codec.encoder_id, codec.pack_encoder(frame), codec.fd)
-        if not codec.fd and self._counter % CURRENT_EVERY == 0:
-            coil_current = Current(self._current_alive, current, self._counter)
+        if not codec.fd and self._counter % frames.CURRENT_EVERY == 0:
+            coil_current = frames.Current(self._current_alive, current, self._counter)
             self._send(codec.ids.current, codec.pack_current(coil_current), False)
-            self._current_alive = (self._current_alive + 1) % ALIVE_MODULUS
+            self._current_alive = (self._current_alive + 1) % frames.ALIVE_MODULUS

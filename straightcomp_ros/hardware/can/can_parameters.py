@@ -19,7 +19,7 @@ class CanParameters:
     channel: str = parameter("can0", "Channel of the interface, as python-can names it")
     bitrate: int = parameter(
         1_000_000,
-        "Bit rate; socketcan takes it from the system instead",
+        "Bit rate; socketcan uses the system's setting instead",
         unit="bit/s",
         minimum=10_000,
         maximum=1_000_000,

@@ -1,7 +1,7 @@
 """python-can's interface ``straightcomp_hub``: a bus between processes of one computer, where the kernel has no CAN.
 
 The channel is the path of the hub's socket, see :mod:`straightcomp_ros.hardware.can.hub`. Frames of one sender arrive
-in the order in which they were sent; a receiver that does not keep up loses frames, as with an adapter.
+in the order of sending; a receiver that does not keep up loses frames, as with an adapter.
 """
 
 from __future__ import annotations
@@ -19,15 +19,10 @@ from straightcomp_ros.hardware.can.hub_packet import LONGEST, Flag, Frame, from_
 INTERFACE = "straightcomp_hub"
 _BUFFER = 1 << 20
 _SELECTABLE = 1024
-_BITS = (
-    ("is_extended_id", Flag.EXTENDED),
-    ("is_remote_frame", Flag.REMOTE),
-    ("is_error_frame", Flag.ERROR),
-    ("is_fd", Flag.FD),
-    ("bitrate_switch", Flag.BIT_RATE_SWITCH),
-)
+_NAMES = ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch")
+_BITS = tuple((name, int(flag)) for name, flag in zip(_NAMES, Flag, strict=True))
 _KINDS = [{name: bool(flags & bit) for name, bit in _BITS} for flags in range(256)]
-"""What each combination of flags is to python-can; looked up, since each operation on them takes microseconds."""
+"""python-can's arguments for each combination of flags."""
 
 
 class HubBus(can.BusABC):
@@ -39,7 +34,7 @@ class HubBus(can.BusABC):
         fd: whether frames of CAN FD may be sent.
 
     Raises:
-        can.CanInitializationError: nobody listens there.
+        can.CanInitializationError: no hub listens there.
     """
 
     def __init__(self, channel: str, can_filters: Any = None, fd: bool = False, **options: Any) -> None:
@@ -58,8 +53,7 @@ class HubBus(can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
 
     def recv_frame(self, timeout: float) -> Frame | None:
-        """The next frame, whatever its identifier, without a message of python-can, which costs as much as all else;
-        None if none has come within ``timeout`` s.
+        """The next frame, unfiltered, or None after ``timeout`` s; without the cost of python-can's message.
 
         Raises:
             can.CanOperationError: the hub is gone.
@@ -85,16 +79,17 @@ class HubBus(can.BusABC):
         """Hand a frame to the hub; its stamp is the time of this call.
 
         Raises:
-            can.CanOperationError: the socket's buffer is full for ``timeout`` seconds (not waiting, if None), or
-                the hub is gone.
+            can.CanOperationError: the socket's buffer is full for ``timeout`` seconds (at once, if None), or the hub
+                is gone.
         """
+        frame = msg.arbitration_id, _flags(msg), bytes(msg.data)
         try:
-            self.send_frame(msg.arbitration_id, _flags(msg), bytes(msg.data))
+            self.send_frame(*frame)
         except can.CanOperationError as error:
             full = isinstance(error.__cause__, BlockingIOError)
             if not (full and timeout and select.select([], [self._socket], [], timeout)[1]):
                 raise
-            self.send_frame(msg.arbitration_id, _flags(msg), bytes(msg.data))
+            self.send_frame(*frame)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         frame = self._frame()
@@ -103,7 +98,7 @@ class HubBus(can.BusABC):
         if frame is None:
             return None, False
         message = message_of(frame)
-        # Filters are for identifiers, and an error frame has none: it passes, as with socketcan.
+        # An error frame has no identifier and passes the filters, as with socketcan.
         return message, message.is_error_frame
 
     def _frame(self) -> Frame | None:
@@ -118,8 +113,7 @@ class HubBus(can.BusABC):
         return from_packet(packet)
 
     def _wait(self, timeout: float | None) -> bool:
-        """Whether there is something to read within ``timeout``."""
-        # select() knows times below a millisecond, but no descriptors from 1024 on.
+        # select() takes times below a millisecond, but no descriptors from 1024 on.
         if self._socket.fileno() < _SELECTABLE:
             return bool(select.select([self._socket], [], [], timeout)[0])
         return bool(self._readable.poll(None if timeout is None else max(1, round(timeout * 1e3))))
@@ -148,10 +142,4 @@ def message_of(frame: Frame) -> can.Message:
 
 
 def _flags(message: can.Message) -> int:
-    return (
-        message.is_extended_id * Flag.EXTENDED
-        | message.is_remote_frame * Flag.REMOTE
-        | message.is_error_frame * Flag.ERROR
-        | message.is_fd * Flag.FD
-        | message.bitrate_switch * Flag.BIT_RATE_SWITCH
-    )
+    return sum(bit for name, bit in _BITS if getattr(message, name))

@@ -1,4 +1,4 @@
-"""A CAN frame as the hub passes it on: one packet of a SOCK_SEQPACKET socket for each frame."""
+"""A CAN frame as the hub passes it on, in one packet of a SOCK_SEQPACKET socket."""
 
 from __future__ import annotations
 
@@ -20,16 +20,13 @@ class Flag(enum.IntFlag):
     BIT_RATE_SWITCH = 16
 
 
-# Plain numbers: an operation on an IntFlag takes some microseconds, and each frame would pay for it.
-ERROR = int(Flag.ERROR)
-EXTENDED = int(Flag.EXTENDED)
-REMOTE = int(Flag.REMOTE)
+# Plain numbers, since each operation on an IntFlag takes some microseconds. FD_FRAME is what this package sends.
+EXTENDED, REMOTE, ERROR = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR)
 FD_FRAME = int(Flag.FD | Flag.BIT_RATE_SWITCH)
-"""What this package sends on CAN FD."""
 
 
 class Frame(NamedTuple):
-    """A frame on the bus; ``stamp_ns`` is the system's time at which it was there, ns since the epoch."""
+    """A frame on the bus; ``stamp_ns`` is the system time at which it was sent, ns since the epoch."""
 
     stamp_ns: int
     identifier: int
@@ -48,9 +45,9 @@ def from_packet(packet: bytes) -> Frame:
 
 
 def priority(packet: bytes) -> tuple[int, int, int]:
-    """Order in which frames win the bus, the lowest first: as the bits of their identifiers go out."""
+    """Sort key by which frames win the bus, the lowest first: by the bits of the identifier."""
     _, identifier, flags = _HEAD.unpack_from(packet)
     if flags & EXTENDED:
-        # The first eleven bits are sent alike; then a standard frame wins.
+        # After eleven equal bits a standard frame wins.
         return identifier >> 18, 1, identifier & 0x3FFFF
     return identifier, 0, 0

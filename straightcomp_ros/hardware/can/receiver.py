@@ -9,21 +9,10 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import truth_of
-from straightcomp_ros.hardware.can.frames import (
-    BOOT_UP,
-    CURRENT_COUNT,
-    POSITION_COUNT,
-    Amplifier,
-    BoardFault,
-    Codec,
-    Encoder,
-    FrameError,
-    amplifier_of,
-    encoders_valid,
-    fault_of,
-)
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, FrameError
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
 from straightcomp_ros.hardware.interface import Sample, Truth
@@ -50,7 +39,7 @@ class Receiver:
     """
 
     def __init__(self, parameters: CanParameters) -> None:
-        self.codec = Codec(parameters.node, parameters.fd)
+        self.codec = frames.Codec(parameters.node, parameters.fd)
         self._period_ns = period_ns = round(1e9 / parameters.rate)
         self.clock = SampleClock(period_ns)
         self.sequence = Sequence(self._elapsed)
@@ -66,9 +55,9 @@ class Receiver:
         self._memory = parameters.sample_memory
         self._stale_ns = round(parameters.sample_timeout * 1e9)
         self._strike_limit = parameters.strike_limit
-        self._x_step = parameters.x_speed * period_ns * 1e-9 / POSITION_COUNT
-        self._y_step = parameters.y_speed * period_ns * 1e-9 / POSITION_COUNT
-        self._accepted: Encoder | None = None
+        self._x_step = parameters.x_speed * period_ns * 1e-9 / frames.POSITION_COUNT
+        self._y_step = parameters.y_speed * period_ns * 1e-9 / frames.POSITION_COUNT
+        self._accepted: frames.Encoder | None = None
         self._alive = 0
         self._current = 0.0
         self._stamp_ns = 0
@@ -132,7 +121,7 @@ class Receiver:
 
     def _encoder(self, payload: bytes, arrival_ns: int) -> None:
         frame = self.codec.unpack_encoder(payload)
-        if not amplifier_of(frame.status):
+        if not frames.amplifier_of(frame.status):
             raise FrameError("state")
         self._alive = frame.alive
         ahead = self.sequence.ahead(frame, arrival_ns)
@@ -141,7 +130,7 @@ class Receiver:
         else:
             self._place(frame, ahead, arrival_ns)
 
-    def _place(self, frame: Encoder, ahead: int, arrival_ns: int) -> None:
+    def _place(self, frame: frames.Encoder, ahead: int, arrival_ns: int) -> None:
         if not self.sequence.plausible(ahead, arrival_ns):
             raise FrameError("implausible")
         if ahead <= 0:
@@ -155,15 +144,16 @@ class Receiver:
         self.clock.observe(index, arrival_ns)
         self.received += 1
         self._arrival_ns = arrival_ns
-        self.amplifier, self.board_fault = Amplifier(amplifier_of(frame.status)), fault_of(frame.status)
+        self.amplifier = Amplifier(frames.amplifier_of(frame.status))
+        self.board_fault = frames.fault_of(frame.status)
         if self.strikes:
             self.strikes -= 1
-        if not encoders_valid(frame.status):
+        if not frames.encoders_valid(frame.status):
             self.counts["encoders"] += 1
         elif self.clock.settled:
             self._deliver(frame, index, arrival_ns)
 
-    def _deliver(self, frame: Encoder, index: int, arrival_ns: int) -> None:
+    def _deliver(self, frame: frames.Encoder, index: int, arrival_ns: int) -> None:
         stamp_ns = self.clock.stamp(index)
         if stamp_ns <= self._stamp_ns:
             # After a reset of the clock, stamps must still not run backwards.
@@ -172,9 +162,9 @@ class Receiver:
         if arrival_ns - stamp_ns > self._stale_ns:
             self.stale += 1
         if frame.current is not None:
-            self._current = frame.current * CURRENT_COUNT
+            self._current = frame.current * frames.CURRENT_COUNT
         current = self._current if self.amplifier is Amplifier.ON else math.nan
-        sample = Sample(stamp_ns, frame.x * POSITION_COUNT, frame.y * POSITION_COUNT, current)
+        sample = Sample(stamp_ns, frame.x * frames.POSITION_COUNT, frame.y * frames.POSITION_COUNT, current)
         counter, truth = self._truth
         self.samples.append((index, sample, truth if counter == frame.counter else None))
         if len(self.samples) > self._memory:
@@ -183,7 +173,7 @@ class Receiver:
 
     def _coil_current(self, payload: bytes, arrival_ns: int) -> None:
         frame = self.codec.unpack_current(payload)
-        self._current = frame.current * CURRENT_COUNT
+        self._current = frame.current * frames.CURRENT_COUNT
         jumps = self.sequence.jumps
         placed = self.sequence.place(frame.counter, self._alive)
         if self.sequence.jumps > jumps:
@@ -208,6 +198,6 @@ class Receiver:
             raise FrameError("length")
         self.node_state = payload[0] & 0x7F
         self.heartbeat_ns = arrival_ns
-        if payload[0] == BOOT_UP:
+        if payload[0] == frames.BOOT_UP:
             self.boot_ups += 1
             self.restart()

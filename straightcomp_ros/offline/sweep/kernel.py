@@ -56,11 +56,7 @@ class Cycle(NamedTuple):
 
 
 def run_cycle(
-    law: Law,
-    plant: PlantParameters,
-    conditions: Conditions,
-    initial_y: float = 0.0,
-    hold: Hold = _SHIPPED_HOLD,
+    law: Law, plant: PlantParameters, conditions: Conditions, initial_y: float = 0.0, hold: Hold = _SHIPPED_HOLD
 ) -> Cycle:
     """Run one cycle with the amplifier on from the first sample, as `Simulation` does.
 
@@ -112,18 +108,7 @@ def kernel(step: Callable[..., Any]) -> Callable[..., int]:
 
 def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
     def loop(  # type: ignore[no-untyped-def]
-        constants,
-        state,
-        times,
-        stamps,
-        effective,
-        references,
-        noise,
-        gains,
-        law_state,
-        true_y,
-        y,
-        current,
+        constants, state, times, stamps, effective, references, noise, gains, law_state, true_y, y, current
     ):
         """Samples done."""
         taken = 0
