@@ -34,11 +34,7 @@ class SimulatedParameters:
 
     rate: int = parameter(DEFAULT_RATE, "Samples per second", unit="Hz", minimum=10, maximum=20_000)
     command_timeout: float = parameter(
-        0.005,
-        "Age of the newest command at which the board switches the amplifier off",
-        unit="s",
-        above=0.0,
-        maximum=1.0,
+        0.005, "Age of the newest command at which the board switches off", unit="s", above=0.0, maximum=1.0
     )
     actuation_delay: float = parameter(
         1.0,
@@ -57,11 +53,7 @@ class SimulatedParameters:
         maximum=1e6,
     )
     hold_mean: float = parameter(
-        0.015,
-        "Time constant of the mean command that the board holds when commands stop",
-        unit="s",
-        above=0.0,
-        maximum=10.0,
+        0.015, "Time constant of the mean command, held when commands stop", unit="s", above=0.0, maximum=10.0
     )
     hold_braking: float = parameter(
         0.5,
@@ -71,11 +63,7 @@ class SimulatedParameters:
         maximum=1.0,
     )
     hold_memory: float = parameter(
-        0.001,
-        "Time constant with which friction ends the impulse of the last commands",
-        unit="s",
-        above=0.0,
-        maximum=1.0,
+        0.001, "Time constant with which friction ends an impulse", unit="s", above=0.0, maximum=1.0
     )
     hold_stiffness: float = parameter(
         7000.0,

@@ -77,7 +77,6 @@ class SafetyMachine:
         return ""
 
     def disable(self) -> None:
-        """Switch the amplifier off."""
         self._hardware.disable()
         self._go(Event.DISABLE)
 

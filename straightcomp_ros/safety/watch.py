@@ -26,7 +26,7 @@ class WatchParameters:
     )
     y_limit: float = parameter(
         1e-3,
-        "Largest |y|, once y has been within it since the amplifier was switched on",
+        "Largest |y|, once y was within it with the amplifier on",
         unit="m",
         above=0.0,
         maximum=0.1,

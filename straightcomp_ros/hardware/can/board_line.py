@@ -61,7 +61,6 @@ class BusLine:
         return frames
 
     def close(self) -> None:
-        """Leave the bus."""
         bus, self._bus = self._bus, None
         if bus is not None:
             with contextlib.suppress(can.CanError, OSError):
@@ -104,7 +103,6 @@ class HubLine:
         return [(frame.identifier, frame.data, frame.stamp_ns) for frame in frames if not frame.flags & ERROR]
 
     def close(self) -> None:
-        """End the bus."""
         self._hub.close()
 
 

@@ -11,14 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.hardware.can.frames import (
-    COMMAND_BYTES,
-    COMMAND_FD_BYTES,
-    CURRENT_BYTES,
-    CURRENT_EVERY,
-    ENCODER_BYTES,
-    ENCODER_FD_BYTES,
-)
+from straightcomp_ros.hardware.can import frames
 
 HEARTBEAT_PERIOD = 0.05
 """s"""
@@ -81,27 +74,27 @@ def traffic(fd: bool, rate: float = DEFAULT_RATE) -> list[Traffic]:
     """All frames on the bus while the servo runs, highest priority first."""
     heartbeat = Traffic("heartbeat", 1, 1.0 / HEARTBEAT_PERIOD, False)
     if fd:
-        command, encoder = COMMAND_FD_BYTES, ENCODER_FD_BYTES
+        command, encoder = frames.COMMAND_FD_BYTES, frames.ENCODER_FD_BYTES
         return [Traffic("command", command, rate, True), Traffic("encoder", encoder, rate, True), heartbeat]
     return [
-        Traffic("encoder", ENCODER_BYTES, rate, False),
-        Traffic("command", COMMAND_BYTES, rate, False),
-        Traffic("coil current", CURRENT_BYTES, rate / CURRENT_EVERY, False),
+        Traffic("encoder", frames.ENCODER_BYTES, rate, False),
+        Traffic("command", frames.COMMAND_BYTES, rate, False),
+        Traffic("coil current", frames.CURRENT_BYTES, rate / frames.CURRENT_EVERY, False),
         heartbeat,
     ]
 
 
-def load(frames: list[Traffic], bitrate: Bitrate) -> float:
+def load(sent: list[Traffic], bitrate: Bitrate) -> float:
     """Fraction of the time for which the bus is busy, at worst."""
-    return sum(frame.time(bitrate) * frame.rate for frame in frames)
+    return sum(frame.time(bitrate) * frame.rate for frame in sent)
 
 
-def round_trip(frames: list[Traffic], bitrate: Bitrate) -> float:
+def round_trip(sent: list[Traffic], bitrate: Bitrate) -> float:
     """Longest time in s on the bus from sample to command: each of the two waits for the longest other frame.
 
     It holds while it is shorter than a control period. The host's computing time comes on top.
     """
-    times = {frame.name: frame.time(bitrate) for frame in frames}
+    times = {frame.name: frame.time(bitrate) for frame in sent}
     return sum(times[own] + max(time for name, time in times.items() if name != own) for own in ("encoder", "command"))
 
 
@@ -109,13 +102,13 @@ def table() -> str:
     """Load and latency of both kinds of bus, as docs/can.md shows them."""
     lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
     for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
-        frames = traffic(fd)
-        for frame in frames:
+        sent = traffic(fd)
+        for frame in sent:
             share = 100 * frame.time(bitrate) * frame.rate
             time = frame.time(bitrate) * 1e6
             lines.append(f"| {name} | {frame.name} | {frame.size} B | {time:.0f} µs | {share:.1f} % |")
         lines.append(
-            f"| {name} | all; sample to command | | {round_trip(frames, bitrate) * 1e6:.0f} µs "
-            f"| {100 * load(frames, bitrate):.1f} % |"
+            f"| {name} | all; sample to command | | {round_trip(sent, bitrate) * 1e6:.0f} µs "
+            f"| {100 * load(sent, bitrate):.1f} % |"
         )
     return "\n".join(lines)

@@ -67,8 +67,9 @@ class FrameLog:
         self._thread = threading.Thread(target=self._run, name="frame log", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        """Start writing, unless it has started."""
+        if self._thread.ident is None:
+            self._thread.start()
 
     def put(self, message: can.Message) -> None:
         """Queue a frame to be written."""

@@ -105,7 +105,6 @@ class Hub:
         self._forget(*self._nodes.values())
 
     def close(self) -> None:
-        """End the bus."""
         self._forget(*self._nodes.values())
         self._listener.close()
         self._path.unlink(missing_ok=True)

@@ -119,14 +119,12 @@ class HubBus(can.BusABC):
         return bool(self._readable.poll(None if timeout is None else max(1, round(timeout * 1e3))))
 
     def shutdown(self) -> None:
-        """Leave the bus."""
         super().shutdown()
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
     def fileno(self) -> int:
-        """File descriptor of the socket."""
         return self._socket.fileno()
 
 

@@ -35,12 +35,10 @@ class Frame(NamedTuple):
 
 
 def to_packet(frame: Frame) -> bytes:
-    """The packet of a frame."""
     return _HEAD.pack(*frame[:3]) + frame.data
 
 
 def from_packet(packet: bytes) -> Frame:
-    """The frame of a packet."""
     return Frame(*_HEAD.unpack_from(packet), packet[_HEAD.size :])
 
 

@@ -91,18 +91,15 @@ class Link:
         self._bus: can.BusABC | None = None
         self._opener: threading.Thread | None = None
         self._closing = False
-        self._wait_s = _SHORTEST_WAIT_S
-        self._next_opening_s = 0.0
-        self._started = False
+        self._wait_s, self._next_opening_s = _SHORTEST_WAIT_S, 0.0
         self._name = f"CAN {parameters.interface} {parameters.channel}"
         self.problem = f"{self._name} is not open yet"
         """Why the bus is closed; empty while it is open."""
 
     def start(self) -> None:
         """Open the bus, or open it again after a pause in which nobody read, to drop old frames."""
-        if self.log and not self._started:
+        if self.log:
             self.log.start()
-        self._started = True
         if self._bus is not None:
             self.problem = f"{self._name} is being opened again"
             self._drop(self._bus)
@@ -143,7 +140,6 @@ class Link:
         return True
 
     def close(self) -> None:
-        """Close the bus."""
         self._closing = True
         if self._opener is not None:
             self._opener.join(2.0)
