@@ -46,8 +46,7 @@ class SimulatedParameters:
     )
     hold_after: float = parameter(
         1.25,
-        "Time after the last command took effect at which the board begins to hold the platform by itself: with the"
-        " mean of the last commands and a stiffness about the position at that time",
+        "Time after the last command took effect at which the board begins to hold the platform by itself",
         unit="samples",
         minimum=1.1,
         maximum=1e6,
@@ -56,11 +55,7 @@ class SimulatedParameters:
         0.015, "Time constant of the mean command, held when commands stop", unit="s", above=0.0, maximum=10.0
     )
     hold_braking: float = parameter(
-        0.5,
-        "Share of the impulse of the last commands beyond their mean that the board takes back in each sample while it"
-        " holds the platform",
-        minimum=0.0,
-        maximum=1.0,
+        0.5, "While holding: share of the last commands' impulse taken back per sample", minimum=0.0, maximum=1.0
     )
     hold_memory: float = parameter(
         0.001, "Time constant with which friction ends an impulse", unit="s", above=0.0, maximum=1.0
@@ -90,12 +85,7 @@ class SimulatedParameters:
 
 
 class SimulatedHardware(Hardware):
-    """Plant and stage in simulated time, integrated up to whatever time the caller names.
-
-    Args:
-        parameters: the machine.
-        guide: true deviation of the guide δ(x).
-    """
+    """Plant and stage in simulated time, integrated up to the time that the caller names, on a guide with deviation δ(x)."""
 
     state = State.OFF
     fault = ""
@@ -168,12 +158,9 @@ class SimulatedHardware(Hardware):
             self.fault = ""
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        here = self._stage_position(self._time_ns)
-        away = abs(trajectory.position(0) - here)
-        if away > 1e-6:
-            raise HardwareError(
-                f"stage trajectory starts at {trajectory.position(0)} m, but the stage stands at {here} m"
-            )
+        here, first = self._stage_position(self._time_ns), trajectory.position(0)
+        if abs(first - here) > 1e-6:
+            raise HardwareError(f"stage trajectory starts at {first} m, but the stage stands at {here} m")
         self._trajectory, self._trajectory_start_ns = trajectory, start_ns
 
     @property
@@ -201,11 +188,9 @@ class SimulatedHardware(Hardware):
         self._time_ns = time_ns
         age_ns = time_ns - self._last_command_ns
         if age_ns > self.command_timeout_ns and self.state is State.ON:
+            self.state = State.FAULT
             limit_ms = self.command_timeout_ns * 1e-6
-            self.state, self.fault = (
-                State.FAULT,
-                f"no command for {age_ns * 1e-6:.1f} ms (command_timeout {limit_ms:g} ms)",
-            )
+            self.fault = f"no command for {age_ns * 1e-6:.1f} ms (command_timeout {limit_ms:g} ms)"
             self._currents_off()
         y, velocity, _, control, _, friction, magnetic, *_, reading = self._plant.state.tolist()
         x = self._stage_position(time_ns)

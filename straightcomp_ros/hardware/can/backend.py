@@ -18,7 +18,6 @@ from straightcomp_ros.safety.faults import Fault, Finding
 
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
-
 _TURNS = 3
 """Reads of the bus without a sample after which monitoring must run."""
 
@@ -29,10 +28,8 @@ class CanHardware(Hardware):
     This class latches every fault, whoever found it. Commands then say "off" until the fault has been reset and the
     amplifier is enabled again.
 
-    Args:
-        parameters: bus and board.
-        clock: the host's time in ns, as passed to :meth:`read`.
-        make_link: opens the bus, as :class:`~straightcomp_ros.hardware.can.link.Link`, which says what it raises.
+    ``clock`` is the host's time in ns, as passed to :meth:`read`; ``make_link`` opens the bus and raises as
+    :class:`~straightcomp_ros.hardware.can.link.Link` does.
     """
 
     fault = ""
@@ -48,11 +45,9 @@ class CanHardware(Hardware):
         self._codec = self._receiver.codec
         self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
         self._numbers: dict[int, int] = {}
-        self._newest_number = 0
-        self._alive = 0
+        self._newest_number = self._alive = self._deadline_ns = 0
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
-        self._deadline_ns = 0
         self._fault_kind = Fault.BOARD
         self._seen = self._upsets()
 
@@ -126,9 +121,7 @@ class CanHardware(Hardware):
 
     @property
     def state(self) -> State:
-        if self.fault:
-            return State.FAULT
-        return State.ON if self._wanted and self._was_on else State.OFF
+        return State.FAULT if self.fault else State.ON if self._wanted and self._was_on else State.OFF
 
     @property
     def fault_kind(self) -> Fault | None:
@@ -192,11 +185,10 @@ class CanHardware(Hardware):
     def _watch(self, now_ns: int) -> None:
         reported = self._receiver.amplifier
         if self._resetting:
-            if reported is not Amplifier.FAULT or now_ns > self._deadline_ns:
-                self._resetting = False
-            else:
+            if reported is Amplifier.FAULT and now_ns <= self._deadline_ns:
                 self._send(self._newest_number)
                 return
+            self._resetting = False
         if reported is Amplifier.FAULT and not self.fault:
             self._latch(Fault.BOARD, f"the board reports: {self._receiver.board_fault.name.lower().replace('_', ' ')}")
         if self._wanted:
@@ -250,9 +242,8 @@ class CanHardware(Hardware):
 
     def _send(self, number: int, counts: int = 0) -> bool:
         enable, reset = (Switch.YES if asked else Switch.NO for asked in (self._wanted, self._resetting))
-        frame = frames.Command(
-            self._alive, enable, reset, counts if self._wanted else 0, number % frames.COUNTER_MODULUS
-        )
+        echo = number % frames.COUNTER_MODULUS
+        frame = frames.Command(self._alive, enable, reset, counts if self._wanted else 0, echo)
         sent = self._link.send(self._codec.command_id, self._codec.pack_command(frame), fd=self._codec.fd)
         if sent:
             self._alive = (self._alive + 1) % frames.ALIVE_MODULUS

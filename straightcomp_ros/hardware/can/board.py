@@ -12,7 +12,7 @@ from collections.abc import Callable
 from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, truth_payload
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Switch
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Switch
 from straightcomp_ros.hardware.interface import HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 
@@ -45,7 +45,7 @@ class Board:
     def __init__(
         self,
         machine: SimulatedHardware,
-        codec: frames.Codec,
+        codec: Codec,
         current_range: float,
         send: Send,
         now_ns: int,
@@ -80,20 +80,13 @@ class Board:
 
     def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
         """Take a frame that arrived at ``at_ns``."""
-        if identifier == self._codec.command_id:
-            try:
-                command = self._codec.unpack_command(payload)
-                if not {command.enable, command.reset} <= _PATTERNS:
-                    raise frames.FrameError("pattern")
-            except frames.FrameError:
-                self._strike()
-            else:
-                self._obey(command, at_ns)
-            return
         try:
-            trajectory = self._stage.add(identifier, payload)
-            if trajectory:
+            if identifier == self._codec.command_id:
+                self._obey(self._codec.unpack_command(payload), at_ns)
+            elif trajectory := self._stage.add(identifier, payload):
                 self.machine.move(trajectory, at_ns)
+        except frames.FrameError:
+            self._strike()
         except (HardwareError, ValueError) as error:
             self.refused_trajectory = str(error)
 
@@ -120,6 +113,8 @@ class Board:
         self._seen_off = False
 
     def _obey(self, command: frames.Command, at_ns: int) -> None:
+        if not {command.enable, command.reset} <= _PATTERNS:
+            raise frames.FrameError("pattern")
         if command.enable == Switch.NO:
             # "Off" is obeyed from any frame that passes its CRC, even an old one.
             self._seen_off = True

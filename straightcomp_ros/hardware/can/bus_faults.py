@@ -19,11 +19,7 @@ class LinkCut(Exception):
 class Faults:
     """``faults(frame)``: the frames that arrive in place of one that was sent.
 
-    A frame suffers one fault at most. ``injected`` counts the faults by kind.
-
-    Args:
-        rates: probability for each frame, by kind; see :data:`KINDS`.
-        seed: of the pseudorandom choice.
+    A frame suffers one fault at most. ``rates`` are probabilities per frame, by kind; ``injected`` counts the faults.
 
     Raises:
         ValueError: a kind is unknown, or its rate is not between 0 and 1.

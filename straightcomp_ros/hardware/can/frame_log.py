@@ -34,9 +34,7 @@ class FrameLog:
     Once a second the file is finished and opened again to continue it, so that SIGKILL costs the last second only: the
     BLF writer buffers frames to compress them, and writes the start time in the file's head when it ends.
 
-    Args:
-        file: name; its ending, one of LOG_ENDINGS, is the format.
-        channel: name of the bus in a candump log.
+    The ending of ``file``, one of LOG_ENDINGS, is the format; ``channel`` is the name of the bus in a candump log.
 
     Raises:
         HardwareError: the file cannot be made.
@@ -104,13 +102,12 @@ class FrameLog:
             self._frames.clear()
 
     def _write(self) -> None:
-        frames = self._frames
-        while frames:
-            for _ in range(min(_AT_ONCE, len(frames))):
-                self._writer.on_message_received(frames.popleft())
-                self.written += 1
-            # The control loop may be waiting for the interpreter's lock.
-            time.sleep(0)
+        while self._frames:
+            self._writer.on_message_received(self._frames.popleft())
+            self.written += 1
+            if self.written % _AT_ONCE == 0:
+                # The control loop may be waiting for the interpreter's lock.
+                time.sleep(0)
 
 
 class DamagedLog(Exception):
@@ -126,10 +123,8 @@ def recorded_frames(file: Path) -> Iterator[can.Message]:
     """
     try:
         reader = can.LogReader(file)
-    except OSError as error:
-        raise HardwareError(f"log '{file}': {error.strerror or error}") from error
-    except (ValueError, BLFParseError, struct.error) as error:
-        raise HardwareError(f"log '{file}': {error}") from error
+    except (OSError, ValueError, BLFParseError, struct.error) as error:
+        raise HardwareError(f"log '{file}': {getattr(error, 'strerror', None) or error}") from error
     number = 0
     try:
         with reader:

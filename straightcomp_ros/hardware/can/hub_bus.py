@@ -26,12 +26,7 @@ _KINDS = [{name: bool(flags & bit) for name, bit in _BITS} for flags in range(25
 
 
 class HubBus(can.BusABC):
-    """One node on the hub's bus.
-
-    Args:
-        channel: path of the hub's socket.
-        can_filters: as in python-can; applied in this process.
-        fd: whether frames of CAN FD may be sent.
+    """One node on the bus of the hub whose socket is ``channel``; ``can_filters`` are applied in this process.
 
     Raises:
         can.CanInitializationError: no hub listens there.
@@ -58,9 +53,7 @@ class HubBus(can.BusABC):
         Raises:
             can.CanOperationError: the hub is gone.
         """
-        if timeout and not self._wait(timeout):
-            return None
-        return self._frame()
+        return None if timeout and not self._wait(timeout) else self._frame()
 
     def send_frame(self, identifier: int, flags: int, data: bytes) -> None:
         """Hand a frame to the hub, as :meth:`send` does.

@@ -59,8 +59,8 @@ class Link:
     Args:
         parameters: which bus.
         identifiers: CAN identifiers to let through.
-        receive: ``receive(frame, arrival_ns)``, called for each frame.
-        clock: the host's time in ns, see :mod:`straightcomp_ros.hardware.interface`.
+        receive: ``receive(frame, arrival_ns)``, called for each frame, at the host's time in ns.
+        clock: the host's time in ns.
 
     Raises:
         ParameterError: python-can knows no such interface.

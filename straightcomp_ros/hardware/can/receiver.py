@@ -17,6 +17,7 @@ from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
 from straightcomp_ros.hardware.interface import Sample, Truth
 
+_REASONS = "length crc alive state implausible encoders foreign truth error_frames error_passive bus_off".split()
 _STRIKE = 4
 _UNSETTLED = 9.0
 _CONTROLLER, _BUS_OFF = 0x04, 0x40
@@ -36,6 +37,7 @@ class Receiver:
         boot_ups: boot-up messages since the start.
         strikes: error counter of bad frames, see ``strike_limit``; ``strike_outs``: how often it reached the limit.
         counts: refused frames by reason, and errors that the interface reported.
+        identifiers: CAN identifiers that this receiver reads.
     """
 
     def __init__(self, parameters: CanParameters) -> None:
@@ -45,22 +47,18 @@ class Receiver:
         self.sequence = Sequence(self._elapsed)
         self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
         self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
-        reasons = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth")
-        reasons += ("error_frames", "error_passive", "bus_off")
-        self.counts = dict.fromkeys(reasons, 0)
+        self.counts = dict.fromkeys(_REASONS, 0)
         self.amplifier: Amplifier | None = None
         self.board_fault = BoardFault.NONE
         self.newest_ns = self.heartbeat_ns = self._arrival_ns = 0
         self.node_state: int | None = None
-        self._memory = parameters.sample_memory
+        self._memory, self._strike_limit = parameters.sample_memory, parameters.strike_limit
         self._stale_ns = round(parameters.sample_timeout * 1e9)
-        self._strike_limit = parameters.strike_limit
         self._x_step = parameters.x_speed * period_ns * 1e-9 / frames.POSITION_COUNT
         self._y_step = parameters.y_speed * period_ns * 1e-9 / frames.POSITION_COUNT
         self._accepted: frames.Encoder | None = None
-        self._alive = 0
+        self._alive = self._stamp_ns = 0
         self._current = 0.0
-        self._stamp_ns = 0
         self._truth: tuple[int, Truth | None] = (-1, None)
         ids = self.codec.ids
         self._handlers = {self.codec.encoder_id: self._encoder, ids.heartbeat: self._heartbeat}
@@ -68,18 +66,13 @@ class Receiver:
             self._handlers[ids.current] = self._coil_current
         elif parameters.simulated_stage:
             self._handlers[ids.truth] = self._hear_truth
-
-    @property
-    def identifiers(self) -> list[int]:
-        """CAN identifiers that this receiver reads."""
-        return list(self._handlers)
+        self.identifiers = list(self._handlers)
 
     def restart(self) -> None:
         """Forget the board's samples, as after its restart; counters stay."""
         self.clock.reset()
         self.sequence.reset()
-        self._accepted = None
-        self.amplifier = None
+        self._accepted = self.amplifier = None
         self.strikes = 0
 
     def receive(self, identifier: int, payload: bytes, arrival_ns: int) -> None:
@@ -94,11 +87,9 @@ class Receiver:
             self._strike(str(error))
 
     def receive_error_frame(self, classes: int, details: bytes) -> None:
-        """Count an error that the interface reports; the controller repeats the frame, unless it is bus-off.
+        """Count an error frame of the interface: Linux puts the error classes into its identifier, details into its data.
 
-        Args:
-            classes: identifier of the error frame, which Linux uses for the error classes.
-            details: its payload.
+        The controller repeats the frame that failed, unless it is bus-off.
         """
         self.counts["error_frames"] += 1
         if classes & _BUS_OFF:

@@ -21,8 +21,7 @@ _KEPT_MISSING = 256
 class Sequence:
     """Numbers of the samples, and what is missing between them.
 
-    Args:
-        elapsed: ``elapsed(index, arrival_ns)``, samples taken since ``index``, by the clock.
+    ``elapsed(index, arrival_ns)`` is the number of samples taken since ``index``, by the clock.
     """
 
     def __init__(self, elapsed: Callable[[int, int], float]) -> None:
