@@ -16,10 +16,9 @@ from straightcomp_ros.safety.faults import Fault
 
 
 class Sample(NamedTuple):
-    """One simultaneous reading of both encoders.
+    """One simultaneous reading of both encoders, in m, identified by its time.
 
-    ``stamp_ns`` is the time of the reading and identifies the sample; x and y in m; ``current`` is the measured control
-    current of the coils in A, NaN while the amplifier is off.
+    ``current`` is the measured control current of the coils in A, NaN while the amplifier is off.
     """
 
     stamp_ns: int
@@ -73,10 +72,9 @@ class Hardware(ABC):
 
     @abstractmethod
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:
-        """Samples taken since the last call up to ``now_ns``, oldest first.
+        """Samples taken since the last call up to ``now_ns``, oldest first; there may be none.
 
-        There may be none. A board keeps a bounded number of samples for a late host; older ones are lost, see
-        :attr:`lost_samples`.
+        A board keeps a bounded number of samples for a late host; :attr:`lost_samples` counts the others.
         """
 
     @abstractmethod
@@ -92,11 +90,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def enable(self) -> None:
-        """Switch the amplifier on, control current zero.
-
-        Raises:
-            HardwareError: a fault is latched.
-        """
+        """Switch the amplifier on with control current zero; raises HardwareError if the machine refuses."""
 
     @abstractmethod
     def disable(self) -> None:
@@ -108,11 +102,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        """Move the stage along X.
-
-        Raises:
-            HardwareError: this machine's stage cannot be commanded from here, or does not stand at the first point.
-        """
+        """Move the stage along X; raises HardwareError if it takes no commands or does not stand at the first point."""
 
     def wait(self, timeout_ns: int) -> None:
         """Receive what the machine has sent, waiting up to ``timeout_ns`` for the first of it.

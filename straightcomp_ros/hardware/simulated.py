@@ -85,7 +85,7 @@ class SimulatedParameters:
 
 
 class SimulatedHardware(Hardware):
-    """Plant and stage in simulated time, integrated up to the time that the caller names, on a guide with deviation δ(x)."""
+    """Plant and stage in simulated time, integrated up to the caller's time; ``guide`` is the true deviation δ(x)."""
 
     state = State.OFF
     fault = ""

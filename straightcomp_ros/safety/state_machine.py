@@ -14,8 +14,6 @@ from straightcomp_ros.safety.faults import Fault
 
 
 class Condition(enum.Enum):
-    """State of the state machine."""
-
     OFF = "off"
     ON = "on"
     FAULT = "fault"

@@ -176,7 +176,6 @@ class CommandWatch:
     _errors = 0
 
     def good(self) -> None:
-        """Count a command for a new sample."""
         if self._errors:
             self._errors -= 1
 

@@ -9,7 +9,7 @@ from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import stage_payloads
 from straightcomp_ros.hardware.can.frames import Amplifier, Switch
-from straightcomp_ros.hardware.can.hub_packet import ERROR, REMOTE, Frame
+from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth

@@ -28,13 +28,9 @@ Send = Callable[[int, bytes, bool], None]
 class Board:
     """Takes samples, obeys commands, switches off by itself.
 
-    Args:
-        machine: plant and stage; its ``command_timeout`` is the board's.
-        codec: node id and kind of bus.
-        current_range: largest control current in A that the board accepts.
-        send: ``send(identifier, payload, fd)``.
-        now_ns: time of the first sample.
-        tells_truth: send the simulation's truth before each sample; on CAN FD only.
+    ``machine`` is plant and stage, with the board's ``command_timeout``; ``current_range`` the largest control current
+    in A that the board accepts; ``send(identifier, payload, fd)`` sends a frame; ``now_ns`` is the time of the first
+    sample. ``tells_truth`` sends the simulation's truth before each sample, on CAN FD only.
     """
 
     refused_commands = 0

@@ -12,9 +12,8 @@ import time
 import can
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, Frame, Hub, from_packet, to_packet
 from straightcomp_ros.hardware.can.hub_bus import message_of
-from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, Frame, from_packet, to_packet
 from straightcomp_ros.hardware.can.link import opened_bus
 
 _AT_ONCE = 64
@@ -80,11 +79,7 @@ class BusLine:
 
 
 class HubLine:
-    """A hub in this process, on the socket ``path``, with the board as its member. It serves during :meth:`receive`.
-
-    Raises:
-        HardwareError: the socket cannot be made, or another hub listens on it.
-    """
+    """A hub in this process, on the socket ``path``, with the board as its member; raises as :class:`Hub` does."""
 
     def __init__(self, path: str) -> None:
         self._packets: list[bytes] = []

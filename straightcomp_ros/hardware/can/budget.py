@@ -103,12 +103,8 @@ def table() -> str:
     lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
     for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
         sent = traffic(fd)
-        for frame in sent:
-            share = 100 * frame.time(bitrate) * frame.rate
-            time = frame.time(bitrate) * 1e6
-            lines.append(f"| {name} | {frame.name} | {frame.size} B | {time:.0f} µs | {share:.1f} % |")
-        lines.append(
-            f"| {name} | all; sample to command | | {round_trip(sent, bitrate) * 1e6:.0f} µs "
-            f"| {100 * load(sent, bitrate):.1f} % |"
-        )
+        rows = [(frame.name, f"{frame.size} B", frame.time(bitrate), load([frame], bitrate)) for frame in sent]
+        rows.append(("all; sample to command", "", round_trip(sent, bitrate), load(sent, bitrate)))
+        for what, payload, time, share in rows:
+            lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
     return "\n".join(lines)

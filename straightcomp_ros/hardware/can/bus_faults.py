@@ -5,15 +5,11 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping
 
-from straightcomp_ros.hardware.can.hub_packet import Flag, Frame
+from straightcomp_ros.hardware.can.hub import Flag, Frame, LinkCut
 
 FLOOD = 20
 """Frames that a babbling node sends before each of ours."""
 _FOREIGN_ID = 0x7
-
-
-class LinkCut(Exception):
-    """All nodes lose their connection to the bus."""
 
 
 class Faults:
@@ -37,11 +33,7 @@ class Faults:
         self.injected = dict.fromkeys(rates, 0)
 
     def __call__(self, frame: Frame) -> list[Frame]:
-        """The frames that arrive.
-
-        Raises:
-            LinkCut: the link is cut now.
-        """
+        """The frames that arrive; raises LinkCut where the link is cut."""
         held, self._held = self._held, None
         if held is not None:
             # Only frames with one identifier share a counter, so only these are swapped.

@@ -96,11 +96,7 @@ def truth_payload(counter: int, truth: Truth) -> bytes:
 
 
 def truth_of(payload: bytes) -> tuple[int, Truth]:
-    """Sample counter and truth.
-
-    Raises:
-        FrameError: the frame is damaged.
-    """
+    """Sample counter and truth; raises FrameError if the frame is damaged."""
     head, content = payload[: _HEAD.size], payload[_HEAD.size :]
     if len(content) != _CONTENT.size:
         raise FrameError("truth")

@@ -77,7 +77,6 @@ class FrameLog:
             self._frames.append(message)
 
     def close(self) -> None:
-        """Write the rest and finish the file."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -150,14 +149,13 @@ def play(frames: Iterable[can.Message], bus: can.BusABC, speed: float) -> int:
     Raises:
         can.CanError: the bus does not accept a frame.
     """
-    sent, begin_s, first_s = 0, time.monotonic(), None
-    for frame in frames:
-        if first_s is None:
+    number, begin_s, first_s = 0, time.monotonic(), 0.0
+    for number, frame in enumerate(frames, 1):
+        if number == 1:
             first_s = frame.timestamp
         due_s = begin_s + (frame.timestamp - first_s) / speed
         time.sleep(max(0.0, due_s - time.monotonic()))
         again = copy.copy(frame)
         again.channel, again.is_rx = None, False
         bus.send(again, timeout=_SEND_TIMEOUT_S)
-        sent += 1
-    return sent
+    return number

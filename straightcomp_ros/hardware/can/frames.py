@@ -122,12 +122,11 @@ class Command(NamedTuple):
 
 
 def status_bits(amplifier: Amplifier, fault: BoardFault, encoders_valid: bool) -> int:
-    """The six status bits."""
     return amplifier | fault << 2 | encoders_valid << 5
 
 
 def amplifier_of(status: int) -> int:
-    """Amplifier's state in the status; compare with :class:`Amplifier`."""
+    """State of the amplifier in the status; not always a member of :class:`Amplifier`."""
     return status & 3
 
 
@@ -192,12 +191,8 @@ _named = tuple.__new__
 class Codec:
     """Packs and unpacks the frames of one node.
 
-    ``pack_…`` raises ValueError where a number does not fit its field; ``unpack_…`` raises :class:`FrameError` for a
-    wrong length, CRC or alive counter.
-
-    Args:
-        node: node id, 1 to 127.
-        fd: frames for CAN FD.
+    ``pack_…`` raises ValueError where a number does not fit its field; ``unpack_…``, its inverse, raises
+    :class:`FrameError` for a wrong length, CRC or alive counter. ``fd`` selects the frames for CAN FD.
     """
 
     def __init__(self, node: int, fd: bool) -> None:
@@ -222,7 +217,6 @@ class Codec:
         return _sealed(*self._encoder, word, current or 0, counter or 0, 0)
 
     def unpack_encoder(self, payload: bytes) -> Encoder:
-        """The inverse of :meth:`pack_encoder`."""
         word, *of_fd = _checked(*self._encoder, payload)
         current, counter, _ = of_fd or (None, None, None)
         alive = word >> 8 & 15
@@ -241,7 +235,6 @@ class Codec:
         return _sealed(*self._current, 0, alive, current, counter)
 
     def unpack_current(self, payload: bytes) -> Current:
-        """The inverse of :meth:`pack_current`."""
         _, alive, current, counter = _checked(*self._current, payload)
         if alive & 15 >= ALIVE_MODULUS or counter >= COUNTER_MODULUS:
             raise FrameError("alive")
@@ -254,7 +247,6 @@ class Codec:
         return _sealed(*self._command, 0, alive | enable << 4 | reset << 6, current, echo & self._echo_mask)
 
     def unpack_command(self, payload: bytes) -> Command:
-        """The inverse of :meth:`pack_command`."""
         _, second, current, echo = _checked(*self._command, payload)
         if second & 15 >= ALIVE_MODULUS:
             raise FrameError("alive")

@@ -8,21 +8,67 @@ Frames take no time on this bus.
 from __future__ import annotations
 
 import contextlib
+import enum
 import select
 import socket
+import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
-from straightcomp_ros.hardware.can.bus_faults import LinkCut
-from straightcomp_ros.hardware.can.hub_packet import LONGEST, Frame, from_packet, priority, to_packet
 from straightcomp_ros.hardware.interface import HardwareError
 
 _AT_ONCE = 16
 """Frames between two polls of the sockets."""
 _LONGEST_WAIT_MS = 100
 _BUFFER = 1 << 20
+_HEAD = struct.Struct("<QIB")
+LONGEST = _HEAD.size + 64
 
-FaultHook = Callable[[Frame], list[Frame]]
+
+class Flag(enum.IntFlag):
+    """Kind of a frame."""
+
+    EXTENDED = 1
+    REMOTE = 2
+    ERROR = 4
+    FD = 8
+    BIT_RATE_SWITCH = 16
+
+
+# Plain numbers, since each operation on an IntFlag takes some microseconds. FD_FRAME is what this package sends.
+EXTENDED, REMOTE, ERROR = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR)
+FD_FRAME = int(Flag.FD | Flag.BIT_RATE_SWITCH)
+
+
+class Frame(NamedTuple):
+    """A frame on the bus; ``stamp_ns`` is the system time at which it was sent, ns since the epoch."""
+
+    stamp_ns: int
+    identifier: int
+    flags: int
+    data: bytes
+
+
+def to_packet(frame: Frame) -> bytes:
+    return _HEAD.pack(*frame[:3]) + frame.data
+
+
+def from_packet(packet: bytes) -> Frame:
+    return Frame(*_HEAD.unpack_from(packet), packet[_HEAD.size :])
+
+
+def priority(packet: bytes) -> tuple[int, int, int]:
+    """Sort key by which frames win the bus, the lowest first: by the bits of the identifier."""
+    _, identifier, flags = _HEAD.unpack_from(packet)
+    if flags & EXTENDED:
+        # After eleven equal bits a standard frame wins.
+        return identifier >> 18, 1, identifier & 0x3FFFF
+    return identifier, 0, 0
+
+
+class LinkCut(Exception):
+    """All nodes lose their connection to the bus."""
 
 
 class Hub:
@@ -30,8 +76,7 @@ class Hub:
 
     Args:
         path: of the socket, made here and removed by :meth:`close`.
-        fault: ``fault(frame)`` returns the frames that arrive in place of one, or raises
-            :class:`~straightcomp_ros.hardware.can.bus_faults.LinkCut`.
+        fault: ``fault(frame)`` returns the frames that arrive in place of one, or raises :class:`LinkCut`.
         member: ``member(packet)`` gets the frames for a node in the hub's own process, which sends by :meth:`put`.
 
     Raises:
@@ -46,7 +91,10 @@ class Hub:
     """How often the link was cut."""
 
     def __init__(
-        self, path: str | Path, fault: FaultHook | None = None, member: Callable[[bytes], object] | None = None
+        self,
+        path: str | Path,
+        fault: Callable[[Frame], list[Frame]] | None = None,
+        member: Callable[[bytes], object] | None = None,
     ) -> None:
         self._path = Path(path)
         self._fault = fault
@@ -139,25 +187,25 @@ class Hub:
 
     def _pass_on(self, sender: socket.socket | None, packet: bytes) -> None:
         self.passed += 1
-        arriving = [packet]
+        packets = [packet]
         if self._fault is not None:
             try:
-                arriving = [to_packet(frame) for frame in self._fault(from_packet(packet))]
+                packets = [to_packet(frame) for frame in self._fault(from_packet(packet))]
             except LinkCut:
                 self.cut()
                 return
-        for packet in arriving:
-            self._spread(sender, packet)
+        for packet in packets:
+            if self._member is not None and sender is not None:
+                self._member(packet)
+            for node in self._nodes.values():
+                if node is not sender:
+                    self._send(node, packet)
 
-    def _spread(self, sender: socket.socket | None, packet: bytes) -> None:
-        if self._member is not None and sender is not None:
-            self._member(packet)
-        for node in self._nodes.values():
-            if node is not sender:
-                try:
-                    node.send(packet)
-                except BlockingIOError:
-                    self.dropped += 1
-                except OSError:
-                    # It is gone, and serve() will remove it.
-                    continue
+    def _send(self, node: socket.socket, packet: bytes) -> None:
+        try:
+            node.send(packet)
+        except BlockingIOError:
+            self.dropped += 1
+        except OSError:
+            # It is gone, and serve() will remove it.
+            pass

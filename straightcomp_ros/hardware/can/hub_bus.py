@@ -14,7 +14,7 @@ from typing import Any
 
 import can
 
-from straightcomp_ros.hardware.can.hub_packet import LONGEST, Flag, Frame, from_packet, to_packet
+from straightcomp_ros.hardware.can.hub import LONGEST, Flag, Frame, from_packet, to_packet
 
 INTERFACE = "straightcomp_hub"
 _BUFFER = 1 << 20
@@ -56,11 +56,7 @@ class HubBus(can.BusABC):
         return None if timeout and not self._wait(timeout) else self._frame()
 
     def send_frame(self, identifier: int, flags: int, data: bytes) -> None:
-        """Hand a frame to the hub, as :meth:`send` does.
-
-        Raises:
-            can.CanOperationError: the socket's buffer is full, or the hub is gone.
-        """
+        """Hand a frame to the hub as :meth:`send` does, without waiting and without python-can's message."""
         try:
             self._socket.send(to_packet(Frame(time.time_ns(), identifier, flags, data)))
         except BlockingIOError as error:
@@ -122,12 +118,10 @@ class HubBus(can.BusABC):
 
 
 def frame_of(message: can.Message) -> Frame:
-    """python-can's message as a frame."""
     return Frame(round(message.timestamp * 1e9), message.arbitration_id, _flags(message), bytes(message.data))
 
 
 def message_of(frame: Frame) -> can.Message:
-    """A frame as python-can's message."""
     stamp_ns, identifier, flags, data = frame
     return can.Message(timestamp=stamp_ns * 1e-9, arbitration_id=identifier, data=data, **_KINDS[flags])
 

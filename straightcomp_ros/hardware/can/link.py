@@ -18,8 +18,8 @@ import can
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import FrameLog
+from straightcomp_ros.hardware.can.hub import ERROR, EXTENDED, FD_FRAME, Frame
 from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
-from straightcomp_ros.hardware.can.hub_packet import ERROR, EXTENDED, FD_FRAME, Frame
 from straightcomp_ros.settings.declaration import ParameterError
 
 _SHORTEST_WAIT_S, _LONGEST_WAIT_S = 0.02, 1.0
@@ -36,11 +36,7 @@ def check_interface(parameters: CanParameters) -> None:
 
 
 def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | None = None) -> can.BusABC:
-    """Open the bus; ``filters`` as in python-can.
-
-    Raises:
-        can.CanError, OSError: the interface does not open; some interfaces raise other errors of their drivers.
-    """
+    """Open the bus; raises can.CanError or OSError, and with some interfaces other errors of their drivers."""
     rates = {"data_bitrate": parameters.data_bitrate} if parameters.fd else {}
     return can.Bus(
         interface=parameters.interface,
@@ -56,11 +52,8 @@ def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | No
 class Link:
     """Receives in :meth:`wait`, which calls back, and sends by :meth:`send`; one thread calls both.
 
-    Args:
-        parameters: which bus.
-        identifiers: CAN identifiers to let through.
-        receive: ``receive(frame, arrival_ns)``, called for each frame, at the host's time in ns.
-        clock: the host's time in ns.
+    ``receive(frame, arrival_ns)`` is called for each frame with one of ``identifiers`` and for each error frame;
+    ``clock`` is the host's time in ns.
 
     Raises:
         ParameterError: python-can knows no such interface.

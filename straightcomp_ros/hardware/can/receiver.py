@@ -17,7 +17,8 @@ from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
 from straightcomp_ros.hardware.interface import Sample, Truth
 
-_REASONS = "length crc alive state implausible encoders foreign truth error_frames error_passive bus_off".split()
+_REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth")
+_ERRORS = ("error_frames", "error_passive", "bus_off")
 _STRIKE = 4
 _UNSETTLED = 9.0
 _CONTROLLER, _BUS_OFF = 0x04, 0x40
@@ -47,7 +48,7 @@ class Receiver:
         self.sequence = Sequence(self._elapsed)
         self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
         self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
-        self.counts = dict.fromkeys(_REASONS, 0)
+        self.counts = dict.fromkeys(_REASONS + _ERRORS, 0)
         self.amplifier: Amplifier | None = None
         self.board_fault = BoardFault.NONE
         self.newest_ns = self.heartbeat_ns = self._arrival_ns = 0
@@ -87,10 +88,7 @@ class Receiver:
             self._strike(str(error))
 
     def receive_error_frame(self, classes: int, details: bytes) -> None:
-        """Count an error frame of the interface: Linux puts the error classes into its identifier, details into its data.
-
-        The controller repeats the frame that failed, unless it is bus-off.
-        """
+        """Count an error that the interface reports, by the identifier and the payload of Linux's error frame."""
         self.counts["error_frames"] += 1
         if classes & _BUS_OFF:
             self.counts["bus_off"] += 1

@@ -30,7 +30,6 @@ class SampleClock:
         self.reset()
 
     def reset(self) -> None:
-        """Start anew with the next observation."""
         self.settled = False
         self._origin_index = self._origin_ns = self._count = self._lost_blocks = 0
         self._place = self._rate = self._bend = 0.0

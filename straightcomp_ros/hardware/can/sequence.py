@@ -60,8 +60,7 @@ class Sequence:
         if self.index is None:
             self.index = frame.counter or 0
             return self.index
-        for number in range(self.index + 1, min(self.index + ahead, self.index + _KEPT_MISSING)):
-            self._missing[number] = None
+        self._missing |= dict.fromkeys(range(self.index + 1, self.index + min(ahead, _KEPT_MISSING)))
         while len(self._missing) > _KEPT_MISSING:
             del self._missing[next(iter(self._missing))]
         self.lost += ahead - 1
@@ -86,11 +85,9 @@ class Sequence:
             self.unplaced += 1
 
     def place(self, counter: int, alive: int) -> list[tuple[int, tuple[Encoder, int]]]:
-        """Number the waiting frames from a full counter; returns (number, (frame, arrival_ns)), oldest first.
+        """Number the waiting frames; returns (number, (frame, arrival_ns)), oldest first.
 
-        Args:
-            counter: number of a sample, received with or after the encoder frame of that sample.
-            alive: the alive counter of the newest encoder frame.
+        ``counter`` is the number of the newest encoder frame's sample or of one before it, ``alive`` that frame's own.
         """
         ahead = 0 if self.index is None else _signed(counter - self.index, COUNTER_MODULUS)
         if not self._waiting:

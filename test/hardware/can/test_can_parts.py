@@ -9,8 +9,7 @@ from straightcomp_ros.hardware.can.bus_faults import Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, stage_payloads
 from straightcomp_ros.hardware.can.frames import Identifiers
-from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
-from straightcomp_ros.hardware.can.hub_packet import (
+from straightcomp_ros.hardware.can.hub import (
     ERROR,
     EXTENDED,
     FD_FRAME,
@@ -21,6 +20,7 @@ from straightcomp_ros.hardware.can.hub_packet import (
     priority,
     to_packet,
 )
+from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.model.stage import Waypoint
