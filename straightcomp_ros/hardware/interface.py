@@ -53,19 +53,6 @@ class HardwareError(RuntimeError):
 class Hardware(ABC):
     """A machine. None of these calls blocks but :meth:`wait`."""
 
-    state: State
-    """State of the amplifier."""
-    fault: str
-    """Why the state is FAULT, empty otherwise."""
-    fault_kind: Fault | None
-    """Which fault that is, None without one."""
-    lost_samples: int
-    """Samples that were taken but fetched too late, since the start."""
-    applied_current: float
-    """Control current in A that is asked of the amplifier at present."""
-    newest_arrival_ns: int | None = None
-    """When the newest sample arrived; None for a machine that does not send samples by itself."""
-
     @abstractmethod
     def start(self, now_ns: int) -> None:
         """Begin sampling, or begin again after a pause in which nobody read; take the first sample at ``now_ns``."""
@@ -82,10 +69,7 @@ class Hardware(ABC):
         """Ask for a control current in A, in effect from ``at_ns`` (now, if that has passed).
 
         ``sample_ns`` is the stamp of the sample that it answers, if given: a board may refuse an old answer, and delay
-        an early one until a fixed time after its sample.
-
-        Raises:
-            ValueError: the current is not finite or too large. Nothing is sent then.
+        an early one until a fixed time after its sample. Raises ValueError if the current is not finite or too large.
         """
 
     @abstractmethod
@@ -104,11 +88,38 @@ class Hardware(ABC):
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
         """Move the stage along X; raises HardwareError if it takes no commands or does not stand at the first point."""
 
-    def wait(self, timeout_ns: int) -> None:
-        """Receive what the machine has sent, waiting up to ``timeout_ns`` for the first of it.
+    @property
+    @abstractmethod
+    def state(self) -> State:
+        """State of the amplifier."""
 
-        Only for a machine that sends samples by itself; :meth:`read` returns only samples that were received here.
-        """
+    @property
+    @abstractmethod
+    def fault(self) -> str:
+        """Why the state is FAULT, empty otherwise."""
+
+    @property
+    @abstractmethod
+    def fault_kind(self) -> Fault | None:
+        """Which fault that is, None without one."""
+
+    @property
+    @abstractmethod
+    def lost_samples(self) -> int:
+        """Samples that were taken but fetched too late, since the start."""
+
+    @property
+    @abstractmethod
+    def applied_current(self) -> float:
+        """Control current in A that is asked of the amplifier at present."""
+
+    @property
+    def newest_arrival_ns(self) -> int | None:
+        """When the newest sample arrived; None for a machine that does not send samples by itself."""
+        return None
+
+    def wait(self, timeout_ns: int) -> None:
+        """Receive for :meth:`read` what a machine sends by itself, waiting up to ``timeout_ns`` for the first of it."""
         raise NotImplementedError
 
     def counters(self) -> Mapping[str, object]:

@@ -100,7 +100,7 @@ class SimulatedHardware(Hardware):
         self._effective_ns, self._asked = np.empty(16, np.int64), np.empty(16)
         self._waiting = 0
         """Commands at the beginning of these two arrays that are yet to take effect."""
-        self._advance: Callable[..., int] = partial(advance_to_sample.dispatcher, *self._plant)
+        self._advance: Callable[..., int] = partial(advance_to_sample.dispatcher, *self._plant)  # type: ignore[attr-defined]
         # The first call compiles, which must not happen inside the loop; at time 0 it changes nothing.
         self._advance(self._effective_ns, self._asked, 0, 0, 0.0)
         self._reading = parameters.plant.encoder.reading
@@ -135,7 +135,8 @@ class SimulatedHardware(Hardware):
         if count:
             effective_ns = max(effective_ns, int(self._effective_ns[count - 1]))
         if count == self._asked.size:
-            self._effective_ns, self._asked = (np.resize(a, 2 * count) for a in (self._effective_ns, self._asked))
+            self._effective_ns = np.resize(self._effective_ns, 2 * count)
+            self._asked = np.resize(self._asked, 2 * count)
         self._effective_ns[count], self._asked[count] = effective_ns, current
         self._waiting, self._last_command_ns = count + 1, effective_ns
 

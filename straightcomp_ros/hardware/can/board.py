@@ -22,8 +22,6 @@ _OLDEST_ECHO = 200
 _PATTERNS = frozenset(Switch)
 _AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amplifier.FAULT}
 
-Send = Callable[[int, bytes, bool], None]
-
 
 class Board:
     """Takes samples, obeys commands, switches off by itself.
@@ -43,7 +41,7 @@ class Board:
         machine: SimulatedHardware,
         codec: Codec,
         current_range: float,
-        send: Send,
+        send: Callable[[int, bytes, bool], None],
         now_ns: int,
         *,
         tells_truth: bool = False,

@@ -16,10 +16,8 @@ from straightcomp_ros.hardware.can.frames import FrameError, Identifiers
 from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.stage import Trajectory, Waypoint
 
-_POSITION = 1e-8
-"""m"""
-_VELOCITY = 1e-5
-"""m/s"""
+_POSITION, _VELOCITY = 1e-8, 1e-5
+"""m and m/s"""
 _START = struct.Struct("<BI")
 _MOST_POINTS = 255
 _HEAD, _CONTENT = struct.Struct("<II"), struct.Struct("<6d8x")

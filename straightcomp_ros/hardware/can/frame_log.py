@@ -10,14 +10,14 @@ import threading
 import time
 import zlib
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import can
 from can.io.blf import BLFParseError
 
-from straightcomp_ros.hardware.can.can_parameters import LOG_ENDINGS
 from straightcomp_ros.hardware.can.frames import Identifiers
 from straightcomp_ros.hardware.interface import HardwareError
 
@@ -34,7 +34,7 @@ class FrameLog:
     Once a second the file is finished and opened again to continue it, so that SIGKILL costs the last second only: the
     BLF writer buffers frames to compress them, and writes the start time in the file's head when it ends.
 
-    The ending of ``file``, one of LOG_ENDINGS, is the format; ``channel`` is the name of the bus in a candump log.
+    The ending of ``file``, ``.log`` or ``.blf``, is the format; ``channel`` is the name of the bus in a candump log.
 
     Raises:
         HardwareError: the file cannot be made.
@@ -51,8 +51,9 @@ class FrameLog:
         # candump separates by blanks, and knows interfaces, not paths.
         name = re.sub(r"\W", "_", Path(channel).name) or "can"
         # can.Logger would look for plugins each time. The fastest compression, since its time is the loop's, too.
-        formats = (partial(can.CanutilsLogWriter, channel=name), partial(can.BLFWriter, compression_level=1))
-        self._open = dict(zip(LOG_ENDINGS, formats, strict=True))[file.suffix.lower()]
+        candump, blf = partial(can.CanutilsLogWriter, channel=name), partial(can.BLFWriter, compression_level=1)
+        formats: dict[str, Callable[..., Any]] = {".log": candump, ".blf": blf}
+        self._open = formats[file.suffix.lower()]
         numbered = (file.with_name(f"{file.stem}-{number}{file.suffix}") for number in itertools.count(1))
         self.file = next(free for free in itertools.chain([file], numbered) if not free.exists())
         self._frames: deque[can.Message] = deque()

@@ -18,10 +18,8 @@ import enum
 import struct
 from typing import NamedTuple
 
-POSITION_COUNT = 1e-7
-"""m"""
-CURRENT_COUNT = 1e-4
-"""A"""
+POSITION_COUNT, CURRENT_COUNT = 1e-7, 1e-4
+"""m and A"""
 X_LIMIT, Y_LIMIT, CURRENT_LIMIT = 2**25 - 1, 2**19 - 1, 2**15 - 1
 """Largest counts that are sent, to both sides."""
 ALIVE_MODULUS = 15

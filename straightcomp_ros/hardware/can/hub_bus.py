@@ -48,10 +48,9 @@ class HubBus(can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
 
     def recv_frame(self, timeout: float) -> Frame | None:
-        """The next frame, unfiltered, or None after ``timeout`` s; without the cost of python-can's message.
+        """The next frame, unfiltered, or None after ``timeout`` s; raises can.CanOperationError if the hub is gone.
 
-        Raises:
-            can.CanOperationError: the hub is gone.
+        It is without the cost of python-can's message.
         """
         return None if timeout and not self._wait(timeout) else self._frame()
 
@@ -67,9 +66,7 @@ class HubBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand a frame to the hub; its stamp is the time of this call.
 
-        Raises:
-            can.CanOperationError: the socket's buffer is full for ``timeout`` seconds (at once, if None), or the hub
-                is gone.
+        Raises can.CanOperationError if the buffer is full for ``timeout`` s (None: at once), or the hub is gone.
         """
         frame = msg.arbitration_id, _flags(msg), bytes(msg.data)
         try:

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 BLOCK = 128
 """Samples of a block: 64 ms at 2 kHz."""
-_PLACE_GAIN = 0.5
-_RATE_GAIN = 0.1
+_PLACE_GAIN, _RATE_GAIN = 0.5, 0.1
 _MOST_CORRECTION = 0.1
 """Of the offset, in periods per block: a stalled host must not drag the clock along."""
 _MOST_EARLY = 16.0
