@@ -15,7 +15,7 @@ import can
 from straightcomp_ros.cli.output import CommandFailed, check_range, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
+from straightcomp_ros.hardware.can.frame_log import DamagedLog, of_the_board, play, recorded_frames
 from straightcomp_ros.hardware.can.link import check_interface, opened_bus
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.settings.declaration import ParameterError

@@ -1,7 +1,7 @@
 """What the driver needs of a machine: take samples, give commands, switch the amplifier.
 
-Times are ns since the epoch on the caller's clock, which must not step; the caller passes them in, so
-that a backend behaves the same in real time, in lockstep and offline.
+Times are ns since the epoch on the caller's clock, which must not step. The caller passes them in, so that a backend
+behaves the same in real time, in lockstep and offline.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from straightcomp_ros.safety.faults import Fault
 
 
 class Sample(NamedTuple):
-    """One simultaneous reading of both encoders.
+    """One simultaneous reading of both encoders, in m, identified by its time.
 
-    ``stamp_ns`` is the time of the reading and the sample's identity; x and y in m; ``current`` is the
-    measured control current of the coils in A, NaN while the amplifier is off.
+    ``current`` is the measured control current of the coils in A, NaN while the amplifier is off.
     """
 
     stamp_ns: int
@@ -48,46 +47,38 @@ class State(enum.Enum):
 
 
 class HardwareError(RuntimeError):
-    """The machine refused or is not there; the message says which and why."""
+    """The machine refused or cannot be reached; the message says which and why."""
 
 
 class Hardware(ABC):
-    """A machine. Backends implement these few calls; none of them blocks."""
+    """A machine. None of these calls blocks but :meth:`wait`."""
 
     @abstractmethod
     def start(self, now_ns: int) -> None:
-        """Begin sampling; the first sample is taken at ``now_ns``. Again after a pause in which nobody read."""
+        """Begin sampling, or begin again after a pause in which nobody read; take the first sample at ``now_ns``."""
 
     @abstractmethod
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:
-        """Samples taken since the last call up to ``now_ns``, oldest first.
+        """Samples taken since the last call up to ``now_ns``, oldest first; there may be none.
 
-        A board keeps a bounded number of samples for a host that is late; older ones are lost (see
-        :attr:`lost_samples`). It does not guarantee that any sample is new.
+        A board keeps a bounded number of samples for a late host; :attr:`lost_samples` counts the others.
         """
 
     @abstractmethod
     def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         """Ask for a control current in A, in effect from ``at_ns`` (now, if that has passed).
 
-        ``sample_ns`` is the stamp of the sample that it answers, if given: a board may refuse an old answer, and let
-        one that comes early wait for a fixed time after its sample.
-
-        Raises:
-            ValueError: not finite. Nothing is sent then.
+        ``sample_ns`` is the stamp of the sample that it answers, if given: a board may refuse an old answer, and delay
+        an early one until a fixed time after its sample. Raises ValueError if the current is not finite or too large.
         """
 
     @abstractmethod
     def enable(self) -> None:
-        """Switch the amplifier on, control current zero.
-
-        Raises:
-            HardwareError: a fault is latched.
-        """
+        """Switch the amplifier on with control current zero; raises HardwareError if the machine refuses."""
 
     @abstractmethod
     def disable(self) -> None:
-        """Switch the amplifier off: bias and control current go to zero, the magnets pull to no side."""
+        """Switch the amplifier off: bias and control current go to zero, and the magnets exert no net force."""
 
     @abstractmethod
     def reset_fault(self) -> None:
@@ -95,11 +86,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        """Move the stage along X, if this machine's stage takes orders from here.
-
-        Raises:
-            HardwareError: it does not.
-        """
+        """Move the stage along X; raises HardwareError if it takes no commands or does not stand at the first point."""
 
     @property
     @abstractmethod
@@ -109,12 +96,12 @@ class Hardware(ABC):
     @property
     @abstractmethod
     def fault(self) -> str:
-        """Why the state is FAULT; empty otherwise."""
+        """Why the state is FAULT, empty otherwise."""
 
     @property
     @abstractmethod
     def fault_kind(self) -> Fault | None:
-        """Which fault that is; None without one."""
+        """Which fault that is, None without one."""
 
     @property
     @abstractmethod
@@ -128,20 +115,17 @@ class Hardware(ABC):
 
     @property
     def newest_arrival_ns(self) -> int | None:
-        """When the newest sample came in, if this machine sends samples by itself: then :meth:`wait` for them."""
+        """When the newest sample arrived; None for a machine that does not send samples by itself."""
         return None
 
     def wait(self, timeout_ns: int) -> None:
-        """Take in what the machine has sent; if nothing, wait for it, up to ``timeout_ns``.
-
-        Only for a machine that sends samples by itself; :meth:`read` has only those that were taken in here.
-        """
+        """Receive for :meth:`read` what a machine sends by itself, waiting up to ``timeout_ns`` for the first of it."""
         raise NotImplementedError
 
     def counters(self) -> Mapping[str, object]:
-        """What this backend counts besides lost samples, for diagnostics."""
+        """Further counters of this backend, for diagnostics."""
         return {}
 
     def close(self) -> None:
-        """Release the machine; the amplifier is off afterwards."""
+        """Release the machine, with its amplifier off."""
         self.disable()

@@ -1,30 +1,27 @@
-"""The faults: what is detected, by whom, within what time, what happens then, and what ends it.
+"""All faults: what is detected, by which node, within what time, the reaction, and what ends it.
 
-This is the one place: the driver, `safety_state`, OPC UA and the table in ``docs/safety.md`` take them from here.
+The driver, `safety_state`, OPC UA and the table in ``docs/safety.md`` take them from here.
 """
 
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from typing import NamedTuple
 
 ALLOWANCE_MS = 300.0
-"""Added to a fault's own time on a machine without real-time scheduling: it stalls that long at times."""
+"""Allowance for stalls of a machine without real-time scheduling, beyond a fault's own time."""
 _OFF = "amplifier off, fault latched"
 _RESET = "`driver/reset_fault`, then `driver/enable`"
 
 
-@dataclass(frozen=True)
-class Description:
-    """What is to be known of a fault.
+class Description(NamedTuple):
+    """A row of the table of faults.
 
     Attributes:
-        code: its number, for those who cannot read: stable over versions, and never used again for another fault.
-        detected: what is seen, and by what limit.
-        by: the node that sees it.
-        within_ms: from its beginning until it is latched, on an undisturbed machine, with default parameters.
-        reaction: what happens.
-        reset: what ends it.
+        code: number of the fault, the same in all versions and never used again for another fault.
+        detected: the condition, with its limit.
+        by: the node that detects it.
+        within_ms: longest time until it is latched, on an undisturbed machine with default parameters.
     """
 
     code: int
@@ -50,7 +47,7 @@ class Fault(enum.Enum):
     )
     TWO_CONTROLLERS = Description(
         4,
-        "commands for samples that have been answered already: each adds 4 strikes, a good one takes 1 off; at 16",
+        "commands for samples already answered: each adds 4 to an error counter, a good one subtracts 1; at 16",
         "driver",
         10.0,
     )
@@ -122,20 +119,12 @@ def table() -> str:
     """The faults as a table in Markdown."""
     rows = ["| fault | code | detected | by | within [ms] | reaction | reset |", "|---|---|---|---|---|---|---|"]
     for fault in Fault:
-        known = fault.value
-        cells = (
-            f"`{fault.label}`",
-            str(fault.code),
-            known.detected,
-            known.by,
-            f"{known.within_ms:g}",
-            known.reaction,
-            known.reset,
-        )
+        code, detected, by, within_ms, reaction, reset = fault.value
+        cells = (f"`{fault.label}`", f"{code}", detected, by, f"{within_ms:g}", reaction, reset)
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(rows)
 
 
 HELD_UP = (Fault.COMMAND_TIMEOUT, Fault.SAMPLE_TIMEOUT, Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
-"""What a fault may be called where a node stood still, its peers were held up, or the whole machine stood still:
-without commands the platform goes to its stop, and may be there before the time is out."""
+"""Faults that may be latched after a stall of a node, its peers or the whole machine: without commands the platform may
+reach its stop before the timeout."""

@@ -14,15 +14,13 @@ from straightcomp_ros.safety.faults import Fault
 
 
 class Condition(enum.Enum):
-    """State of the machine."""
-
     OFF = "off"
     ON = "on"
     FAULT = "fault"
 
 
 class Event(enum.Enum):
-    """What moves it."""
+    """What causes a transition."""
 
     ENABLE = "enable"
     DISABLE = "disable"
@@ -43,11 +41,11 @@ TRANSITIONS: Mapping[tuple[Condition, Event], Condition] = {
     (Condition.FAULT, Event.TRIP): Condition.FAULT,
     (Condition.FAULT, Event.RESET): Condition.OFF,
 }
-"""All that can happen. A fault cannot be enabled away: (FAULT, ENABLE) is not there."""
+"""All transitions. There is none for (FAULT, ENABLE): enabling does not clear a fault."""
 
 
 class Latched(NamedTuple):
-    """A fault that has been latched: which, the reason in words, and when, ns since the epoch."""
+    """A latched fault, its reason as text, and its time in ns since the epoch."""
 
     fault: Fault
     reason: str
@@ -55,22 +53,18 @@ class Latched(NamedTuple):
 
 
 class SafetyMachine:
-    """Switches a machine's amplifier by the transitions above.
-
-    Args:
-        hardware: whose amplifier it is.
-    """
+    """Switches the amplifier of ``hardware`` by the transitions above."""
 
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
         self.condition = Condition.OFF
         self.fault: Latched | None = None
-        """The first fault since the last reset: those that follow are its consequences."""
+        """The first fault since the last reset; those after it are its consequences."""
         self.trips = 0
-        """Faults in all, with those that followed the first."""
+        """Number of all faults, with those after the first."""
 
     def enable(self) -> str:
-        """Amplifier on; returns why not, or an empty text."""
+        """Switch the amplifier on; returns the reason of a refusal, or an empty text."""
         if (self.condition, Event.ENABLE) not in TRANSITIONS:
             return f"a fault is latched: {self.reason}; call reset_fault"
         try:
@@ -81,12 +75,11 @@ class SafetyMachine:
         return ""
 
     def disable(self) -> None:
-        """Amplifier off."""
         self._hardware.disable()
         self._go(Event.DISABLE)
 
     def trip(self, fault: Fault, reason: str, time_ns: int) -> None:
-        """Amplifier off, and no way back but :meth:`reset`."""
+        """Switch the amplifier off until :meth:`reset`."""
         self._hardware.disable()
         self.trips += 1
         if self.fault is None:
@@ -94,14 +87,14 @@ class SafetyMachine:
             self._go(Event.TRIP)
 
     def reset(self) -> None:
-        """Forget the fault; the amplifier stays as it is."""
+        """Clear the fault; the amplifier stays as it is."""
         self._hardware.reset_fault()
         self.fault = None
         self._go(Event.RESET)
 
     @property
     def reason(self) -> str:
-        """The fault in words; empty without one."""
+        """The fault as text; empty without one."""
         return f"{self.fault.fault.label}: {self.fault.reason}" if self.fault is not None else ""
 
     def _go(self, event: Event) -> None:

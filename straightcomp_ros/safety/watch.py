@@ -1,4 +1,4 @@
-"""Watches samples, commands and clocks for what a working machine cannot do."""
+"""Plausibility checks of samples, commands and clocks."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.settings.declaration import parameter
 
 _MEAN_TIME = 0.005
-"""s, of the mean control current: a law's switching goes into no movement."""
-_STRIKE, _STRIKES = 4, 16
+"""s, time constant of the mean control current, which suppresses a law's switching."""
+_ERROR_STEP, _ERROR_LIMIT = 4, 16
 
 
 @dataclass(frozen=True)
 class WatchParameters:
-    """What a working machine cannot do."""
+    """Limits that a working machine does not exceed."""
 
     max_speed: float = parameter(
         2.0, "Speed of the stage beyond which x has jumped", unit="m/s", above=0.0, maximum=100.0
@@ -46,12 +46,7 @@ class WatchParameters:
 
 
 class SampleWatch:
-    """Looks at each sample once; an undisturbed one costs three comparisons and a mean.
-
-    Args:
-        parameters: limits.
-        period_ns: of the samples.
-    """
+    """Checks each sample, of which a normal one costs three comparisons and a mean."""
 
     def __init__(self, parameters: WatchParameters, period_ns: int) -> None:
         self._parameters = parameters
@@ -63,23 +58,23 @@ class SampleWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the samples so far: after a break they say nothing."""
+        """Forget the samples before an interruption."""
         self._x, self._stamp_ns = math.nan, 0
         self.switched()
 
     def switched(self) -> None:
-        """The amplifier has been switched on: the current was zero until now, and y may be anywhere."""
+        """The amplifier was switched on: the current was zero before, and y may be anywhere."""
         self._y, self._unchanged = math.nan, 0
         self._mean = self._mean_at_change = 0.0
         self._y_limit = sys.float_info.max
 
     def hold(self) -> None:
-        """The amplifier is on: y must stay within its limit, once it is there. To be called now and then."""
+        """While the amplifier is on: once y is within its limit, it must stay there. Call it a few times a second."""
         if abs(self._y) <= self._parameters.y_limit:
             self._y_limit = self._parameters.y_limit
 
     def check(self, sample: Sample, current: float) -> Finding | None:
-        """What is wrong with a sample, None for nothing; ``current`` is asked of the amplifier, A (0 while off)."""
+        """The fault of a sample, if any; ``current`` (A) is asked of the amplifier, 0 while it is off."""
         stamp_ns, x, y, _ = sample
         step = self._x_step
         if not -step <= x - self._x <= step or not -self._y_limit <= y <= self._y_limit:
@@ -92,11 +87,10 @@ class SampleWatch:
             self._y, self._unchanged, self._mean_at_change = y, 0, self._mean
             return None
         self._unchanged += 1
-        if self._unchanged < self._frozen_samples or abs(self._mean - self._mean_at_change) <= self._frozen_current:
+        change = self._mean - self._mean_at_change
+        if self._unchanged < self._frozen_samples or abs(change) <= self._frozen_current:
             return None
-        return Fault.Y_FROZEN, (
-            f"y stays at {y * 1e6:.1f} µm though the current changed by {self._mean - self._mean_at_change:+.2f} A"
-        )
+        return Fault.Y_FROZEN, f"y stays at {y * 1e6:.1f} µm though the current changed by {change:+.2f} A"
 
     def _unusual(self, stamp_ns: int, x: float, y: float) -> Finding | None:
         if not (math.isfinite(x) and math.isfinite(y)):
@@ -105,7 +99,7 @@ class SampleWatch:
             return Fault.Y_OUT_OF_RANGE, f"y = {y * 1e6:.1f} µm; allowed: ±{self._y_limit * 1e6:g} µm"
         if math.isnan(self._x):
             return None
-        # Lost samples are no jump.
+        # Lost samples are not a jump.
         allowed = self._x_step * max(1.0, (stamp_ns - self._stamp_ns) / self._period_ns)
         if abs(x - self._x) <= allowed:
             return None
@@ -113,9 +107,9 @@ class SampleWatch:
 
 
 class StageWatch:
-    """Whether x moves at all while it is to move; to be asked some ten times a second.
+    """Checks that x moves while the trajectory does; call it about ten times a second.
 
-    It says nothing before x has moved for the first time: when the stage begins is its own affair.
+    It detects nothing before x has moved for the first time, since the stage decides when it begins.
     """
 
     def __init__(self, parameters: WatchParameters) -> None:
@@ -123,12 +117,12 @@ class StageWatch:
         self._trajectory: Trajectory | None = None
 
     def follow(self, trajectory: Trajectory, start_ns: int, x: float) -> None:
-        """The stage at ``x`` (m) was sent along a trajectory."""
+        """The stage at ``x`` (m) starts along a trajectory."""
         self._trajectory, self._start_ns = trajectory, start_ns
         self._x, self._stamp_ns, self._moved = x, start_ns, False
 
     def check(self, stamp_ns: int, x: float) -> Finding | None:
-        """The same for a sample's x."""
+        """The fault of a sample's x, if any."""
         if self._trajectory is None:
             return None
         if x != self._x:
@@ -138,19 +132,12 @@ class StageWatch:
         if not self._moved or abs(now - before) <= self._distance:
             return None
         self._moved = False
-        return (
-            Fault.X_FROZEN,
-            f"x stays at {x * 1e3:.4f} mm; the stage was to move by {(now - before) * 1e3:+.1f} mm meanwhile",
-        )
+        expected = f"the stage was to move by {(now - before) * 1e3:+.1f} mm meanwhile"
+        return Fault.X_FROZEN, f"x stays at {x * 1e3:.4f} mm; {expected}"
 
 
 class ClockWatch:
-    """The system's clock beside the monotonic one: a step is a fault, a clock that is slewed is followed.
-
-    Args:
-        parameters: limit.
-        monotonic_ns, system_ns: the clocks.
-    """
+    """Compares the system's clock with the monotonic one: a step is a fault, a slewed clock is followed."""
 
     def __init__(
         self, parameters: WatchParameters, monotonic_ns: Callable[[], int], system_ns: Callable[[], int]
@@ -160,14 +147,14 @@ class ClockWatch:
         self._offset_ns = 0
 
     def restart(self) -> None:
-        """Take the clocks as they stand."""
+        """Take the clocks' present offset as the reference."""
         self._offset_ns = self._system_ns() - self._monotonic_ns()
 
     def check(self, monotonic_ns: int, system_ns: int) -> Finding | None:
-        """The same for both clocks, read one right after the other."""
+        """The fault of two readings of the clocks, taken one right after the other, if any."""
         if -self._step_ns <= system_ns - monotonic_ns - self._offset_ns <= self._step_ns:
             return None
-        # A process that stood still between the two readings has seen no step.
+        # If the process stalled between the two readings, there was no step: read again.
         before, system, after = self._monotonic_ns(), self._system_ns(), self._monotonic_ns()
         offset_ns = system - (before + after) // 2
         step_ns = offset_ns - self._offset_ns
@@ -177,27 +164,25 @@ class ClockWatch:
         return Fault.CLOCK_JUMP, f"the system's clock was stepped by {step_ns * 1e-9:+.3f} s"
 
     def follow(self) -> None:
-        """Go with a clock that is slewed; to be called now and then."""
+        """Follow a slewed clock; call it a few times a second."""
         offset_ns = self._system_ns() - self._monotonic_ns()
         if abs(offset_ns - self._offset_ns) < self._step_ns // 2:
             self._offset_ns = offset_ns
 
 
 class CommandWatch:
-    """Counts strikes against commands that answer a sample again: one controller never does that."""
+    """Error counter of commands that answer a sample again, which a single controller never does."""
 
-    def __init__(self) -> None:
-        self._strikes = 0
+    _errors = 0
 
     def good(self) -> None:
-        """A command for a new sample."""
-        if self._strikes:
-            self._strikes -= 1
+        if self._errors:
+            self._errors -= 1
 
     def again(self) -> Finding | None:
-        """A command for a sample that was answered already."""
-        self._strikes += _STRIKE
-        if self._strikes < _STRIKES:
+        """Count a command for a sample that was answered already; returns the fault, if any."""
+        self._errors += _ERROR_STEP
+        if self._errors < _ERROR_LIMIT:
             return None
-        self._strikes = 0
+        self._errors = 0
         return Fault.TWO_CONTROLLERS, "samples are answered twice: somebody else publishes commands too"

@@ -199,3 +199,20 @@ def test_closing_switches_the_amplifier_off():
     hardware.enable()
     hardware.close()
     assert hardware.state is State.OFF
+
+
+def test_commands_that_wait_take_effect_in_their_order_however_many_they_are():
+    def currents(count):
+        hardware = machine(command_timeout=1.0, hold_after=10.0, actuation_delay=0.0)
+        hardware.enable()
+        for k in range(count):
+            hardware.write(1e-3 * k, START + k * PERIOD)
+        # One that names an earlier time does not overtake those before it.
+        hardware.write(-0.1, START)
+        return [hardware.applied_current for k in range(count + 1) if hardware.read(START + k * PERIOD)]
+
+    step = SimulatedParameters().plant.drive.current_step
+    for count in (3, 16, 17, 100):
+        applied = currents(count)
+        assert applied[: count - 1] == pytest.approx([1e-3 * k for k in range(count - 1)], abs=step)
+        assert applied[count - 1 :] == pytest.approx([-0.1, -0.1], abs=step)

@@ -18,7 +18,7 @@ from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
-from straightcomp_ros.hardware.can.frame_replay import DamagedLog, recorded_frames
+from straightcomp_ros.hardware.can.frame_log import DamagedLog, recorded_frames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, amplifier_of, fault_of
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.stage import MotionParameters, forward_and_back

@@ -1,51 +1,40 @@
-"""The board on CAN as a machine behind the hardware interface: handshake, watch, latched faults."""
+"""The board on CAN behind the hardware interface: handshake, monitoring, latched faults."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
 
+from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import (
-    ALIVE_MODULUS,
-    COUNTER_MODULUS,
-    CURRENT_COUNT,
-    CURRENT_LIMIT,
-    OPERATIONAL,
-    Amplifier,
-    Command,
-    Switch,
-)
-from straightcomp_ros.hardware.can.hub_packet import ERROR, REMOTE, Frame
+from straightcomp_ros.hardware.can.emulator_frames import stage_payloads
+from straightcomp_ros.hardware.can.frames import Amplifier, Switch
+from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.can.stage_frames import stage_payloads
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.stage import Trajectory
 from straightcomp_ros.safety.faults import Fault, Finding
 
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
-
 _TURNS = 3
-"""Times that frames may come without a sample among them until the watch has its turn."""
+"""Reads of the bus without a sample after which monitoring must run."""
 
 
 class CanHardware(Hardware):
     """A board that samples by itself and is switched by the pattern in each command.
 
-    A fault is latched here, whoever found it; the commands then say "off" until the fault is reset and the amplifier
-    is asked for again.
+    This class latches every fault, whoever found it. Commands then say "off" until the fault has been reset and the
+    amplifier is enabled again.
 
-    Args:
-        parameters: bus and board.
-        clock: the host's time in ns, the same that is passed to :meth:`read`.
-        make_link: makes the bus, as :class:`~straightcomp_ros.hardware.can.link.Link`.
-
-    Raises:
-        ParameterError: python-can knows no such interface.
-        HardwareError: the frame log cannot be made.
+    ``clock`` is the host's time in ns, as passed to :meth:`read`; ``make_link`` opens the bus and raises as
+    :class:`~straightcomp_ros.hardware.can.link.Link` does.
     """
+
+    fault = ""
+    heartbeat_losses = 0
+    """How often the heartbeat was lost while the amplifier was on."""
 
     def __init__(
         self, parameters: CanParameters, clock: Callable[[], int], make_link: Callable[..., Link] = Link
@@ -56,18 +45,14 @@ class CanHardware(Hardware):
         self._codec = self._receiver.codec
         self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
         self._numbers: dict[int, int] = {}
-        self._newest_number = 0
-        self._alive = 0
+        self._newest_number = self._alive = self._deadline_ns = 0
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
-        self._deadline_ns = 0
-        self._fault, self._fault_kind = "", Fault.BOARD
+        self._fault_kind = Fault.BOARD
         self._seen = self._upsets()
-        self.heartbeat_losses = 0
-        """Times that the heartbeat ceased while the amplifier was on."""
 
     def start(self, now_ns: int) -> None:
-        # After a pause in which nobody has read, the board may be another one.
+        # After a pause in which nobody read, there may be another board.
         self._receiver.restart()
         self._link.start()
 
@@ -79,39 +64,37 @@ class CanHardware(Hardware):
     def read(self, now_ns: int) -> list[tuple[Sample, Truth | None]]:
         self._watch(now_ns)
         waiting = self._receiver.samples
-        samples: list[tuple[Sample, Truth | None]] = []
-        # Bounded: what comes in meanwhile is for the next call.
-        for _ in range(len(waiting)):
-            number, sample, truth = waiting.popleft()
+        # Bounded: samples that arrive meanwhile are for the next call.
+        fresh = [waiting.popleft() for _ in range(len(waiting))]
+        for number, sample, _ in fresh:
             self._numbers[sample.stamp_ns] = self._newest_number = number
-            samples.append((sample, truth))
         while len(self._numbers) > _REMEMBERED:
             del self._numbers[next(iter(self._numbers))]
-        return samples
+        return [(sample, truth) for _, sample, truth in fresh]
 
     def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
-        counts = round(current / CURRENT_COUNT)
-        if abs(counts) > CURRENT_LIMIT:
-            largest = CURRENT_LIMIT * CURRENT_COUNT
+        counts = round(current / frames.CURRENT_COUNT)
+        if abs(counts) > frames.CURRENT_LIMIT:
+            largest = frames.CURRENT_LIMIT * frames.CURRENT_COUNT
             raise ValueError(f"control current {current} A does not fit its frame; allowed: ±{largest:g} A")
         number = self._newest_number if sample_ns is None else self._numbers.get(sample_ns, self._newest_number)
         if self._send(number, counts):
-            self._current = counts * CURRENT_COUNT
+            self._current = counts * frames.CURRENT_COUNT
 
     def enable(self) -> None:
-        if self._fault:
-            raise HardwareError(f"a fault is latched: {self._fault}")
+        if self.fault:
+            raise HardwareError(f"a fault is latched: {self.fault}")
         refusal = self._not_ready(self._clock())
         if refusal:
             raise HardwareError(refusal)
         if not self._wanted:
-            # The board switches on at an edge: it has to have seen "off" before.
+            # The board switches on at an edge, so it must have seen "off" before.
             self._send(self._newest_number)
             self._wanted, self._was_on = True, False
             self._seen = self._upsets()
-            self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
+            self._await_answer()
 
     def disable(self) -> None:
         self._wanted = self._was_on = False
@@ -119,10 +102,10 @@ class CanHardware(Hardware):
         self._send(self._newest_number)
 
     def reset_fault(self) -> None:
-        if self._fault:
-            self._fault = ""
+        if self.fault:
+            self.fault = ""
             self._resetting = True
-            self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
+            self._await_answer()
             self._send(self._newest_number)
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
@@ -138,17 +121,11 @@ class CanHardware(Hardware):
 
     @property
     def state(self) -> State:
-        if self._fault:
-            return State.FAULT
-        return State.ON if self._wanted and self._was_on else State.OFF
-
-    @property
-    def fault(self) -> str:
-        return self._fault
+        return State.FAULT if self.fault else State.ON if self._wanted and self._was_on else State.OFF
 
     @property
     def fault_kind(self) -> Fault | None:
-        return self._fault_kind if self._fault else None
+        return self._fault_kind if self.fault else None
 
     @property
     def lost_samples(self) -> int:
@@ -163,30 +140,30 @@ class CanHardware(Hardware):
         return self._receiver.newest_ns
 
     def counters(self) -> Mapping[str, object]:
-        receiver, link = self._receiver, self._link
+        receiver, sequence, link = self._receiver, self._receiver.sequence, self._link
         counters: dict[str, object] = {
-            "can_received": receiver.received,
-            "can_lost": receiver.sequence.lost,
-            "can_repeated": receiver.sequence.repeated,
-            "can_out_of_order": receiver.sequence.out_of_order,
-            "can_stale": receiver.stale,
-            "can_counter_jumps": receiver.sequence.jumps,
-            "can_strikes": receiver.strikes,
-            "can_strike_outs": receiver.strike_outs,
-            "can_boot_ups": receiver.boot_ups,
-            "can_heartbeat_losses": self.heartbeat_losses,
-            "can_openings": link.openings,
-            "can_transmit_full": link.transmit_full,
-            "can_overloads": link.overloads,
-            **{f"can_{reason}": count for reason, count in receiver.counts.items()},
+            "received": receiver.received,
+            "lost": sequence.lost,
+            "repeated": sequence.repeated,
+            "out_of_order": sequence.out_of_order,
+            "stale": receiver.stale,
+            "counter_jumps": sequence.jumps,
+            "strikes": receiver.strikes,
+            "strike_outs": receiver.strike_outs,
+            "boot_ups": receiver.boot_ups,
+            "heartbeat_losses": self.heartbeat_losses,
+            "openings": link.openings,
+            "transmit_full": link.transmit_full,
+            "overloads": link.overloads,
+            **receiver.counts,
         }
         if link.problem:
-            counters["can_link"] = link.problem
+            counters["link"] = link.problem
         if link.log:
-            counters |= {"can_logged": link.log.written, "can_log_dropped": link.log.dropped}
+            counters |= {"logged": link.log.written, "log_dropped": link.log.dropped}
             if link.log.problem:
-                counters["can_log"] = link.log.problem
-        return counters
+                counters["log"] = link.log.problem
+        return {f"can_{name}": value for name, value in counters.items()}
 
     def _receive(self, frame: Frame, arrival_ns: int) -> None:
         _, identifier, flags, data = frame
@@ -196,7 +173,7 @@ class CanHardware(Hardware):
             self._receiver.receive(identifier, data, arrival_ns)
 
     def _upsets(self) -> dict[str, int]:
-        """Counts of what must not happen while the amplifier is on, by the words for it."""
+        """Counters of events that must not happen while the amplifier is on, by the text of the fault."""
         receiver = self._receiver
         return {
             "the board restarted (boot-up message)": receiver.boot_ups,
@@ -208,17 +185,16 @@ class CanHardware(Hardware):
     def _watch(self, now_ns: int) -> None:
         reported = self._receiver.amplifier
         if self._resetting:
-            if reported is not Amplifier.FAULT or now_ns > self._deadline_ns:
-                self._resetting = False
-            else:
+            if reported is Amplifier.FAULT and now_ns <= self._deadline_ns:
                 self._send(self._newest_number)
                 return
-        if reported is Amplifier.FAULT and not self._fault:
+            self._resetting = False
+        if reported is Amplifier.FAULT and not self.fault:
             self._latch(Fault.BOARD, f"the board reports: {self._receiver.board_fault.name.lower().replace('_', ' ')}")
         if self._wanted:
             self._watch_running(now_ns, reported)
         elif reported is Amplifier.ON:
-            # The frame that said "off" may have been lost.
+            # The frame that said "off" may be lost.
             self._send(self._newest_number)
 
     def _watch_running(self, now_ns: int, reported: Amplifier | None) -> None:
@@ -237,7 +213,7 @@ class CanHardware(Hardware):
             self._latch(Fault.BOARD, f"the board did not switch on within {self._parameters.answer_timeout * 1e3:g} ms")
 
     def _silence(self, now_ns: int) -> Finding | None:
-        """What has ceased to come."""
+        """The fault if heartbeat or samples have stopped."""
         parameters, receiver = self._parameters, self._receiver
         heartbeat_age, sample_age = (now_ns - then for then in (receiver.heartbeat_ns, receiver.newest_ns))
         problem = f" ({self._link.problem})" if self._link.problem else ""
@@ -252,22 +228,25 @@ class CanHardware(Hardware):
         receiver = self._receiver
         if not receiver.heartbeat_ns or not receiver.newest_ns:
             return f"nothing has come from the board yet{': ' if self._link.problem else ''}{self._link.problem}"
-        if receiver.node_state != OPERATIONAL:
-            return f"the board's heartbeat says state {receiver.node_state}, not {OPERATIONAL} (operational)"
+        if receiver.node_state != frames.OPERATIONAL:
+            return f"the board's heartbeat says state {receiver.node_state}, not {frames.OPERATIONAL} (operational)"
         silence = self._silence(now_ns)
         return silence[1] if silence is not None else ""
 
     def _latch(self, kind: Fault, reason: str) -> None:
-        self._fault, self._fault_kind = reason, kind
+        self.fault, self._fault_kind = reason, kind
         self.disable()
 
+    def _await_answer(self) -> None:
+        self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
+
     def _send(self, number: int, counts: int = 0) -> bool:
-        enable = Switch.YES if self._wanted else Switch.NO
-        reset = Switch.YES if self._resetting else Switch.NO
-        frame = Command(self._alive, enable, reset, counts if self._wanted else 0, number % COUNTER_MODULUS)
+        enable, reset = (Switch.YES if asked else Switch.NO for asked in (self._wanted, self._resetting))
+        echo = number % frames.COUNTER_MODULUS
+        frame = frames.Command(self._alive, enable, reset, counts if self._wanted else 0, echo)
         sent = self._link.send(self._codec.command_id, self._codec.pack_command(frame), fd=self._codec.fd)
         if sent:
-            self._alive = (self._alive + 1) % ALIVE_MODULUS
+            self._alive = (self._alive + 1) % frames.ALIVE_MODULUS
         return sent
 
 

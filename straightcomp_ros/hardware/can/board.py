@@ -1,66 +1,47 @@
-"""An emulator of the board: what its firmware does, on the simulated machine. It knows no bus and no process.
+"""An emulator of the board's firmware on the simulated machine, without bus and process.
 
-Frames go out through a function that the caller gives, and come in through :meth:`Board.receive`. Time is the
-board's own clock, in ns, as the caller passes it.
+Frames go out through the caller's function and come in through :meth:`Board.receive`. Times are of the board's own
+clock, in ns, and passed in by the caller.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
+from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
-from straightcomp_ros.hardware.can.frames import (
-    ALIVE_MODULUS,
-    BOOT_UP,
-    COUNTER_MODULUS,
-    CURRENT_COUNT,
-    CURRENT_EVERY,
-    CURRENT_LIMIT,
-    OPERATIONAL,
-    POSITION_COUNT,
-    X_LIMIT,
-    Y_LIMIT,
-    Amplifier,
-    BoardFault,
-    Codec,
-    Command,
-    Current,
-    Encoder,
-    FrameError,
-    Switch,
-    status_bits,
-)
-from straightcomp_ros.hardware.can.stage_frames import StageInbox
-from straightcomp_ros.hardware.can.truth_frame import truth_payload
+from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, truth_payload
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Switch
 from straightcomp_ros.hardware.interface import HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 
 _STRIKE, _STRIKE_LIMIT = 4, 16
 _OLDEST_ECHO = 200
-"""Samples: what the eight bits of a classic frame can tell from one that is to come."""
+"""Samples: the oldest that the eight bits of a classic frame distinguish from a future one."""
+_PATTERNS = frozenset(Switch)
 _AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amplifier.FAULT}
-
-Send = Callable[[int, bytes, bool], None]
 
 
 class Board:
-    """Samples, answers commands, switches off by itself.
+    """Takes samples, obeys commands, switches off by itself.
 
-    Args:
-        machine: plant and stage; its ``command_timeout`` is the board's.
-        codec: node id and kind of bus.
-        current_range: largest control current in A that the board accepts.
-        send: ``send(identifier, payload, fd)``.
-        now_ns: time of the first sample.
-        tells_truth: send before each sample what only a simulation knows of it; on CAN FD only.
+    ``machine`` is plant and stage, with the board's ``command_timeout``; ``current_range`` the largest control current
+    in A that the board accepts; ``send(identifier, payload, fd)`` sends a frame; ``now_ns`` is the time of the first
+    sample. ``tells_truth`` sends the simulation's truth before each sample, on CAN FD only.
     """
+
+    refused_commands = 0
+    """Commands that failed a check, were repeated or came too late."""
+    refused_trajectory = ""
+    """Why the last trajectory of the stage was refused."""
 
     def __init__(
         self,
         machine: SimulatedHardware,
         codec: Codec,
         current_range: float,
-        send: Send,
+        send: Callable[[int, bytes, bool], None],
         now_ns: int,
         *,
         tells_truth: bool = False,
@@ -71,24 +52,17 @@ class Board:
         self._send = send
         self._tells_truth = tells_truth and codec.fd
         self._start_ns = now_ns
-        # An answer to a sample older than the timeout is as good as none.
+        # An answer to a sample older than the timeout counts as no answer.
         oldest = machine.command_timeout_ns // machine.period_ns
         self._oldest_echo = oldest if codec.fd else min(oldest, _OLDEST_ECHO)
         self._fault = BoardFault.NONE
         self._seen_off = False
         self._command_alive: int | None = None
-        self._strikes = 0
-        self._counter = 0
-        self._newest_ns = now_ns
-        self._current_alive = 0
-        self._next_heartbeat_ns = now_ns
-        self._stage = StageInbox(codec.ids)
-        self.refused_commands = 0
-        """Commands that failed a check, were repeated or came too late."""
-        self.refused_trajectory = ""
-        """Why the last trajectory of the stage was refused."""
+        self._strikes = self._counter = self._current_alive = 0
+        self._newest_ns = self._next_heartbeat_ns = now_ns
+        self._stage = StageReceiver(codec.ids)
         machine.start(now_ns)
-        send(codec.ids.heartbeat, bytes((BOOT_UP,)), False)
+        send(codec.ids.heartbeat, bytes((frames.BOOT_UP,)), False)
 
     def cycle(self, now_ns: int) -> None:
         """Take and send the samples up to ``now_ns``."""
@@ -96,30 +70,23 @@ class Board:
             self._send_sample(sample, truth)
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = now_ns + round(HEARTBEAT_PERIOD * 1e9)
-            self._send(self._codec.ids.heartbeat, bytes((OPERATIONAL,)), False)
+            self._send(self._codec.ids.heartbeat, bytes((frames.OPERATIONAL,)), False)
 
     def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
-        """A frame came in at ``at_ns``."""
-        if identifier == self._codec.command_id:
-            try:
-                command = self._codec.unpack_command(payload)
-                if command.enable not in tuple(Switch) or command.reset not in tuple(Switch):
-                    raise FrameError("pattern")
-            except FrameError:
-                self._strike()
-            else:
-                self._obey(command, at_ns)
-            return
+        """Take a frame that arrived at ``at_ns``."""
         try:
-            trajectory = self._stage.add(identifier, payload)
-            if trajectory:
+            if identifier == self._codec.command_id:
+                self._obey(self._codec.unpack_command(payload), at_ns)
+            elif trajectory := self._stage.add(identifier, payload):
                 self.machine.move(trajectory, at_ns)
+        except frames.FrameError:
+            self._strike()
         except (HardwareError, ValueError) as error:
             self.refused_trajectory = str(error)
 
     @property
     def amplifier(self) -> Amplifier:
-        """State that the next sample reports."""
+        """The state that the next sample reports."""
         return Amplifier.FAULT if self._fault else _AMPLIFIER[self.machine.state]
 
     @property
@@ -139,9 +106,11 @@ class Board:
         self.machine.disable()
         self._seen_off = False
 
-    def _obey(self, command: Command, at_ns: int) -> None:
+    def _obey(self, command: frames.Command, at_ns: int) -> None:
+        if not {command.enable, command.reset} <= _PATTERNS:
+            raise frames.FrameError("pattern")
         if command.enable == Switch.NO:
-            # "Off" is obeyed from any frame that is whole, be it old.
+            # "Off" is obeyed from any frame that passes its CRC, even an old one.
             self._seen_off = True
             self.machine.disable()
             if command.reset == Switch.YES:
@@ -149,17 +118,17 @@ class Board:
                 self._fault, self._strikes = BoardFault.NONE, 0
         repeated = command.alive == self._command_alive
         self._command_alive = command.alive
-        age = (self._counter - command.echo) % (COUNTER_MODULUS if self._codec.fd else 256)
+        age = (self._counter - command.echo) % (frames.COUNTER_MODULUS if self._codec.fd else 256)
         if repeated or age > self._oldest_echo:
             self.refused_commands += 1
             return
         self._strikes = max(0, self._strikes - 1)
-        current = command.current * CURRENT_COUNT
+        current = command.current * frames.CURRENT_COUNT
         if abs(current) > self._range:
             self._trip(BoardFault.CURRENT_RANGE)
             return
         if command.enable == Switch.YES and self._seen_off and self.amplifier is Amplifier.OFF:
-            # Only an edge from off to on switches on: a host that asks on and on after a fault does not.
+            # Only an edge from off to on switches on, so a host that goes on saying "on" after a fault has no effect.
             self.machine.enable()
         self._seen_off = self._seen_off and command.enable == Switch.NO
         self.machine.write(current, at_ns, self._newest_ns - age * self.machine.period_ns)
@@ -167,21 +136,18 @@ class Board:
     def _send_sample(self, sample: Sample, truth: Truth) -> None:
         codec = self._codec
         self._newest_ns = sample.stamp_ns
-        self._counter = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns) % COUNTER_MODULUS
-        x, y = round(sample.x / POSITION_COUNT), round(sample.y / POSITION_COUNT)
-        valid = abs(x) <= X_LIMIT and abs(y) <= Y_LIMIT
-        current = 0 if sample.current != sample.current else round(sample.current / CURRENT_COUNT)
-        current = min(max(current, -CURRENT_LIMIT), CURRENT_LIMIT)
-        status = status_bits(self.amplifier, self.fault, valid)
-        frame = Encoder(
-            self._counter % ALIVE_MODULUS, status, x if valid else 0, y if valid else 0, current, self._counter
-        )
-        encoder = codec.pack_encoder(frame)
+        self._counter = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns) % frames.COUNTER_MODULUS
+        x, y = round(sample.x / frames.POSITION_COUNT), round(sample.y / frames.POSITION_COUNT)
+        valid = abs(x) <= frames.X_LIMIT and abs(y) <= frames.Y_LIMIT
+        current = 0 if math.isnan(sample.current) else round(sample.current / frames.CURRENT_COUNT)
+        current = min(max(current, -frames.CURRENT_LIMIT), frames.CURRENT_LIMIT)
+        status = frames.status_bits(self.amplifier, self.fault, valid)
+        alive = self._counter % frames.ALIVE_MODULUS
+        frame = frames.Encoder(alive, status, x if valid else 0, y if valid else 0, current, self._counter)
         if self._tells_truth:
             self._send(codec.ids.truth, truth_payload(self._counter, truth), True)
-        self._send(codec.encoder_id, encoder, codec.fd)
-        if not codec.fd and self._counter % CURRENT_EVERY == 0:
-            self._send(
-                codec.ids.current, codec.pack_current(Current(self._current_alive, current, self._counter)), False
-            )
-            self._current_alive = (self._current_alive + 1) % ALIVE_MODULUS
+        self._send(codec.encoder_id, codec.pack_encoder(frame), codec.fd)
+        if not codec.fd and self._counter % frames.CURRENT_EVERY == 0:
+            coil_current = frames.Current(self._current_alive, current, self._counter)
+            self._send(codec.ids.current, codec.pack_current(coil_current), False)
+            self._current_alive = (self._current_alive + 1) % frames.ALIVE_MODULUS

@@ -1,6 +1,6 @@
-"""The emulated board's own connection to its bus: any interface of python-can, or a hub in the board's own process.
+"""The emulated board's connection to its bus: any interface of python-can, or a hub in the board's own process.
 
-Neither waits. A hub of its own saves the wake-up of another process between board and host, and another one back.
+Neither blocks. With the hub in its own process, no other process has to wake up between board and host.
 """
 
 from __future__ import annotations
@@ -8,41 +8,23 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from typing import Protocol
 
 import can
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import Hub
-from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, Frame, from_packet, to_packet
+from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, Frame, Hub, from_packet, to_packet
+from straightcomp_ros.hardware.can.hub_bus import message_of
 from straightcomp_ros.hardware.can.link import opened_bus
 
 _AT_ONCE = 64
 _REOPEN_EVERY_S = 0.1
 
 Received = tuple[int, bytes, int]
-"""A frame: identifier, payload, system's time in ns at which it was on the bus."""
-
-
-class Line(Protocol):
-    """What the board needs of a bus."""
-
-    def send(self, identifier: int, payload: bytes, fd: bool) -> bool:
-        """Send a frame; False if the bus did not take it."""
-
-    def receive(self) -> list[Received]:
-        """Frames since the last call, some at most."""
-
-    def close(self) -> None:
-        """Leave the bus."""
+"""A frame: identifier, payload, system time in ns at which it was on the bus."""
 
 
 class BusLine:
-    """A bus of python-can, which is opened again after a loss.
-
-    Args:
-        parameters: which bus.
-    """
+    """A bus of python-can, which is opened again after a loss."""
 
     def __init__(self, parameters: CanParameters) -> None:
         self._parameters = parameters
@@ -55,17 +37,14 @@ class BusLine:
         """Send a frame; False if the bus did not take it."""
         if self._bus is None:
             return False
-        message = can.Message(
-            arbitration_id=identifier, is_extended_id=False, data=payload, is_fd=fd, bitrate_switch=fd
-        )
         try:
-            self._bus.send(message)
+            self._bus.send(message_of(Frame(0, identifier, FD_FRAME if fd else 0, payload)))
         except (can.CanError, OSError):
             return False
         return True
 
     def receive(self) -> list[Received]:
-        """Frames since the last call, some at most."""
+        """Frames since the last call, a bounded number."""
         if self._bus is None:
             self._open()
         frames: list[Received] = []
@@ -81,7 +60,6 @@ class BusLine:
         return frames
 
     def close(self) -> None:
-        """Leave the bus."""
         bus, self._bus = self._bus, None
         if bus is not None:
             with contextlib.suppress(can.CanError, OSError):
@@ -101,31 +79,26 @@ class BusLine:
 
 
 class HubLine:
-    """A hub in this process, with the board as its member. It passes frames on whenever the board looks for its own.
-
-    Args:
-        path: of the hub's socket.
-
-    Raises:
-        HardwareError: the socket cannot be made, or another hub listens on it.
-    """
+    """A hub in this process, on the socket ``path``, with the board as its member; raises as :class:`Hub` does."""
 
     def __init__(self, path: str) -> None:
         self._packets: list[bytes] = []
         self._hub = Hub(path, member=self._packets.append)
 
     def send(self, identifier: int, payload: bytes, fd: bool) -> bool:
-        """Send a frame; a node that does not read loses it, and no one is told."""
+        """Send a frame; a node that does not read loses it silently."""
         self._hub.put(to_packet(Frame(time.time_ns(), identifier, FD_FRAME if fd else 0, payload)))
         return True
 
     def receive(self) -> list[Received]:
-        """Frames since the last call, some at most."""
+        """Frames since the last call, a bounded number."""
         self._hub.serve(0)
         frames = [from_packet(packet) for packet in self._packets]
         self._packets.clear()
         return [(frame.identifier, frame.data, frame.stamp_ns) for frame in frames if not frame.flags & ERROR]
 
     def close(self) -> None:
-        """End the bus."""
         self._hub.close()
+
+
+Line = BusLine | HubLine

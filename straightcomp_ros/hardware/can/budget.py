@@ -1,31 +1,24 @@
-"""How long the frames take on the wire at worst, how much of the bus they fill, how late a round trip can be.
+"""Worst-case time of each frame on the wire, bus load and round-trip time.
 
-Worst case of bit stuffing, error-free bus. Sources: ISO 11898-1:2015; for the response times R. I. Davis, A. Burns,
-R. J. Bril, J. J. Lukkien, "Controller Area Network (CAN) schedulability analysis: refuted, revisited and revised",
-Real-Time Systems 35 (2007): a frame waits for at most one frame of lower priority, which cannot be interrupted.
+They hold for the worst case of bit stuffing on an error-free bus. Sources: ISO 11898-1:2015; for the response times
+R. I. Davis, A. Burns, R. J. Bril, J. J. Lukkien, "Controller Area Network (CAN) schedulability analysis: refuted,
+revisited and revised", Real-Time Systems 35 (2007): a frame waits for at most one frame of lower priority, which cannot
+be interrupted.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.hardware.can.frames import (
-    COMMAND_BYTES,
-    COMMAND_FD_BYTES,
-    CURRENT_BYTES,
-    CURRENT_EVERY,
-    ENCODER_BYTES,
-    ENCODER_FD_BYTES,
-)
+from straightcomp_ros.hardware.can import frames
 
 HEARTBEAT_PERIOD = 0.05
 """s"""
 _FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
-@dataclass(frozen=True)
-class Bitrate:
+class Bitrate(NamedTuple):
     """Bit rates in bit/s; ``data`` is that of the data phase of CAN FD, None on a classic bus."""
 
     nominal: int
@@ -36,8 +29,7 @@ CLASSIC_1M = Bitrate(1_000_000)
 FD_1M_5M = Bitrate(1_000_000, 5_000_000)
 
 
-@dataclass(frozen=True)
-class Traffic:
+class Traffic(NamedTuple):
     """A frame that is sent again and again: payload in bytes, frames per second; ``fd`` in the format of CAN FD."""
 
     name: str
@@ -46,16 +38,16 @@ class Traffic:
     fd: bool
 
     def time(self, bitrate: Bitrate) -> float:
-        """Longest time on the wire in s, the space to the next frame included."""
+        """Longest time on the wire in s, with the space to the next frame."""
         if self.fd and bitrate.data:
             return fd_time(self.size, bitrate.nominal, bitrate.data)
         return classic_bits(self.size) / bitrate.nominal
 
 
 def classic_bits(size: int) -> int:
-    """Bits of a classic frame with an 11-bit identifier and ``size`` bytes, stuffed at worst, with intermission.
+    """Most bits of a classic frame with an 11-bit identifier and ``size`` bytes, with intermission.
 
-    47 bits besides the payload, of which 34 are stuffed with it: one more after four, at worst.
+    There are 47 bits besides the payload; 34 of them are stuffed with it, at worst with one bit after every four.
     """
     return 47 + 8 * size + (34 + 8 * size - 1) // 4
 
@@ -63,9 +55,9 @@ def classic_bits(size: int) -> int:
 def fd_time(size: int, nominal: int, data: int) -> float:
     """Longest time in s of an FD frame with an 11-bit identifier and bit rate switch.
 
-    Nominal rate: SOF, identifier, RRS, IDE, FDF, res and BRS, 17 bits and up to 4 stuffed; ACK, its delimiter, EOF and
-    intermission, 12 bits. Data rate: ESI, DLC and payload, stuffed after four at worst; stuff count, CRC and their
-    fixed stuff bits; the CRC delimiter.
+    Nominal rate: SOF, identifier, RRS, IDE, FDF, res and BRS, 17 bits and up to 4 stuff bits; ACK, its delimiter, EOF
+    and intermission, 12 bits. Data rate: ESI, DLC and payload, at worst with a stuff bit after every four; stuff count,
+    CRC and their fixed stuff bits; the CRC delimiter.
 
     Raises:
         ValueError: CAN FD has no frames of this size.
@@ -79,51 +71,40 @@ def fd_time(size: int, nominal: int, data: int) -> float:
 
 
 def traffic(fd: bool, rate: float = DEFAULT_RATE) -> list[Traffic]:
-    """All that is on the bus while the servo runs, in the order of priority."""
+    """All frames on the bus while the servo runs, highest priority first."""
     heartbeat = Traffic("heartbeat", 1, 1.0 / HEARTBEAT_PERIOD, False)
     if fd:
-        return [
-            Traffic("command", COMMAND_FD_BYTES, rate, True),
-            Traffic("encoder", ENCODER_FD_BYTES, rate, True),
-            heartbeat,
-        ]
+        command, encoder = frames.COMMAND_FD_BYTES, frames.ENCODER_FD_BYTES
+        return [Traffic("command", command, rate, True), Traffic("encoder", encoder, rate, True), heartbeat]
     return [
-        Traffic("encoder", ENCODER_BYTES, rate, False),
-        Traffic("command", COMMAND_BYTES, rate, False),
-        Traffic("coil current", CURRENT_BYTES, rate / CURRENT_EVERY, False),
+        Traffic("encoder", frames.ENCODER_BYTES, rate, False),
+        Traffic("command", frames.COMMAND_BYTES, rate, False),
+        Traffic("coil current", frames.CURRENT_BYTES, rate / frames.CURRENT_EVERY, False),
         heartbeat,
     ]
 
 
-def load(frames: list[Traffic], bitrate: Bitrate) -> float:
-    """Fraction of the time that the bus is taken, at worst."""
-    return sum(frame.time(bitrate) * frame.rate for frame in frames)
+def load(sent: list[Traffic], bitrate: Bitrate) -> float:
+    """Fraction of the time for which the bus is busy, at worst."""
+    return sum(frame.time(bitrate) * frame.rate for frame in sent)
 
 
-def round_trip(frames: list[Traffic], bitrate: Bitrate) -> float:
+def round_trip(sent: list[Traffic], bitrate: Bitrate) -> float:
     """Longest time in s on the bus from sample to command: each of the two waits for the longest other frame.
 
-    It holds while it is shorter than a control period; the time that the host computes comes on top.
+    It holds while it is shorter than a control period. The host's computing time comes on top.
     """
-    by_name = {frame.name: frame for frame in frames}
-    total = 0.0
-    for own in ("encoder", "command"):
-        total += by_name[own].time(bitrate)
-        total += max(frame.time(bitrate) for name, frame in by_name.items() if name != own)
-    return total
+    times = {frame.name: frame.time(bitrate) for frame in sent}
+    return sum(times[own] + max(time for name, time in times.items() if name != own) for own in ("encoder", "command"))
 
 
 def table() -> str:
     """Load and latency of both kinds of bus, as docs/can.md shows them."""
     lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
     for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
-        frames = traffic(fd)
-        for frame in frames:
-            share = 100 * frame.time(bitrate) * frame.rate
-            time = frame.time(bitrate) * 1e6
-            lines.append(f"| {name} | {frame.name} | {frame.size} B | {time:.0f} µs | {share:.1f} % |")
-        lines.append(
-            f"| {name} | all; sample to command | | {round_trip(frames, bitrate) * 1e6:.0f} µs "
-            f"| {100 * load(frames, bitrate):.1f} % |"
-        )
+        sent = traffic(fd)
+        rows = [(frame.name, f"{frame.size} B", frame.time(bitrate), load([frame], bitrate)) for frame in sent]
+        rows.append(("all; sample to command", "", round_trip(sent, bitrate), load(sent, bitrate)))
+        for what, payload, time, share in rows:
+            lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
     return "\n".join(lines)

@@ -1,29 +1,21 @@
-"""Faults of a bus, made on purpose: what happens to frames at given rates, repeatable by a seed."""
+"""Fault injection on a bus: frames suffer faults at given rates, repeatable by a seed."""
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping
 
-from straightcomp_ros.hardware.can.hub_packet import Flag, Frame
+from straightcomp_ros.hardware.can.hub import Flag, Frame, LinkCut
 
 FLOOD = 20
-"""Frames that a babbling node sends for one of ours."""
+"""Frames that a babbling node sends before each of ours."""
 _FOREIGN_ID = 0x7
 
 
-class LinkCut(Exception):
-    """The bus is gone for all that are on it."""
-
-
 class Faults:
-    """``faults(frame)``: the frames that arrive in the place of one that was sent.
+    """``faults(frame)``: the frames that arrive in place of one that was sent.
 
-    A frame suffers one fault at most. ``injected`` counts what was done, by kind.
-
-    Args:
-        rates: probability for each frame, by kind; see :data:`KINDS`.
-        seed: of the pseudorandom choice.
+    A frame suffers one fault at most. ``rates`` are probabilities per frame, by kind; ``injected`` counts the faults.
 
     Raises:
         ValueError: a kind is unknown, or its rate is not between 0 and 1.
@@ -36,36 +28,26 @@ class Faults:
             if not 0.0 <= rate <= 1.0:
                 raise ValueError(f"fault '{kind}': rate of {rate} is not allowed; allowed: 0 to 1")
         self._rates = dict(rates)
-        self._random = random.Random(seed)
+        self.random = random.Random(seed)
         self._held: Frame | None = None
         self.injected = dict.fromkeys(rates, 0)
 
     def __call__(self, frame: Frame) -> list[Frame]:
-        """The frames that arrive.
-
-        Raises:
-            LinkCut: the link is cut now.
-        """
+        """The frames that arrive; raises LinkCut where the link is cut."""
         held, self._held = self._held, None
         if held is not None:
-            # A swap needs two frames of a kind: numbers of one counter.
+            # Only frames with one identifier share a counter, so only these are swapped.
             if held.identifier == frame.identifier:
                 self.injected["reorder"] += 1
                 return [frame, held]
             return [held, *self(frame)]
         for kind, rate in self._rates.items():
-            if self._random.random() < rate:
+            if self.random.random() < rate:
                 frames = KINDS[kind](self, frame)
                 if kind != "reorder":
                     self.injected[kind] += 1
                 return frames
         return [frame]
-
-    def _drop(self, _: Frame) -> list[Frame]:
-        return []
-
-    def _duplicate(self, frame: Frame) -> list[Frame]:
-        return [frame, frame]
 
     def _reorder(self, frame: Frame) -> list[Frame]:
         self._held = frame
@@ -73,27 +55,11 @@ class Faults:
 
     def _corrupt(self, frame: Frame) -> list[Frame]:
         """One or two wrong bits: the most that the CRC promises to find."""
-        bits = self._random.sample(range(8 * len(frame.data)), min(self._random.randint(1, 2), 8 * len(frame.data)))
+        bits = self.random.sample(range(8 * len(frame.data)), min(self.random.randint(1, 2), 8 * len(frame.data)))
         value = int.from_bytes(frame.data, "little")
         for bit in bits:
             value ^= 1 << bit
         return [frame._replace(data=value.to_bytes(len(frame.data), "little"))]
-
-    def _garble(self, frame: Frame) -> list[Frame]:
-        """Any content: one in 256 passes the CRC."""
-        return [frame._replace(data=self._random.randbytes(len(frame.data)))]
-
-    def _truncate(self, frame: Frame) -> list[Frame]:
-        return [frame._replace(data=frame.data[: self._random.randrange(len(frame.data))])]
-
-    def _wrong_id(self, frame: Frame) -> list[Frame]:
-        return [frame._replace(identifier=frame.identifier ^ 1 << self._random.randrange(11))]
-
-    def _error_frame(self, frame: Frame) -> list[Frame]:
-        return [Frame(frame.stamp_ns, 0x20, Flag.ERROR, bytes(8)), frame]
-
-    def _flood(self, frame: Frame) -> list[Frame]:
-        return [frame._replace(identifier=_FOREIGN_ID)] * FLOOD + [frame]
 
     def _cut(self, _: Frame) -> list[Frame]:
         self.injected["cut"] += 1
@@ -101,15 +67,16 @@ class Faults:
 
 
 KINDS: Mapping[str, Callable[[Faults, Frame], list[Frame]]] = {
-    "drop": Faults._drop,
-    "duplicate": Faults._duplicate,
+    "drop": lambda faults, frame: [],
+    "duplicate": lambda faults, frame: [frame, frame],
     "reorder": Faults._reorder,
     "corrupt": Faults._corrupt,
-    "garble": Faults._garble,
-    "truncate": Faults._truncate,
-    "wrong_id": Faults._wrong_id,
-    "error_frame": Faults._error_frame,
-    "flood": Faults._flood,
+    # Any content: one in 256 passes the CRC.
+    "garble": lambda faults, frame: [frame._replace(data=faults.random.randbytes(len(frame.data)))],
+    "truncate": lambda faults, frame: [frame._replace(data=frame.data[: faults.random.randrange(len(frame.data))])],
+    "wrong_id": lambda faults, frame: [frame._replace(identifier=frame.identifier ^ 1 << faults.random.randrange(11))],
+    "error_frame": lambda faults, frame: [Frame(frame.stamp_ns, 0x20, Flag.ERROR, bytes(8)), frame],
+    "flood": lambda faults, frame: [frame._replace(identifier=_FOREIGN_ID)] * FLOOD + [frame],
     "cut": Faults._cut,
 }
 """Kinds of faults, and what each does to a frame."""

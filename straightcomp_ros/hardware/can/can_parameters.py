@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.settings.declaration import RefusedParameter, parameter
 
-LOG_ENDINGS = (".log", ".blf")
-"""Formats of the frame log."""
+_LOG_ENDINGS = (".log", ".blf")
 
 
 @dataclass(frozen=True)
@@ -60,15 +59,11 @@ class CanParameters:
 
     def __post_init__(self) -> None:
         self.further_options()
-        if self.log and not self.log.lower().endswith(LOG_ENDINGS):
-            raise RefusedParameter("log", f"'{self.log}' is not allowed; allowed: *{' or *'.join(LOG_ENDINGS)}")
+        if self.log and not self.log.lower().endswith(_LOG_ENDINGS):
+            raise RefusedParameter("log", f"'{self.log}' is not allowed; allowed: *{' or *'.join(_LOG_ENDINGS)}")
 
     def further_options(self) -> dict[str, str]:
-        """The pairs in ``options``.
-
-        Raises:
-            ParameterError: one of them is no pair.
-        """
+        """The pairs in ``options``; raises ParameterError for one that is not NAME=VALUE."""
         pairs = {}
         for text in self.options.split():
             name, equals, value = text.partition("=")

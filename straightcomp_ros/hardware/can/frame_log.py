@@ -1,87 +1,83 @@
-"""Records frames as CAN people keep them: candump's ``.log`` or Vector's ``.blf``, by python-can's writers."""
+"""Recorded buses: candump's ``.log`` or Vector's ``.blf``, written beside the loop, read and played by python-can."""
 
 from __future__ import annotations
 
+import copy
+import itertools
 import re
+import struct
 import threading
 import time
+import zlib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import can
+from can.io.blf import BLFParseError
 
-from straightcomp_ros.hardware.can.can_parameters import LOG_ENDINGS
+from straightcomp_ros.hardware.can.frames import Identifiers
 from straightcomp_ros.hardware.interface import HardwareError
 
 _QUEUE_LIMIT = 20_000
 """Frames: some seconds of a full bus."""
-_WRITE_EVERY_S = 0.02
-_SAVE_EVERY_S = 1.0
+_WRITE_EVERY_S, _SAVE_EVERY_S = 0.02, 1.0
 _AT_ONCE = 8
-
-Writer = can.CanutilsLogWriter | can.BLFWriter
-
-
-def _candump(file: Path, channel: str, append: bool) -> Writer:
-    return can.CanutilsLogWriter(file, channel=channel, append=append)
-
-
-def _blf(file: Path, _: str, append: bool) -> Writer:
-    # The fastest compression: its time is the loop's, too.
-    return can.BLFWriter(file, append=append, compression_level=1)
-
-
-_FORMATS: dict[str, Callable[[Path, str, bool], Writer]] = dict(zip(LOG_ENDINGS, (_candump, _blf), strict=True))
+_SEND_TIMEOUT_S = 1.0
 
 
 class FrameLog:
-    """Writes on a thread of its own; :meth:`put` never waits. A file that is there is kept: the new one gets a number.
+    """Writes in its own thread; :meth:`put` never blocks. An existing file is kept: the new one gets a number.
 
-    Once a second the file is finished and opened again to be continued, so that SIGKILL takes the last second only: BLF
-    keeps frames back to compress them, and has the time at which it begins in a head that is written last.
+    Once a second the file is finished and opened again to continue it, so that SIGKILL costs the last second only: the
+    BLF writer buffers frames to compress them, and writes the start time in the file's head when it ends.
 
-    Args:
-        file: name; its ending, one of LOG_ENDINGS, is the format.
-        channel: name of the bus in a candump log.
+    The ending of ``file``, ``.log`` or ``.blf``, is the format; ``channel`` is the name of the bus in a candump log.
 
     Raises:
         HardwareError: the file cannot be made.
     """
 
+    written = 0
+    """Frames that are in the file, or will be within a second."""
+    dropped = 0
+    """Frames for which there was no room in the queue, or no file."""
+    problem = ""
+    """Why nothing is written any more."""
+
     def __init__(self, file: Path, channel: str) -> None:
         # candump separates by blanks, and knows interfaces, not paths.
-        self._channel = re.sub(r"\W", "_", Path(channel).name) or "can"
-        self._open = _FORMATS[file.suffix.lower()]
-        self.file = _unused(file)
-        self.written = 0
-        """Frames that are in the file, or will be with the next second."""
-        self.dropped = 0
-        """Frames that found the queue full, or no file."""
-        self.problem = ""
-        """Why nothing is written any more."""
+        name = re.sub(r"\W", "_", Path(channel).name) or "can"
+        # can.Logger would look for plugins each time. The fastest compression, since its time is the loop's, too.
+        candump, blf = partial(can.CanutilsLogWriter, channel=name), partial(can.BLFWriter, compression_level=1)
+        formats: dict[str, Callable[..., Any]] = {".log": candump, ".blf": blf}
+        self._open = formats[file.suffix.lower()]
+        numbered = (file.with_name(f"{file.stem}-{number}{file.suffix}") for number in itertools.count(1))
+        self.file = next(free for free in itertools.chain([file], numbered) if not free.exists())
         self._frames: deque[can.Message] = deque()
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = self._open(self.file, self._channel, False)
+            self._writer = self._open(self.file)
         except OSError as error:
             raise HardwareError(f"frame log '{file}': {error.strerror or error}") from error
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="frame log", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        """Start writing, unless it has started."""
+        if self._thread.ident is None:
+            self._thread.start()
 
     def put(self, message: can.Message) -> None:
-        """Have a frame written soon."""
+        """Queue a frame to be written."""
         if self.problem or len(self._frames) >= _QUEUE_LIMIT:
             self.dropped += 1
         else:
             self._frames.append(message)
 
     def close(self) -> None:
-        """Write what is left, and finish the file."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -95,30 +91,72 @@ class FrameLog:
                 self._write()
                 if time.monotonic() - saved_s > _SAVE_EVERY_S:
                     self._writer.stop()
-                    self._writer = self._open(self.file, self._channel, True)
+                    self._writer = self._open(self.file, append=True)
                     saved_s = time.monotonic()
             self._write()
             self._writer.stop()
         except (OSError, ValueError) as error:
-            # A full disk, mostly: the machine runs on.
+            # Usually a full disk: the machine goes on.
             self.problem = f"frame log '{self.file}': {error}"
             self.dropped += len(self._frames)
             self._frames.clear()
 
     def _write(self) -> None:
-        frames = self._frames
-        while frames:
-            for _ in range(min(_AT_ONCE, len(frames))):
-                self._writer.on_message_received(frames.popleft())
-                self.written += 1
-            # The loop may be waiting for the interpreter.
-            time.sleep(0)
+        while self._frames:
+            self._writer.on_message_received(self._frames.popleft())
+            self.written += 1
+            if self.written % _AT_ONCE == 0:
+                # The control loop may be waiting for the interpreter's lock.
+                time.sleep(0)
 
 
-def _unused(file: Path) -> Path:
-    """``file``, or with the first number behind its name that is free."""
-    number, free = 0, file
-    while free.exists():
-        number += 1
-        free = file.with_name(f"{file.stem}-{number}{file.suffix}")
-    return free
+class DamagedLog(Exception):
+    """A log is damaged, as after a crash; the message says from which frame on."""
+
+
+def recorded_frames(file: Path) -> Iterator[can.Message]:
+    """All frames of a log in any format that python-can reads.
+
+    Raises:
+        HardwareError: no such file, or a format that is not known.
+        DamagedLog: after the last frame that can be read.
+    """
+    try:
+        reader = can.LogReader(file)
+    except (OSError, ValueError, BLFParseError, struct.error) as error:
+        raise HardwareError(f"log '{file}': {getattr(error, 'strerror', None) or error}") from error
+    number = 0
+    try:
+        with reader:
+            for message in reader:
+                number += 1
+                yield message
+    except (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError) as error:
+        raise DamagedLog(f"log '{file}': damaged after frame {number}") from error
+
+
+def of_the_board(frames: Iterable[can.Message], node: int) -> Iterator[can.Message]:
+    """The frames that the board ``node`` sends."""
+    ids = Identifiers(node)
+    sent = {ids.encoder, ids.encoder_fd, ids.current, ids.truth, ids.heartbeat}
+    for frame in frames:
+        if frame.arbitration_id in sent and not (frame.is_extended_id or frame.is_error_frame or frame.is_remote_frame):
+            yield frame
+
+
+def play(frames: Iterable[can.Message], bus: can.BusABC, speed: float) -> int:
+    """Send frames at the intervals of their stamps divided by ``speed``; returns how many were sent.
+
+    Raises:
+        can.CanError: the bus does not accept a frame.
+    """
+    number, begin_s, first_s = 0, time.monotonic(), 0.0
+    for number, frame in enumerate(frames, 1):
+        if number == 1:
+            first_s = frame.timestamp
+        due_s = begin_s + (frame.timestamp - first_s) / speed
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        again = copy.copy(frame)
+        again.channel, again.is_rx = None, False
+        bus.send(again, timeout=_SEND_TIMEOUT_S)
+    return number

@@ -1,7 +1,13 @@
-"""The frames of the board, packed and unpacked by integer shifts; config/straightcomp.dbc says the same for tools.
+"""The frames of the board, packed and unpacked by integer shifts; config/straightcomp.dbc describes the same for tools.
 
-All fields lie in Intel order, bit 0 first. Byte 0 is the CRC, the low half of byte 1 the alive counter, as
-AUTOSAR E2E profile 1 has them. A frame for CAN FD begins as its classic sibling does and goes on with more.
+All fields are in Intel byte order, bit 0 first. Byte 0 is the CRC, the low half of byte 1 the alive counter, as in
+AUTOSAR E2E profile 1. A frame for CAN FD begins as its classic sibling does and goes on with more fields.
+
+The CRC is CRC-8 with polynomial 0x1D (SAE J1850), start and final XOR zero. It runs over both bytes of the data id,
+which is not sent, and then over the payload without its first byte. The data id is the CAN identifier: a frame under a
+wrong identifier fails its check. The polynomial is primitive, of order 255: in frames of this length it finds any two
+wrong bits and any error burst of up to eight bits; of all other errors, 255 in 256. Source: AUTOSAR FO PRS_E2EProtocol,
+profile 1, E2E_P01_DATAID_BOTH.
 
 Numbers are in counts: positions 0.1 µm, currents 0.1 mA.
 """
@@ -12,23 +18,20 @@ import enum
 import struct
 from typing import NamedTuple
 
-from straightcomp_ros.hardware.can.crc import crc_of_5, crc_of_8, crc_of_16, start_value
-
-POSITION_COUNT = 1e-7
-"""m"""
-CURRENT_COUNT = 1e-4
-"""A"""
+POSITION_COUNT, CURRENT_COUNT = 1e-7, 1e-4
+"""m and A"""
 X_LIMIT, Y_LIMIT, CURRENT_LIMIT = 2**25 - 1, 2**19 - 1, 2**15 - 1
 """Largest counts that are sent, to both sides."""
 ALIVE_MODULUS = 15
-"""The alive counter runs from 0 to 14; profile 1 keeps 15 for "not valid"."""
+"""The alive counter runs from 0 to 14; profile 1 reserves 15 for "not valid"."""
 COUNTER_MODULUS = ALIVE_MODULUS * 2**28
-"""The sample counter's: a multiple of 15 and of 256, so that alive counter and echo run on over its end."""
+"""Modulus of the sample counter: a multiple of 15 and of 256, so that alive counter and echo continue when it wraps."""
 CURRENT_EVERY = 10
 """On a classic bus the coil current comes with every tenth sample."""
-BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
-"""Heartbeat's content, as in CiA 301."""
+BOOT_UP, OPERATIONAL = 0x00, 0x05
+"""Content of the heartbeat, as in CiA 301."""
 
+_POLYNOMIAL = 0x1D
 _ENCODER = struct.Struct("<Q")
 _ENCODER_FD = struct.Struct("<QhIH")
 _CURRENT = struct.Struct("<BBhI")
@@ -67,11 +70,7 @@ class Switch(enum.IntEnum):
 
 
 class FrameError(ValueError):
-    """A frame fails its check; ``reason`` names the counter that it belongs to."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
+    """A frame fails its check; its text is the name under which such frames are counted."""
 
 
 class Identifiers:
@@ -121,12 +120,11 @@ class Command(NamedTuple):
 
 
 def status_bits(amplifier: Amplifier, fault: BoardFault, encoders_valid: bool) -> int:
-    """The six status bits."""
     return amplifier | fault << 2 | encoders_valid << 5
 
 
 def amplifier_of(status: int) -> int:
-    """Amplifier's state in the status; compare with :class:`Amplifier`."""
+    """State of the amplifier in the status; not always a member of :class:`Amplifier`."""
     return status & 3
 
 
@@ -140,32 +138,59 @@ def encoders_valid(status: int) -> bool:
     return bool(status & 32)
 
 
+def _crc_table() -> bytes:
+    table = []
+    for crc in range(256):
+        for _ in range(8):
+            crc = (crc << 1 ^ _POLYNOMIAL if crc & 0x80 else crc << 1) & 0xFF
+        table.append(crc)
+    return bytes(table)
+
+
+_CRC = _crc_table()
+
+
+def start_value(data_id: int) -> int:
+    """CRC of the 16-bit data id, low byte first: where the CRC of a payload begins."""
+    return _CRC[_CRC[data_id & 0xFF] ^ data_id >> 8]
+
+
+def crc_of(payload: bytes, start: int) -> int:
+    """CRC of a payload without its first byte, which is the place of the CRC itself."""
+    crc, table = start, _CRC
+    for byte in payload[1:]:
+        crc = table[crc ^ byte]
+    return crc
+
+
+def _sealed(layout: struct.Struct, start: int, first: int, *fields: int) -> bytes:
+    """The payload of these fields with its CRC in the low byte of the first."""
+    return layout.pack(first | crc_of(layout.pack(first, *fields), start), *fields)
+
+
+def _checked(layout: struct.Struct, start: int, payload: bytes) -> tuple[int, ...]:
+    """The fields of a payload whose length and CRC are right."""
+    if len(payload) != layout.size:
+        raise FrameError("length")
+    if payload[0] != crc_of(payload, start):
+        raise FrameError("crc")
+    return layout.unpack(payload)
+
+
+def _check_range(name: str, value: int, limit: int) -> None:
+    if not -limit <= value <= limit:
+        raise ValueError(f"{name} of {value} counts does not fit its frame; allowed: ±{limit}")
+
+
 # A named tuple from a plain one, without the class's own constructor, which takes twice the time.
 _named = tuple.__new__
-
-
-def _refuse(**fields: tuple[int, int]) -> None:
-    """Raise ValueError for the first field, (value, limit), that does not fit."""
-    for name, (value, limit) in fields.items():
-        if not -limit <= value <= limit:
-            raise ValueError(f"{name} of {value} counts does not fit its frame; allowed: ±{limit}")
-
-
-def _encoder_word(alive: int, status: int, x: int, y: int) -> int:
-    if not (-X_LIMIT <= x <= X_LIMIT and -Y_LIMIT <= y <= Y_LIMIT):
-        _refuse(x=(x, X_LIMIT), y=(y, Y_LIMIT))
-    return alive << 8 | status << 12 | (x & 0x3FFFFFF) << 18 | (y & 0xFFFFF) << 44
 
 
 class Codec:
     """Packs and unpacks the frames of one node.
 
-    ``pack_…`` raises ValueError where a number does not fit its field; ``unpack_…`` raises :class:`FrameError` for a
-    wrong length, CRC or alive counter.
-
-    Args:
-        node: node id, 1 to 127.
-        fd: frames for CAN FD.
+    ``pack_…`` raises ValueError where a number does not fit its field; ``unpack_…``, its inverse, raises
+    :class:`FrameError` for a wrong length, CRC or alive counter. ``fd`` selects the frames for CAN FD.
     """
 
     def __init__(self, node: int, fd: bool) -> None:
@@ -173,66 +198,42 @@ class Codec:
         self.fd = fd
         self.encoder_id = ids.encoder_fd if fd else ids.encoder
         self.command_id = ids.command_fd if fd else ids.command
-        self._encoder_start = start_value(self.encoder_id)
-        self._command_start = start_value(self.command_id)
-        self._current_start = start_value(ids.current)
-        self.unpack_encoder = self._unpack_encoder_fd if fd else self._unpack_encoder_classic
-        self._command_layout, self._command_crc, self._echo_mask = (
-            (_COMMAND_FD, crc_of_8, 0xFFFFFFFF) if fd else (_COMMAND, crc_of_5, 0xFF)
-        )
+        self._encoder = _ENCODER_FD if fd else _ENCODER, start_value(self.encoder_id)
+        self._command = _COMMAND_FD if fd else _COMMAND, start_value(self.command_id)
+        self._current = _CURRENT, start_value(ids.current)
+        self._echo_mask = 0xFFFFFFFF if fd else 0xFF
 
     def pack_encoder(self, frame: Encoder) -> bytes:
         """Payload of an encoder frame: 8 bytes, or 16 for CAN FD."""
         alive, status, x, y, current, counter = frame
-        word = _encoder_word(alive, status, x, y)
+        _check_range("x", x, X_LIMIT)
+        _check_range("y", y, Y_LIMIT)
+        word = alive << 8 | status << 12 | (x & 0x3FFFFFF) << 18 | (y & 0xFFFFF) << 44
         if not self.fd:
-            return _ENCODER.pack(word | crc_of_8(_ENCODER.pack(word), self._encoder_start))
-        current = current or 0
-        if not -CURRENT_LIMIT <= current <= CURRENT_LIMIT:
-            _refuse(current=(current, CURRENT_LIMIT))
-        crc = crc_of_16(_ENCODER_FD.pack(word, current, counter or 0, 0), self._encoder_start)
-        return _ENCODER_FD.pack(word | crc, current, counter or 0, 0)
+            return _sealed(*self._encoder, word)
+        _check_range("current", current or 0, CURRENT_LIMIT)
+        return _sealed(*self._encoder, word, current or 0, counter or 0, 0)
 
-    def _unpack_encoder_classic(self, payload: bytes) -> Encoder:
-        if len(payload) != ENCODER_BYTES:
-            raise FrameError("length")
-        if payload[0] != crc_of_8(payload, self._encoder_start):
-            raise FrameError("crc")
-        (word,) = _ENCODER.unpack(payload)
+    def unpack_encoder(self, payload: bytes) -> Encoder:
+        word, *of_fd = _checked(*self._encoder, payload)
+        current, counter, _ = of_fd or (None, None, None)
         alive = word >> 8 & 15
         if alive >= ALIVE_MODULUS:
             raise FrameError("alive")
-        # Two's complement: from the unsigned number to the signed one.
-        x, y = (word >> 18 & 0x3FFFFFF ^ 0x2000000) - 0x2000000, (word >> 44 ^ 0x80000) - 0x80000
-        return _named(Encoder, (alive, word >> 12 & 63, x, y, None, None))
-
-    def _unpack_encoder_fd(self, payload: bytes) -> Encoder:
-        if len(payload) != ENCODER_FD_BYTES:
-            raise FrameError("length")
-        if payload[0] != crc_of_16(payload, self._encoder_start):
-            raise FrameError("crc")
-        word, current, counter, _ = _ENCODER_FD.unpack(payload)
-        alive = word >> 8 & 15
-        # The remainder is less than the modulus: this finds an alive counter that is none, too.
-        if counter >= COUNTER_MODULUS or counter % ALIVE_MODULUS != alive:
+        if counter is not None and (counter >= COUNTER_MODULUS or counter % ALIVE_MODULUS != alive):
             raise FrameError("alive")
+        # Two's complement: from the unsigned number to the signed one.
         x, y = (word >> 18 & 0x3FFFFFF ^ 0x2000000) - 0x2000000, (word >> 44 ^ 0x80000) - 0x80000
         return _named(Encoder, (alive, word >> 12 & 63, x, y, current, counter))
 
     def pack_current(self, frame: Current) -> bytes:
         """Payload of a coil current frame, 8 bytes."""
         alive, current, counter = frame
-        _refuse(current=(current, CURRENT_LIMIT))
-        crc = crc_of_8(_CURRENT.pack(0, alive, current, counter), self._current_start)
-        return _CURRENT.pack(crc, alive, current, counter)
+        _check_range("current", current, CURRENT_LIMIT)
+        return _sealed(*self._current, 0, alive, current, counter)
 
     def unpack_current(self, payload: bytes) -> Current:
-        """The inverse of :meth:`pack_current`."""
-        if len(payload) != CURRENT_BYTES:
-            raise FrameError("length")
-        crc, alive, current, counter = _CURRENT.unpack(payload)
-        if crc != crc_of_8(payload, self._current_start):
-            raise FrameError("crc")
+        _, alive, current, counter = _checked(*self._current, payload)
         if alive & 15 >= ALIVE_MODULUS or counter >= COUNTER_MODULUS:
             raise FrameError("alive")
         return Current(alive & 15, current, counter)
@@ -240,19 +241,11 @@ class Codec:
     def pack_command(self, frame: Command) -> bytes:
         """Payload of a command frame: 5 bytes, or 8 for CAN FD."""
         alive, enable, reset, current, echo = frame
-        if not -CURRENT_LIMIT <= current <= CURRENT_LIMIT:
-            _refuse(current=(current, CURRENT_LIMIT))
-        second, echo, pack = alive | enable << 4 | reset << 6, echo & self._echo_mask, self._command_layout.pack
-        return pack(self._command_crc(pack(0, second, current, echo), self._command_start), second, current, echo)
+        _check_range("current", current, CURRENT_LIMIT)
+        return _sealed(*self._command, 0, alive | enable << 4 | reset << 6, current, echo & self._echo_mask)
 
     def unpack_command(self, payload: bytes) -> Command:
-        """The inverse of :meth:`pack_command`."""
-        layout = self._command_layout
-        if len(payload) != layout.size:
-            raise FrameError("length")
-        crc, second, current, echo = layout.unpack(payload)
-        if crc != self._command_crc(payload, self._command_start):
-            raise FrameError("crc")
+        _, second, current, echo = _checked(*self._command, payload)
         if second & 15 >= ALIVE_MODULUS:
             raise FrameError("alive")
         return _named(Command, (second & 15, second >> 4 & 3, second >> 6, current, echo))

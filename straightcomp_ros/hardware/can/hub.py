@@ -1,28 +1,74 @@
-"""The hub: takes packets from each node of its bus and hands them to all others, through faults if asked for.
+"""The hub: takes packets from each node of its bus and passes them to all others, with injected faults if asked for.
 
-A SOCK_SEQPACKET socket keeps packets whole and in order, and shows when a node is gone. A node that does not fetch
-its frames loses them; the others go on. Of the frames that wait, the one of highest priority goes first, as on a bus:
-each node takes part with its oldest. They take no time on the bus.
+A SOCK_SEQPACKET socket keeps packets whole and in order, and shows when a node is gone. A node that does not read loses
+frames; the others go on. Of each node's oldest waiting frame, the one of highest priority goes first, as on a bus.
+Frames take no time on this bus.
 """
 
 from __future__ import annotations
 
 import contextlib
+import enum
 import select
 import socket
+import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
-from straightcomp_ros.hardware.can.bus_faults import LinkCut
-from straightcomp_ros.hardware.can.hub_packet import LONGEST, Frame, from_packet, priority, to_packet
 from straightcomp_ros.hardware.interface import HardwareError
 
 _AT_ONCE = 16
-"""Frames between two looks for those of others."""
+"""Frames between two polls of the sockets."""
 _LONGEST_WAIT_MS = 100
 _BUFFER = 1 << 20
+_HEAD = struct.Struct("<QIB")
+LONGEST = _HEAD.size + 64
 
-FaultHook = Callable[[Frame], list[Frame]]
+
+class Flag(enum.IntFlag):
+    """Kind of a frame."""
+
+    EXTENDED = 1
+    REMOTE = 2
+    ERROR = 4
+    FD = 8
+    BIT_RATE_SWITCH = 16
+
+
+# Plain numbers, since each operation on an IntFlag takes some microseconds. FD_FRAME is what this package sends.
+EXTENDED, REMOTE, ERROR = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR)
+FD_FRAME = int(Flag.FD | Flag.BIT_RATE_SWITCH)
+
+
+class Frame(NamedTuple):
+    """A frame on the bus; ``stamp_ns`` is the system time at which it was sent, ns since the epoch."""
+
+    stamp_ns: int
+    identifier: int
+    flags: int
+    data: bytes
+
+
+def to_packet(frame: Frame) -> bytes:
+    return _HEAD.pack(*frame[:3]) + frame.data
+
+
+def from_packet(packet: bytes) -> Frame:
+    return Frame(*_HEAD.unpack_from(packet), packet[_HEAD.size :])
+
+
+def priority(packet: bytes) -> tuple[int, int, int]:
+    """Sort key by which frames win the bus, the lowest first: by the bits of the identifier."""
+    _, identifier, flags = _HEAD.unpack_from(packet)
+    if flags & EXTENDED:
+        # After eleven equal bits a standard frame wins.
+        return identifier >> 18, 1, identifier & 0x3FFFF
+    return identifier, 0, 0
+
+
+class LinkCut(Exception):
+    """All nodes lose their connection to the bus."""
 
 
 class Hub:
@@ -30,31 +76,33 @@ class Hub:
 
     Args:
         path: of the socket, made here and removed by :meth:`close`.
-        fault: ``fault(frame)`` gives the frames that arrive in the place of one, or raises
-            :class:`~straightcomp_ros.hardware.can.bus_faults.LinkCut`.
-        member: ``member(packet)`` gets the frames for a node that lives in the hub's own process, and sends by
-            :meth:`put`.
+        fault: ``fault(frame)`` returns the frames that arrive in place of one, or raises :class:`LinkCut`.
+        member: ``member(packet)`` gets the frames for a node in the hub's own process, which sends by :meth:`put`.
 
     Raises:
         HardwareError: the socket cannot be made, or another hub listens on it.
     """
 
+    passed = 0
+    """Frames received."""
+    dropped = 0
+    """Frames that a node did not get because its buffer was full."""
+    cuts = 0
+    """How often the link was cut."""
+
     def __init__(
-        self, path: str | Path, fault: FaultHook | None = None, member: Callable[[bytes], object] | None = None
+        self,
+        path: str | Path,
+        fault: Callable[[Frame], list[Frame]] | None = None,
+        member: Callable[[bytes], object] | None = None,
     ) -> None:
         self._path = Path(path)
         self._fault = fault
         self._member = member
-        self.passed = 0
-        """Frames that came in."""
-        self.dropped = 0
-        """Frames that a node did not get because its buffer was full."""
-        self.cuts = 0
-        """Times that the link was cut."""
         self._readable = select.poll()
         self._nodes: dict[int, socket.socket] = {}
         self._waiting: dict[socket.socket, bytes] = {}
-        """The oldest frame of each node that has one to send."""
+        """The oldest unsent frame of each node that has one."""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._bind()
@@ -70,23 +118,23 @@ class Hub:
             with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
                 if probe.connect_ex(str(self._path)) == 0:
                     raise HardwareError(f"hub: another one listens on '{self._path}'")
-            # Left by a hub that was killed.
+            # It was left by a hub that was killed.
             self._path.unlink()
         self._listener.bind(str(self._path))
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Serve until ``stopped()``, which is asked ten times a second at least."""
+        """Serve until ``stopped()``, which is called at least ten times a second."""
         while not stopped():
             self.serve(_LONGEST_WAIT_MS)
 
     def serve(self, timeout_ms: int) -> None:
-        """Pass frames on, some at most; wait for the first up to ``timeout_ms``."""
+        """Pass on a bounded number of frames, waiting up to ``timeout_ms`` for the first."""
         waiting, nodes, listener = self._waiting, self._nodes, self._listener.fileno()
         for descriptor, _ in self._readable.poll(0 if waiting else timeout_ms):
             if descriptor == listener:
                 self._accept()
             elif descriptor in nodes and nodes[descriptor] not in waiting:
-                # Otherwise it has gone while others were served, or its frame has its turn below.
+                # Otherwise it is gone, or its frame waits already.
                 self._fetch(nodes[descriptor])
         for _ in range(_AT_ONCE):
             if not waiting:
@@ -96,19 +144,16 @@ class Hub:
             self._fetch(sender)
 
     def put(self, packet: bytes) -> None:
-        """A frame of the ``member``: to all others."""
+        """Pass a frame of the ``member`` to all others."""
         self._pass_on(None, packet)
 
     def cut(self) -> None:
         """Cut the link: every node loses its connection, and may connect again."""
         self.cuts += 1
-        for node in list(self._nodes.values()):
-            self._forget(node)
+        self._forget(*self._nodes.values())
 
     def close(self) -> None:
-        """End the bus."""
-        for node in list(self._nodes.values()):
-            self._forget(node)
+        self._forget(*self._nodes.values())
         self._listener.close()
         self._path.unlink(missing_ok=True)
 
@@ -119,13 +164,14 @@ class Hub:
         self._nodes[node.fileno()] = node
         self._readable.register(node, select.POLLIN)
 
-    def _forget(self, node: socket.socket) -> None:
-        self._readable.unregister(node)
-        del self._nodes[node.fileno()]
-        self._waiting.pop(node, None)
-        with contextlib.suppress(OSError):
-            node.shutdown(socket.SHUT_RDWR)
-        node.close()
+    def _forget(self, *nodes: socket.socket) -> None:
+        for node in nodes:
+            self._readable.unregister(node)
+            del self._nodes[node.fileno()]
+            self._waiting.pop(node, None)
+            with contextlib.suppress(OSError):
+                node.shutdown(socket.SHUT_RDWR)
+            node.close()
 
     def _fetch(self, node: socket.socket) -> None:
         try:
@@ -141,26 +187,25 @@ class Hub:
 
     def _pass_on(self, sender: socket.socket | None, packet: bytes) -> None:
         self.passed += 1
-        if self._fault is None:
-            self._spread(sender, packet)
-            return
-        try:
-            arriving = self._fault(from_packet(packet))
-        except LinkCut:
-            self.cut()
-            return
-        for frame in arriving:
-            self._spread(sender, to_packet(frame))
+        packets = [packet]
+        if self._fault is not None:
+            try:
+                packets = [to_packet(frame) for frame in self._fault(from_packet(packet))]
+            except LinkCut:
+                self.cut()
+                return
+        for packet in packets:
+            if self._member is not None and sender is not None:
+                self._member(packet)
+            for node in self._nodes.values():
+                if node is not sender:
+                    self._send(node, packet)
 
-    def _spread(self, sender: socket.socket | None, packet: bytes) -> None:
-        if self._member is not None and sender is not None:
-            self._member(packet)
-        for node in self._nodes.values():
-            if node is not sender:
-                try:
-                    node.send(packet)
-                except BlockingIOError:
-                    self.dropped += 1
-                except OSError:
-                    # It has gone; its own turn to be served removes it.
-                    continue
+    def _send(self, node: socket.socket, packet: bytes) -> None:
+        try:
+            node.send(packet)
+        except BlockingIOError:
+            self.dropped += 1
+        except OSError:
+            # It is gone, and serve() will remove it.
+            pass

@@ -1,7 +1,7 @@
 """python-can's interface ``straightcomp_hub``: a bus between processes of one computer, where the kernel has no CAN.
 
 The channel is the path of the hub's socket, see :mod:`straightcomp_ros.hardware.can.hub`. Frames of one sender arrive
-in the order in which they were sent; a receiver that does not keep up loses frames, as with an adapter.
+in the order of sending; a receiver that does not keep up loses frames, as with an adapter.
 """
 
 from __future__ import annotations
@@ -14,32 +14,22 @@ from typing import Any
 
 import can
 
-from straightcomp_ros.hardware.can.hub_packet import LONGEST, Flag, Frame, from_packet, to_packet
+from straightcomp_ros.hardware.can.hub import LONGEST, Flag, Frame, from_packet, to_packet
 
 INTERFACE = "straightcomp_hub"
 _BUFFER = 1 << 20
 _SELECTABLE = 1024
-_BITS = (
-    ("is_extended_id", Flag.EXTENDED),
-    ("is_remote_frame", Flag.REMOTE),
-    ("is_error_frame", Flag.ERROR),
-    ("is_fd", Flag.FD),
-    ("bitrate_switch", Flag.BIT_RATE_SWITCH),
-)
+_NAMES = ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch")
+_BITS = tuple((name, int(flag)) for name, flag in zip(_NAMES, Flag, strict=True))
 _KINDS = [{name: bool(flags & bit) for name, bit in _BITS} for flags in range(256)]
-"""What each combination of flags is to python-can; looked up, since each operation on them takes microseconds."""
+"""python-can's arguments for each combination of flags."""
 
 
 class HubBus(can.BusABC):
-    """One node on the hub's bus.
-
-    Args:
-        channel: path of the hub's socket.
-        can_filters: as in python-can; applied in this process.
-        fd: whether frames of CAN FD may be sent.
+    """One node on the bus of the hub whose socket is ``channel``; ``can_filters`` are applied in this process.
 
     Raises:
-        can.CanInitializationError: nobody listens there.
+        can.CanInitializationError: no hub listens there.
     """
 
     def __init__(self, channel: str, can_filters: Any = None, fd: bool = False, **options: Any) -> None:
@@ -58,22 +48,14 @@ class HubBus(can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
 
     def recv_frame(self, timeout: float) -> Frame | None:
-        """The next frame, whatever its identifier, without a message of python-can, which costs as much as all else;
-        None if none has come within ``timeout`` s.
+        """The next frame, unfiltered, or None after ``timeout`` s; raises can.CanOperationError if the hub is gone.
 
-        Raises:
-            can.CanOperationError: the hub is gone.
+        It is without the cost of python-can's message.
         """
-        if timeout and not self._wait(timeout):
-            return None
-        return self._frame()
+        return None if timeout and not self._wait(timeout) else self._frame()
 
     def send_frame(self, identifier: int, flags: int, data: bytes) -> None:
-        """Hand a frame to the hub, as :meth:`send` does.
-
-        Raises:
-            can.CanOperationError: the socket's buffer is full, or the hub is gone.
-        """
+        """Hand a frame to the hub as :meth:`send` does, without waiting and without python-can's message."""
         try:
             self._socket.send(to_packet(Frame(time.time_ns(), identifier, flags, data)))
         except BlockingIOError as error:
@@ -84,17 +66,16 @@ class HubBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Hand a frame to the hub; its stamp is the time of this call.
 
-        Raises:
-            can.CanOperationError: the socket's buffer is full for ``timeout`` seconds (not waiting, if None), or
-                the hub is gone.
+        Raises can.CanOperationError if the buffer is full for ``timeout`` s (None: at once), or the hub is gone.
         """
+        frame = msg.arbitration_id, _flags(msg), bytes(msg.data)
         try:
-            self.send_frame(msg.arbitration_id, _flags(msg), bytes(msg.data))
+            self.send_frame(*frame)
         except can.CanOperationError as error:
             full = isinstance(error.__cause__, BlockingIOError)
             if not (full and timeout and select.select([], [self._socket], [], timeout)[1]):
                 raise
-            self.send_frame(msg.arbitration_id, _flags(msg), bytes(msg.data))
+            self.send_frame(*frame)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         frame = self._frame()
@@ -103,7 +84,7 @@ class HubBus(can.BusABC):
         if frame is None:
             return None, False
         message = message_of(frame)
-        # Filters are for identifiers, and an error frame has none: it passes, as with socketcan.
+        # An error frame has no identifier and passes the filters, as with socketcan.
         return message, message.is_error_frame
 
     def _frame(self) -> Frame | None:
@@ -118,40 +99,29 @@ class HubBus(can.BusABC):
         return from_packet(packet)
 
     def _wait(self, timeout: float | None) -> bool:
-        """Whether there is something to read within ``timeout``."""
-        # select() knows times below a millisecond, but no descriptors from 1024 on.
+        # select() takes times below a millisecond, but no descriptors from 1024 on.
         if self._socket.fileno() < _SELECTABLE:
             return bool(select.select([self._socket], [], [], timeout)[0])
         return bool(self._readable.poll(None if timeout is None else max(1, round(timeout * 1e3))))
 
     def shutdown(self) -> None:
-        """Leave the bus."""
         super().shutdown()
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
     def fileno(self) -> int:
-        """File descriptor of the socket."""
         return self._socket.fileno()
 
 
 def frame_of(message: can.Message) -> Frame:
-    """python-can's message as a frame."""
     return Frame(round(message.timestamp * 1e9), message.arbitration_id, _flags(message), bytes(message.data))
 
 
 def message_of(frame: Frame) -> can.Message:
-    """A frame as python-can's message."""
     stamp_ns, identifier, flags, data = frame
     return can.Message(timestamp=stamp_ns * 1e-9, arbitration_id=identifier, data=data, **_KINDS[flags])
 
 
 def _flags(message: can.Message) -> int:
-    return (
-        message.is_extended_id * Flag.EXTENDED
-        | message.is_remote_frame * Flag.REMOTE
-        | message.is_error_frame * Flag.ERROR
-        | message.is_fd * Flag.FD
-        | message.bitrate_switch * Flag.BIT_RATE_SWITCH
-    )
+    return sum(bit for name, bit in _BITS if getattr(message, name))

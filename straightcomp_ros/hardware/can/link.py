@@ -1,8 +1,8 @@
-"""A python-can bus that is opened again when it fails, read by the thread that acts on what comes.
+"""A python-can bus that is opened again when it fails.
 
-python-can's Notifier ends with the first error and says nothing of silence; here an error closes the bus, and it is
-opened again, at first soon, then less often. Opening may take seconds, and has a thread of its own. Reading has none:
-from one thread to another each frame would pay for a wake-up and for the interpreter's lock.
+python-can's Notifier ends with the first error. Here an error closes the bus, and it is opened again, at first soon,
+then less often. Opening may take seconds and has its own thread. The caller's thread reads: handing frames to another
+thread would cost a wake-up and the interpreter's lock for each.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import can
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import FrameLog
+from straightcomp_ros.hardware.can.hub import ERROR, EXTENDED, FD_FRAME, Frame
 from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
-from straightcomp_ros.hardware.can.hub_packet import ERROR, EXTENDED, FD_FRAME, Frame
 from straightcomp_ros.settings.declaration import ParameterError
 
 _SHORTEST_WAIT_S, _LONGEST_WAIT_S = 0.02, 1.0
@@ -36,11 +36,7 @@ def check_interface(parameters: CanParameters) -> None:
 
 
 def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | None = None) -> can.BusABC:
-    """Open the bus; ``filters`` as in python-can, None lets all frames through.
-
-    Raises:
-        can.CanError, OSError: the interface does not open; some raise what their drivers do.
-    """
+    """Open the bus; raises can.CanError or OSError, and with some interfaces other errors of their drivers."""
     rates = {"data_bitrate": parameters.data_bitrate} if parameters.fd else {}
     return can.Bus(
         interface=parameters.interface,
@@ -54,18 +50,22 @@ def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | No
 
 
 class Link:
-    """Frames in by :meth:`wait`, which calls back, frames out by :meth:`send`; one thread calls both.
+    """Receives in :meth:`wait`, which calls back, and sends by :meth:`send`; one thread calls both.
 
-    Args:
-        parameters: which bus.
-        identifiers: CAN identifiers to let through.
-        receive: ``receive(frame, arrival_ns)``, called for each frame.
-        clock: the host's time in ns, as :mod:`straightcomp_ros.hardware.interface` has it.
+    ``receive(frame, arrival_ns)`` is called for each frame with one of ``identifiers`` and for each error frame;
+    ``clock`` is the host's time in ns.
 
     Raises:
         ParameterError: python-can knows no such interface.
         HardwareError: the frame log cannot be made.
     """
+
+    openings = 0
+    """How often the bus was opened."""
+    transmit_full = 0
+    """Frames that were not sent because the queue was full or the bus closed."""
+    overloads = 0
+    """How often more frames had arrived than are read at once."""
 
     def __init__(
         self,
@@ -84,31 +84,22 @@ class Link:
         self._bus: can.BusABC | None = None
         self._opener: threading.Thread | None = None
         self._closing = False
-        self._wait_s = _SHORTEST_WAIT_S
-        self._next_opening_s = 0.0
-        self.openings = 0
-        """Times that the bus was opened."""
-        self.transmit_full = 0
-        """Frames that were not sent because the queue was full or the bus closed."""
-        self.overloads = 0
-        """Times that more frames came at once than were read at once."""
-        self._started = False
+        self._wait_s, self._next_opening_s = _SHORTEST_WAIT_S, 0.0
         self._name = f"CAN {parameters.interface} {parameters.channel}"
         self.problem = f"{self._name} is not open yet"
         """Why the bus is closed; empty while it is open."""
 
     def start(self) -> None:
-        """Open the bus; again, where nobody has read for a while: what has come meanwhile is old."""
-        if self.log and not self._started:
+        """Open the bus, or open it again after a pause in which nobody read, to drop old frames."""
+        if self.log:
             self.log.start()
-        self._started = True
         if self._bus is not None:
             self.problem = f"{self._name} is being opened again"
             self._drop(self._bus)
         self._open_soon()
 
     def wait(self, timeout_s: float) -> int:
-        """Take the frames that have come; without one wait for the first, up to ``timeout_s``. Returns how many."""
+        """Take the frames that have arrived, waiting up to ``timeout_s`` for the first; returns how many."""
         bus = self._bus
         if bus is None:
             self._open_soon()
@@ -117,32 +108,31 @@ class Link:
         try:
             return self._read(bus, timeout_s)
         except Exception as error:
-            # Back ends of python-can raise whatever their drivers do; the driver's loop must not end of any of it.
+            # Interfaces of python-can raise any error of their drivers; the driver node's loop must survive them all.
             self._lose(bus, error)
             return 0
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
-        """Hand a frame to the bus, without waiting; False if it was not taken."""
+        """Hand a frame to the bus without waiting; False if it was not taken."""
         bus, flags = self._bus, FD_FRAME if fd else 0
         try:
-            if bus is not None:
-                if isinstance(bus, HubBus):
-                    bus.send_frame(identifier, flags, payload)
-                else:
-                    bus.send(message_of(Frame(0, identifier, flags, payload)), timeout=0)
-                if self.log:
-                    message = message_of(Frame(time.time_ns(), identifier, flags, payload))
-                    message.is_rx = False
-                    self.log.put(message)
-                return True
+            if isinstance(bus, HubBus):
+                bus.send_frame(identifier, flags, payload)
+            elif bus is not None:
+                bus.send(message_of(Frame(0, identifier, flags, payload)), timeout=0)
         except (can.CanError, OSError, ValueError):
-            # Reading finds out what is wrong, if it is more than a full queue.
-            pass
-        self.transmit_full += 1
-        return False
+            # If it is more than a full queue, reading finds the error.
+            bus = None
+        if bus is None:
+            self.transmit_full += 1
+            return False
+        if self.log:
+            message = message_of(Frame(time.time_ns(), identifier, flags, payload))
+            message.is_rx = False
+            self.log.put(message)
+        return True
 
     def close(self) -> None:
-        """Close the bus."""
         self._closing = True
         if self._opener is not None:
             self._opener.join(2.0)
@@ -153,7 +143,7 @@ class Link:
     def _open_soon(self) -> None:
         busy = self._opener is not None and self._opener.is_alive()
         if self._bus is None and not busy and time.monotonic() >= self._next_opening_s:
-            # It takes this thread's scheduling: one that held the interpreter and got no CPU would hold up the loop.
+            # It inherits this thread's priority: if it held the interpreter's lock without a CPU, the loop would wait.
             self._opener = threading.Thread(target=self._open, name="can", daemon=True)
             self._opener.start()
 
@@ -186,7 +176,7 @@ class Link:
         frame = _next_frame(bus, timeout_s)
         taken = 0
         while frame is not None:
-            # The hub's interface has not filtered, and an error frame has no identifier.
+            # recv_frame() of the hub's interface does not filter, and an error frame has no identifier.
             if (frame.identifier in self._identifiers and not frame.flags & EXTENDED) or frame.flags & ERROR:
                 self._receive(frame, self._arrival(frame.stamp_ns))
                 if self.log:
@@ -201,7 +191,7 @@ class Link:
         return taken
 
     def _arrival(self, stamp_ns: int) -> int:
-        """When the frame was on the bus: the adapter's time, if it is the system's, else now."""
+        """When the frame was on the bus: the adapter's stamp if it is of the system's clock, else now."""
         now_ns, late_ns = self._clock(), time.time_ns() - stamp_ns
         return now_ns - late_ns if 0 <= late_ns < _SAME_CLOCK_NS else now_ns
 

@@ -1,20 +1,19 @@
-"""The board's sampling clock as the host's clock sees it: a time for each sample number.
+"""The board's sampling clock in the host's time: a stamp for each sample number.
 
-Frames come late by an amount that changes, but never early. The line that the clock follows is therefore drawn
-through the promptest frame of each block; a first-order correction of its place and an integral one of its rate
-make it follow a quartz that is off by 100 ppm and more. It bends, but never jumps: stamps rise by a period each.
+Frames are late by a varying amount, but never early. The stamps therefore follow a line through the promptest frame of
+each block. A first-order correction of its offset and an integral correction of its rate make it follow a quartz that
+is off by 100 ppm and more. The line bends but never jumps: stamps rise by about a period each.
 """
 
 from __future__ import annotations
 
 BLOCK = 128
 """Samples of a block: 64 ms at 2 kHz."""
-_PLACE_GAIN = 0.5
-_RATE_GAIN = 0.1
+_PLACE_GAIN, _RATE_GAIN = 0.5, 0.1
 _MOST_CORRECTION = 0.1
-"""Of a place, in periods for each block: a stalled host must not drag the clock along."""
+"""Of the offset, in periods per block: a stalled host must not drag the clock along."""
 _MOST_EARLY = 16.0
-"""Periods: still an eighth of a block, so that stamps rise while the line is drawn in."""
+"""Periods: an eighth of a block, so that stamps still rise while the line is corrected."""
 _MOST_RATE = 1e-3
 _LOST_PERIODS, _LOST_BLOCKS = 4.0, 4
 
@@ -22,10 +21,7 @@ _LOST_PERIODS, _LOST_BLOCKS = 4.0, 4
 class SampleClock:
     """Line ``stamp(index)`` in ns through the times of arrival; :attr:`settled` after the first block.
 
-    A stamp is late by the shortest time that a frame takes from sampling to the host.
-
-    Args:
-        period_ns: nominal length of a sampling period.
+    A stamp is late by the shortest time from sampling to arrival. ``period_ns`` is the nominal sampling period.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -33,7 +29,6 @@ class SampleClock:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all; the next observation begins anew."""
         self.settled = False
         self._origin_index = self._origin_ns = self._count = self._lost_blocks = 0
         self._place = self._rate = self._bend = 0.0
@@ -49,12 +44,12 @@ class SampleClock:
         return (arrival_ns - self.stamp(index)) / self._slope
 
     def observe(self, index: int, arrival_ns: int) -> None:
-        """A sample's frame arrived; samples come in order, some may be missing."""
+        """Take the time of arrival of a sample; samples come in order, some may be missing."""
         if self._count == 0 and not self.settled:
             self._origin_index, self._origin_ns = index, arrival_ns
         step = index - self._origin_index
         late = arrival_ns - self._origin_ns - self._place - step * self._slope
-        # As it will be at the end of the block, when the line has been bent.
+        # As seen from the end of the block, when the line has been bent.
         late -= (BLOCK - step) * self._bend
         if late < self._least:
             self._least = late
@@ -68,12 +63,12 @@ class SampleClock:
             self._place += late
             self.settled = True
             return
-        # Whole periods, block after block: this is no jitter, the board's clock was interrupted.
+        # An error of whole periods in block after block is no jitter: the board's clock was interrupted.
         self._lost_blocks = self._lost_blocks + 1 if abs(late) > _LOST_PERIODS * self._nominal else 0
         if self._lost_blocks >= _LOST_BLOCKS:
             self.reset()
             return
-        # That frames are late proves little; one that is early proves that the line was drawn too late.
+        # Late frames prove little, but an early one proves that the line is too late.
         late = min(max(late, -_MOST_EARLY * self._nominal), _MOST_CORRECTION * self._nominal)
         usual = max(late, -_MOST_CORRECTION * self._nominal)
         self._rate = min(max(self._rate + _RATE_GAIN * usual / BLOCK / self._nominal, -_MOST_RATE), _MOST_RATE)

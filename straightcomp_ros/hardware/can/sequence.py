@@ -1,8 +1,8 @@
-"""Which sample a frame carries: its number, from a counter that wraps.
+"""The number of a frame's sample, from a counter that wraps.
 
-A frame for CAN FD has the sample counter itself. A classic one has its remainder by 15 only, which gives the number
-while fewer than ten samples passed since the last frame; the host's clock tells that. After a longer silence
-frames wait for the next frame with the full counter, at most ten samples later: they are never guessed.
+A frame for CAN FD has the sample counter itself. A classic one has only its remainder by 15, which gives the number
+while by the host's clock fewer than ten samples passed since the last frame. After a longer silence, frames wait for
+the next frame with the full counter, at most ten samples later: numbers are never guessed.
 """
 
 from __future__ import annotations
@@ -13,19 +13,15 @@ from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, COUNTER_MODULUS,
 
 _AMBIGUOUS = 10
 _EARLY = ALIVE_MODULUS - 1 - _AMBIGUOUS
-"""Samples by which a frame may seem to come before its time: the clock may have been set by frames that were late."""
+"""Samples by which a frame may seem early: late frames may have set the clock."""
 _MOST_WAITING = ALIVE_MODULUS - 1
 _KEPT_MISSING = 256
-
-Waiting = tuple[Encoder, int]
-"""A frame and its time of arrival."""
 
 
 class Sequence:
     """Numbers of the samples, and what is missing between them.
 
-    Args:
-        elapsed: ``elapsed(index, arrival_ns)``, samples taken since ``index``, by the clock.
+    ``elapsed(index, arrival_ns)`` is the number of samples taken since ``index``, by the clock.
     """
 
     def __init__(self, elapsed: Callable[[int, int], float]) -> None:
@@ -38,12 +34,12 @@ class Sequence:
         """Start anew: the next frame with a full counter gives the number."""
         self.index: int | None = None
         self._missing.clear()
-        self._waiting: list[Waiting] = []
+        self._waiting: list[tuple[Encoder, int]] = []
 
     def ahead(self, frame: Encoder, arrival_ns: int) -> int | None:
         """How many samples a frame is ahead of the newest accepted one, 1 for the next; None if it has to wait.
 
-        Zero or less is no new sample: see :meth:`count_old`.
+        With zero or less it carries no new sample, see :meth:`count_old`.
         """
         if frame.counter is not None:
             return 1 if self.index is None else _signed(frame.counter - self.index, COUNTER_MODULUS)
@@ -56,16 +52,15 @@ class Sequence:
         return ahead if ahead <= passed + _EARLY else ahead - ALIVE_MODULUS
 
     def plausible(self, ahead: int, arrival_ns: int) -> bool:
-        """Whether a full counter fits the clock: not from the future, and not from before the last half second."""
+        """Whether a full counter fits the clock: not in the future, and not more than 1000 samples old."""
         return self.index is None or -1000 < ahead <= self._elapsed(self.index, arrival_ns) + _EARLY
 
     def accept(self, frame: Encoder, ahead: int) -> int:
-        """The frame is the newest sample; returns its number, and counts what lies between."""
+        """Take the frame as the newest sample; return its number, and count those lost before it."""
         if self.index is None:
             self.index = frame.counter or 0
             return self.index
-        for number in range(self.index + 1, min(self.index + ahead, self.index + _KEPT_MISSING)):
-            self._missing[number] = None
+        self._missing |= dict.fromkeys(range(self.index + 1, self.index + min(ahead, _KEPT_MISSING)))
         while len(self._missing) > _KEPT_MISSING:
             del self._missing[next(iter(self._missing))]
         self.lost += ahead - 1
@@ -73,7 +68,7 @@ class Sequence:
         return self.index
 
     def count_old(self, ahead: int) -> None:
-        """A frame that is no new sample came: one that was missing, or one that was there already."""
+        """Count a frame without a new sample: one that was missing, or one that is repeated."""
         number = (self.index or 0) + ahead
         if number in self._missing:
             del self._missing[number]
@@ -89,19 +84,18 @@ class Sequence:
             del self._waiting[0]
             self.unplaced += 1
 
-    def place(self, counter: int, alive: int) -> list[tuple[int, Waiting]]:
-        """A full counter came, with or after the frame of that sample: the waiting frames with their numbers.
+    def place(self, counter: int, alive: int) -> list[tuple[int, tuple[Encoder, int]]]:
+        """Number the waiting frames; returns (number, (frame, arrival_ns)), oldest first.
 
-        Args:
-            counter: number of the sample.
-            alive: the alive counter of the newest encoder frame.
+        ``counter`` is the number of the newest encoder frame's sample or of one before it, ``alive`` that frame's own.
         """
+        ahead = 0 if self.index is None else _signed(counter - self.index, COUNTER_MODULUS)
         if not self._waiting:
-            if self.index is not None and not -1 <= _signed(counter - self.index, COUNTER_MODULUS) < ALIVE_MODULUS - 1:
+            if self.index is not None and not -1 <= ahead < ALIVE_MODULUS - 1:
                 self.jumps += 1
                 self.reset()
             return []
-        full = counter if self.index is None else self.index + _signed(counter - self.index, COUNTER_MODULUS)
+        full = counter if self.index is None else self.index + ahead
         number = full - (full - alive) % ALIVE_MODULUS
         placed = []
         later = alive
@@ -114,5 +108,5 @@ class Sequence:
 
 
 def _signed(difference: int, modulus: int) -> int:
-    """The difference of two counters, the short way round."""
+    """The difference of two counters, the shorter way round."""
     return (difference + modulus // 2) % modulus - modulus // 2

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.hardware.simulated import NEVER, Hold, SimulatedParameters, holding_current, impulse_after
+from straightcomp_ros.hardware.simulated import SimulatedParameters
+from straightcomp_ros.model.commanded_plant import BIAS, READING, Hold, advance_to_sample, commanded_plant
 from straightcomp_ros.model.compiled import compiled
-from straightcomp_ros.model.converters import nearest_count, nearest_step
-from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
+from straightcomp_ros.model.plant import PlantParameters, PlantState
 
 _SHIPPED_HOLD = SimulatedParameters().hold
 _compiling = threading.Lock()
@@ -56,11 +56,7 @@ class Cycle(NamedTuple):
 
 
 def run_cycle(
-    law: Law,
-    plant: PlantParameters,
-    conditions: Conditions,
-    initial_y: float = 0.0,
-    hold: Hold = _SHIPPED_HOLD,
+    law: Law, plant: PlantParameters, conditions: Conditions, initial_y: float = 0.0, hold: Hold = _SHIPPED_HOLD
 ) -> Cycle:
     """Run one cycle with the amplifier on from the first sample, as `Simulation` does.
 
@@ -85,14 +81,10 @@ def run_from(
     count = conditions.stamps.size
     true_y, y, current = np.empty(count), np.empty(count), np.empty(count)
     first = plant.encoder.reading(initial.y + float(conditions.noise[0]))
+    machine = commanded_plant(plant, hold, initial)
+    machine.state[BIAS] = plant.actuator.bias_current
     done = kernel(law.function)(
-        as_array(plant.constants()),
-        np.array(initial),
-        plant.actuator.bias_current,
-        plant.encoder.resolution,
-        plant.drive.current_step,
-        plant.drive.half_codes,
-        hold,
+        *machine,
         conditions.stamps,
         np.maximum.accumulate(conditions.stamps + conditions.delays),
         conditions.references,
@@ -116,63 +108,16 @@ def kernel(step: Callable[..., Any]) -> Callable[..., int]:
 
 def _loop_around(step: Callable[..., Any]) -> Callable[..., int]:
     def loop(  # type: ignore[no-untyped-def]
-        constants,
-        state,
-        bias,
-        resolution,
-        current_step,
-        half_codes,
-        hold,
-        stamps,
-        effective,
-        references,
-        noise,
-        gains,
-        law_state,
-        true_y,
-        y,
-        current,
+        constants, state, times, stamps, effective, references, noise, gains, law_state, true_y, y, current
     ):
-        """Samples done. Its length is its point: in one function, so that the order of events can be read."""
+        """Samples done."""
         taken = 0
-        now = 0
-        command = mean = anchor = impulse = 0.0
-        hold_at = NEVER
-        holding = False
         for k in range(stamps.size):
-            # As SimulatedHardware integrates: a call of advance() spans one command, up to what comes next.
-            until = stamps[k]
-            while True:
-                if taken < k and effective[taken] <= until and effective[taken] <= hold_at:
-                    at = effective[taken]
-                    asked = nearest_step(current_step, half_codes, current[taken])
-                    mean += hold.weight * (asked - mean)
-                    hold_at = at + hold.after_ns
-                    holding = False
-                    taken += 1
-                elif hold_at <= until:
-                    at = hold_at
-                    hold_at, holding, anchor = NEVER, True, y[k - 1]
-                    impulse = impulse_after(hold, impulse, command - mean)
-                    asked = nearest_step(current_step, half_codes, holding_current(hold, mean, impulse, 0.0))
-                else:
-                    break
-                end = min(until, hold_at)
-                if taken < k:
-                    end = min(end, effective[taken])
-                advance(constants, state, bias, command, at - now, asked, end - at)
-                command = asked
-                now = end
-            if now < until:
-                advance(constants, state, bias, command, until - now, 0.0, 0)
-                now = until
+            waiting, asked = effective[taken:], current[taken:]
+            taken += advance_to_sample(constants, state, times, waiting, asked, k - taken, stamps[k], noise[k])
             if not math.isfinite(state[0]):
                 return k
-            true_y[k] = state[0]
-            y[k] = nearest_count(resolution, state[0] + noise[k])
-            impulse = impulse_after(hold, impulse, command - mean)
-            if holding:
-                command = nearest_step(current_step, half_codes, holding_current(hold, mean, impulse, y[k] - anchor))
+            true_y[k], y[k] = state[0], state[READING]
             law_state, answer = step(
                 gains, law_state, y[k], references[k, 0], references[k, 1], references[k, 2], state[3]
             )

@@ -19,7 +19,7 @@ from straightcomp_ros.hardware.can.frames import (
     Encoder,
     status_bits,
 )
-from straightcomp_ros.hardware.can.hub_packet import Flag, Frame
+from straightcomp_ros.hardware.can.hub import Flag, Frame
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 

@@ -18,7 +18,7 @@ from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.bus_faults import Faults, LinkCut
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import POSITION_COUNT, Amplifier, Codec
-from straightcomp_ros.hardware.can.hub_packet import ERROR, Flag, Frame
+from straightcomp_ros.hardware.can.hub import ERROR, Flag, Frame
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back

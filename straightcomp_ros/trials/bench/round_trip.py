@@ -23,8 +23,8 @@ from straightcomp_ros.cell.launcher import Graph, LaunchError, verb_command
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, Command, Switch
+from straightcomp_ros.hardware.can.hub import Frame
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
-from straightcomp_ros.hardware.can.hub_packet import Frame
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.trials.bench.processes import cores, usage

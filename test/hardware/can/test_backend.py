@@ -12,7 +12,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Command, Switch
-from straightcomp_ros.hardware.can.hub_packet import ERROR, FD_FRAME, REMOTE, Frame
+from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, REMOTE, Frame
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters

@@ -7,9 +7,9 @@ import pytest
 
 from straightcomp_ros.hardware.can.bus_faults import Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, stage_payloads
 from straightcomp_ros.hardware.can.frames import Identifiers
-from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
-from straightcomp_ros.hardware.can.hub_packet import (
+from straightcomp_ros.hardware.can.hub import (
     ERROR,
     EXTENDED,
     FD_FRAME,
@@ -20,8 +20,8 @@ from straightcomp_ros.hardware.can.hub_packet import (
     priority,
     to_packet,
 )
+from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
-from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payloads
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.model.stage import Waypoint
 from straightcomp_ros.settings.declaration import ParameterError
@@ -58,10 +58,10 @@ def test_a_waypoint_is_kept_to_ten_nanometres_and_ten_micrometres_per_second():
     points = [Waypoint(0, -0.123456785, 0.0), Waypoint(10**9, 1.76, -0.12346), Waypoint(2**55, 1.76, 0.0)]
     frames = stage_payloads(ids, points)
     assert [identifier for identifier, _ in frames] == [ids.stage_time, ids.stage_motion] * 3 + [ids.stage_start]
-    *gathering, received = [StageInbox(ids), *frames]
-    inbox, *others = gathering
-    assert all(inbox.add(*frame) is None for frame in others)
-    found = inbox.add(*received).waypoints
+    *gathering, received = [StageReceiver(ids), *frames]
+    receiver, *others = gathering
+    assert all(receiver.add(*frame) is None for frame in others)
+    found = receiver.add(*received).waypoints
     assert [point.time_ns for point in found] == [point.time_ns for point in points]
     assert [point.position for point in found] == pytest.approx([point.position for point in points], abs=0.51e-8)
     assert [point.velocity for point in found] == pytest.approx([point.velocity for point in points], abs=0.51e-5)
@@ -69,7 +69,7 @@ def test_a_waypoint_is_kept_to_ten_nanometres_and_ten_micrometres_per_second():
     assert struct.unpack("<i", frames[3][1][5:] + b"\xff")[0] == -12346
     # What was gathered is used once.
     with pytest.raises(HardwareError, match="missing"):
-        inbox.add(*received)
+        receiver.add(*received)
 
 
 def test_a_stage_may_have_255_points_and_each_must_fit():
@@ -88,12 +88,12 @@ def test_frames_of_another_length_or_identifier_are_none_of_the_stages():
     frames = stage_payloads(ids, [Waypoint(0, 0.0, 0.0), Waypoint(9, 1.0, 0.0)])
     for spoiled in range(4):
         for change in (lambda i, data: (i, data + b"\0"), lambda i, data: (i + 1, data)):
-            inbox = StageInbox(ids)
+            receiver = StageReceiver(ids)
             for number, frame in enumerate(frames[:-1]):
-                assert inbox.add(*(change(*frame) if number == spoiled else frame)) is None
+                assert receiver.add(*(change(*frame) if number == spoiled else frame)) is None
             with pytest.raises(HardwareError, match="missing"):
-                inbox.add(*frames[-1])
-    assert StageInbox(ids).add(frames[-1][0], frames[-1][1] + b"\0") is None
+                receiver.add(*frames[-1])
+    assert StageReceiver(ids).add(frames[-1][0], frames[-1][1] + b"\0") is None
 
 
 def test_options_of_an_interface_are_pairs_of_a_name_and_a_value():

@@ -12,12 +12,11 @@ import pytest
 from waiting import comes_true
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.hardware.can import frame_replay
+from straightcomp_ros.hardware.can import frame_log
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frame_log import FrameLog
-from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
+from straightcomp_ros.hardware.can.frame_log import DamagedLog, FrameLog, of_the_board, play, recorded_frames
 from straightcomp_ros.hardware.can.frames import Codec
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
@@ -243,7 +242,7 @@ def test_frames_of_others_are_left_out(tmp_path):
 def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monkeypatch):
     now, sent = [500.0], []
     clock = SimpleNamespace(monotonic=lambda: now[0], sleep=lambda seconds: now.__setitem__(0, now[0] + seconds))
-    monkeypatch.setattr(frame_replay, "time", clock)
+    monkeypatch.setattr(frame_log, "time", clock)
     bus = SimpleNamespace(send=lambda message, timeout: sent.append((now[0], message)))
     frames = [can.Message(timestamp=START_S + at, arbitration_id=1, channel="can7") for at in (0.0, 0.5, 0.4, 3.0)]
     assert play(frames, bus, 2.0) == 4

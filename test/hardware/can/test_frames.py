@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.hardware.can.crc import crc_of_5, crc_of_8, crc_of_16, start_value
+from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, stage_payloads, truth_of, truth_payload
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     COUNTER_MODULUS,
@@ -21,12 +21,12 @@ from straightcomp_ros.hardware.can.frames import (
     FrameError,
     Switch,
     amplifier_of,
+    crc_of,
     encoders_valid,
     fault_of,
+    start_value,
     status_bits,
 )
-from straightcomp_ros.hardware.can.stage_frames import StageInbox, stage_payloads
-from straightcomp_ros.hardware.can.truth_frame import truth_of, truth_payload
 from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.settings.share import share_path
@@ -213,7 +213,7 @@ def test_physical_values_and_identifiers_agree_with_the_dbc():
 
 @pytest.mark.parametrize("alive, crc", [(0, 0xCC), (1, 0x91)])
 def test_the_crc_gives_the_examples_of_autosar_for_data_id_0x123(alive, crc):
-    assert crc_of_8(bytes([0, alive, 0, 0, 0, 0, 0, 0]), start_value(0x123)) == crc
+    assert crc_of(bytes([0, alive, 0, 0, 0, 0, 0, 0]), start_value(0x123)) == crc
 
 
 def crc_bit_by_bit(data):
@@ -225,10 +225,10 @@ def crc_bit_by_bit(data):
     return crc
 
 
-@given(st.integers(0, 0xFFFF), st.sampled_from([crc_of_5, crc_of_8, crc_of_16]), st.binary(min_size=16, max_size=16))
-def test_the_crc_by_table_is_the_one_taken_bit_by_bit_whatever_stands_in_its_place(data_id, crc, payload):
-    payload = payload[: int(crc.__name__.removeprefix("crc_of_"))]
-    assert crc(payload, start_value(data_id)) == crc_bit_by_bit(data_id.to_bytes(2, "little") + payload[1:])
+@given(st.integers(0, 0xFFFF), st.sampled_from([5, 8, 16]), st.binary(min_size=16, max_size=16))
+def test_the_crc_by_table_is_the_one_taken_bit_by_bit_whatever_stands_in_its_place(data_id, size, payload):
+    payload = payload[:size]
+    assert crc_of(payload, start_value(data_id)) == crc_bit_by_bit(data_id.to_bytes(2, "little") + payload[1:])
 
 
 @pytest.mark.parametrize("codec", [CLASSIC, FD], ids=["classic", "fd"])
@@ -260,8 +260,8 @@ def test_a_number_that_does_not_fit_is_refused_and_not_wrapped(x, y):
 
 def test_a_cycle_of_the_stage_survives_its_frames():
     waypoints = forward_and_back(MotionParameters())
-    inbox = StageInbox(CLASSIC.ids)
-    *_, received = [inbox.add(*frame) for frame in stage_payloads(CLASSIC.ids, waypoints)]
+    receiver = StageReceiver(CLASSIC.ids)
+    *_, received = [receiver.add(*frame) for frame in stage_payloads(CLASSIC.ids, waypoints)]
     sent = Trajectory(waypoints)
     assert received.end_ns == sent.end_ns
     for time_ns in range(0, sent.end_ns, 37_000_000):
@@ -272,7 +272,7 @@ def test_a_trajectory_that_lacks_a_frame_or_has_a_damaged_one_is_refused():
     frames = stage_payloads(CLASSIC.ids, forward_and_back(MotionParameters()))
     damaged = [(frames[0][0], frames[0][1][:-1] + b"\1"), *frames[1:]]
     for received in (frames[1:], damaged):
-        inbox = StageInbox(CLASSIC.ids)
+        receiver = StageReceiver(CLASSIC.ids)
         with pytest.raises(HardwareError, match="refused"):
             for frame in received:
-                inbox.add(*frame)
+                receiver.add(*frame)

@@ -11,9 +11,8 @@ from straightcomp_ros.hardware.can import hub_bus
 from straightcomp_ros.hardware.can.board_line import HubLine
 from straightcomp_ros.hardware.can.bus_faults import KINDS, Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.hub import FD_FRAME, Flag, Frame, Hub, priority, to_packet
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
-from straightcomp_ros.hardware.can.hub_packet import FD_FRAME, Flag, Frame, priority, to_packet
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.settings.declaration import ParameterError

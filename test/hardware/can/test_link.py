@@ -7,8 +7,8 @@ import pytest
 
 from straightcomp_ros.hardware.can import link as link_module
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.hub import ERROR, EXTENDED, FD_FRAME, REMOTE, Frame
 from straightcomp_ros.hardware.can.hub_bus import message_of
-from straightcomp_ros.hardware.can.hub_packet import ERROR, EXTENDED, FD_FRAME, REMOTE, Frame
 from straightcomp_ros.hardware.can.link import Link
 
 OURS = 0x181

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator_frames import truth_payload
 from straightcomp_ros.hardware.can.frames import (
     ALIVE_MODULUS,
     CURRENT_COUNT,
@@ -18,7 +19,6 @@ from straightcomp_ros.hardware.can.frames import (
 )
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
-from straightcomp_ros.hardware.can.truth_frame import truth_payload
 from straightcomp_ros.hardware.interface import Truth
 
 PERIOD = 500_000

@@ -1,7 +1,9 @@
-"""A trajectory for the stage of a simulated machine, in frames of its own. No board uses them.
+"""Frames that only an emulated board uses: a trajectory for its stage, and the simulation's truth.
 
-A real stage has a controller of its own and moves by itself; the emulator's needs to be told. Each waypoint takes
-two frames, a last one starts the motion and seals them all. Classic frames on either kind of bus.
+A real stage moves by its own controller; the emulator's stage has to be commanded. Each waypoint takes two frames; a
+last frame with a checksum starts the motion. These are classic frames on either kind of bus.
+
+The truth of a sample comes right before its encoder frame, on CAN FD only: it fills the longest frame there is.
 """
 
 from __future__ import annotations
@@ -10,20 +12,19 @@ import struct
 import zlib
 from collections.abc import Sequence
 
-from straightcomp_ros.hardware.can.frames import Identifiers
-from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.hardware.can.frames import FrameError, Identifiers
+from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.stage import Trajectory, Waypoint
 
-_POSITION = 1e-8
-"""m"""
-_VELOCITY = 1e-5
-"""m/s"""
+_POSITION, _VELOCITY = 1e-8, 1e-5
+"""m and m/s"""
 _START = struct.Struct("<BI")
 _MOST_POINTS = 255
+_HEAD, _CONTENT = struct.Struct("<II"), struct.Struct("<6d8x")
 
 
 def stage_payloads(ids: Identifiers, waypoints: Sequence[Waypoint]) -> list[tuple[int, bytes]]:
-    """(identifier, payload) of the frames that move a simulated stage, in the order of sending.
+    """Identifier and payload of each frame that moves a simulated stage, in the order of sending.
 
     Raises:
         HardwareError: too many points, or one that does not fit its frame.
@@ -43,8 +44,8 @@ def stage_payloads(ids: Identifiers, waypoints: Sequence[Waypoint]) -> list[tupl
     return [*frames, (ids.stage_start, _START.pack(len(waypoints), seal))]
 
 
-class StageInbox:
-    """Gathers the frames of :func:`stage_payloads` on the simulated machine's side."""
+class StageReceiver:
+    """Collects the frames of :func:`stage_payloads` on the simulated machine's side."""
 
     def __init__(self, ids: Identifiers) -> None:
         self._ids = ids
@@ -52,10 +53,10 @@ class StageInbox:
         self._motions: dict[int, bytes] = {}
 
     def add(self, identifier: int, payload: bytes) -> Trajectory | None:
-        """Take one frame; the frame that starts the motion gives the trajectory.
+        """Take one frame; return the trajectory with the frame that starts the motion.
 
         Raises:
-            HardwareError: frames before the start were lost or damaged.
+            HardwareError: frames before it were lost or damaged.
             ValueError: the points make no trajectory.
         """
         if identifier == self._ids.stage_time and len(payload) == 8:
@@ -69,12 +70,13 @@ class StageInbox:
     def _trajectory(self, points: int, seal: int) -> Trajectory:
         times, motions = self._times, self._motions
         self._times, self._motions = {}, {}
-        numbers = range(points)
-        if not all(number in times and number in motions for number in numbers):
-            raise HardwareError(f"stage trajectory of {points} points is refused: frames of it are missing")
-        if zlib.crc32(b"".join(times[number] + motions[number] for number in numbers)) != seal:
+        try:
+            frames = [(times[number], motions[number]) for number in range(points)]
+        except KeyError as error:
+            raise HardwareError(f"stage trajectory of {points} points is refused: frames of it are missing") from error
+        if zlib.crc32(b"".join(time + motion for time, motion in frames)) != seal:
             raise HardwareError(f"stage trajectory of {points} points is refused: its CRC-32 is wrong")
-        return Trajectory([_waypoint(times[number], motions[number]) for number in numbers])
+        return Trajectory([_waypoint(*frame) for frame in frames])
 
 
 def _waypoint(time: bytes, motion: bytes) -> Waypoint:
@@ -83,3 +85,20 @@ def _waypoint(time: bytes, motion: bytes) -> Waypoint:
         int.from_bytes(motion[1:5], "little", signed=True) * _POSITION,
         int.from_bytes(motion[5:], "little", signed=True) * _VELOCITY,
     )
+
+
+def truth_payload(counter: int, truth: Truth) -> bytes:
+    """Sample counter, CRC-32 of the rest with the counter as start value, six doubles in SI units, 8 bytes of zero."""
+    content = _CONTENT.pack(*truth)
+    return _HEAD.pack(counter, zlib.crc32(content, counter)) + content
+
+
+def truth_of(payload: bytes) -> tuple[int, Truth]:
+    """Sample counter and truth; raises FrameError if the frame is damaged."""
+    head, content = payload[: _HEAD.size], payload[_HEAD.size :]
+    if len(content) != _CONTENT.size:
+        raise FrameError("truth")
+    counter, seal = _HEAD.unpack(head)
+    if seal != zlib.crc32(content, counter):
+        raise FrameError("truth")
+    return counter, Truth(*_CONTENT.unpack(content))
