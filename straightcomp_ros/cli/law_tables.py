@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
@@ -31,21 +31,19 @@ _ROWS = (
 )
 
 
-def titled_table(title: str, first: str, *others: str) -> Table:
-    """An empty table: names stand left in its first column, numbers right in the others."""
+def titled_table(title: str, first: str, *others: str, left: Collection[str] = ()) -> Table:
+    """An empty table; its first column and those named in ``left`` are left-aligned, the others right-aligned."""
     table = Table(title=title, title_justify="left")
     table.add_column(first, no_wrap=True)
     for heading in others:
         # Rich takes [ms] for markup.
-        table.add_column(escape(heading), justify="right")
+        table.add_column(escape(heading), justify="left" if heading in left else "right")
     return table
 
 
 def figures_table(title: str, figures: Mapping[str, Any]) -> Table:
     """Figures by name."""
-    table = Table(title=title, title_justify="left")
-    table.add_column("figure", no_wrap=True)
-    table.add_column("value", justify="right")
+    table = titled_table(title, "figure", "value")
     for name, value in figures.items():
         table.add_row(name, shown(value))
     return table
@@ -59,17 +57,14 @@ def shown(value: Any) -> str:
 
 
 def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] | None = None) -> Table:
-    """A table of those figures that are there; the paper's figure beside the p-p error.
+    """Those figures that are there, and the paper's beside the true p-p error.
 
-    A figure of ``over_starts`` is shown in the place of that of one run, as median (min to max).
+    A figure of ``over_starts`` takes the place of that of one run, as median (min to max).
     """
     over_starts = over_starts or {}
     law = figures["law"]
-    table = Table(title=f"Straightness compensation, law '{law}'", title_justify="left")
-    table.add_column("figure")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
-    table.add_column("paper", justify="right")
+    title = f"Straightness compensation, law '{law}'"
+    table = titled_table(title, "figure", "value", "unit", "paper", left=("unit",))
     for key, words, unit, digits in _ROWS:
         if figures.get(key) is not None:
             paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
@@ -103,10 +98,8 @@ def rounded(value: float | None, digits: int = 0) -> str:
 
 
 def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
-    """True error of one cycle after the other, figures as of :func:`results_table`."""
-    table = Table(title=f"True compensation error from cycle to cycle, law '{law}'", title_justify="left")
-    for heading in ("cycle", "p-p / µm", "RMS / µm"):
-        table.add_column(heading, justify="right")
+    """True error of each cycle, figures as of :func:`results_table`."""
+    table = titled_table(f"True compensation error from cycle to cycle, law '{law}'", "cycle", "p-p / µm", "RMS / µm")
     for number, figures in enumerate(cycles, 1):
         table.add_row(str(number), f"{figures['true_pp_um']:.3f}", f"{figures['true_rms_um']:.4f}")
     return table

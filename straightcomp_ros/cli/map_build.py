@@ -1,17 +1,25 @@
 """Make a map from a survey: a bag (stage X and a displacement sensor), a CSV recording over time, or a survey file.
 
-Runs and their directions are recognised, spikes and runs that do not agree are rejected, repeatability is reported in
-the way of ISO 230-2, and the map is written with its provenance. `feedforward` takes the file as `map.file`."""
+Recognises runs and their directions, rejects spikes and runs that do not agree, reports repeatability in the way of
+ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `map.file`."""
 
 from __future__ import annotations
 
 import argparse
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli.law_tables import figures_table
-from straightcomp_ros.cli.output import PICTURES, CommandFailed, check_range, console, notes, output_file, print_json
+from straightcomp_ros.cli.output import (
+    PICTURES,
+    CommandFailed,
+    check_range,
+    console,
+    noted_warnings,
+    notes,
+    output_file,
+    print_json,
+)
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 
 if TYPE_CHECKING:
@@ -22,7 +30,6 @@ _UNITS = ("m", "mm", "um", "nm")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument("source", metavar="SOURCE", help="bag, or CSV file")
     parser.add_argument("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
     parser.add_argument("--force", action="store_true", help="replace FILE if it exists")
@@ -59,9 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Build, write and print."""
-    from straightcomp_ros.bags import BagError
     from straightcomp_ros.straightness.survey import SurveyError
 
     for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
@@ -70,15 +76,12 @@ def run(options: argparse.Namespace) -> int:
     plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
     if output is not None and output.exists() and not options.force:
         raise CommandFailed(f"map {options.output} is there already; name another file, or give --force")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with noted_warnings(UserWarning) as texts:
         try:
             built = _built(options)
-        except (BagError, SurveyError) as error:
+        except SurveyError as error:
+            # The survey is this tool's work, no option: exit code 1.
             raise CommandFailed(str(error)) from error
-    said = tuple(dict.fromkeys(str(warning.message) for warning in caught if warning.category is UserWarning))
-    for text in said:
-        notes.print(f"warning: {text}", style="yellow", soft_wrap=True)
     if output is not None:
         built.write(output)
     if plot is not None:
@@ -86,10 +89,9 @@ def run(options: argparse.Namespace) -> int:
 
         plot_map(built, plot)
     if options.json:
-        print_json({**_as_json(built), "output": options.output, "warnings": list(said)})
+        print_json({**_as_json(built), "output": options.output, "warnings": texts})
     else:
         _print(built, options.output)
-    return 0
 
 
 def _built(options: argparse.Namespace) -> BuiltMap:
@@ -126,7 +128,6 @@ def _from_bag(options: argparse.Namespace, source: Path, choices: Choices) -> Bu
 
 def _as_json(built: BuiltMap) -> dict[str, Any]:
     found = built.repeatability
-    reversal = found.reversal
 
     def um(values: Any) -> list[float] | None:
         return None if values is None else (values * 1e6).tolist()
@@ -154,7 +155,7 @@ def _as_json(built: BuiltMap) -> dict[str, Any]:
         "mean_um": um(built.mean),
         "forward_s_um": um(found.forward.s if found.forward else None),
         "backward_s_um": um(found.backward.s if found.backward else None),
-        "reversal_um": um(reversal),
+        "reversal_um": um(found.reversal),
     }
 
 

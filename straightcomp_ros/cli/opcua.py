@@ -15,14 +15,13 @@ from typing import Any
 
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
-from straightcomp_ros.opcua.users import OPERATOR, ROLES, UsersError, add_user
+from straightcomp_ros.opcua.users import OPERATOR, ROLES, add_user
 
 SUMMARY = "users of the OPC UA gateway; a cycle run through it"
 PASSWORD = "STRAIGHTCOMP_OPCUA_PASSWORD"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the tools."""
     tools = parser.add_subparsers(dest="tool", metavar="TOOL", required=True)
     user = tools.add_parser("user", help=f"add a user; the password is asked for, or taken from ${PASSWORD}")
     user.add_argument("file", type=Path, metavar="FILE", help="file of users, made if need be")
@@ -44,15 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cycle.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Run one tool."""
     if options.tool == "user":
-        try:
-            add_user(options.file, options.name, _password(options.name), options.role)
-        except UsersError as error:
-            raise CommandFailed(str(error), exit_code=2) from error
+        add_user(options.file, options.name, _password(options.name), options.role)
         notes.print(f"user '{options.name}', {options.role}: {options.file}", markup=False)
-        return 0
+        return
     if options.strokes < 1:
         raise CommandFailed(f"--strokes {options.strokes}: allowed: 1 and more", exit_code=2)
     if (options.certificates is None) != (options.server_certificate is None):
@@ -64,16 +60,14 @@ def run(options: argparse.Namespace) -> int:
         error = figures["error_pp_um"]
         shown = "unknown" if error is None else f"{error:.3f} µm p-p"
         print(f"{figures['strokes']} strokes done; error of the last movement: {shown}")
-    return 0
 
 
 def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:
     try:
-        from straightcomp_ros.opcua.client import CycleFailed, connected, run_cycle
+        from straightcomp_ros.opcua.client import connected, run_cycle
     except ImportError as error:
-        raise CommandFailed(
-            f"{error.name} is not there; remedy: pip install 'straightcomp_ros[opcua]'", exit_code=2
-        ) from error
+        remedy = "pip install 'straightcomp_ros[opcua]'"
+        raise CommandFailed(f"{error.name} is not there; remedy: {remedy}", exit_code=2) from error
 
     def progress(done: float) -> None:
         if options.progress and not options.json:
@@ -97,8 +91,6 @@ def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:
 
     try:
         return asyncio.run(cycle())
-    except CycleFailed as error:
-        raise CommandFailed(str(error)) from error
     except OSError as error:
         raise CommandFailed(f"the connection broke: {error}") from error
 

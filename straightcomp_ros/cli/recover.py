@@ -9,7 +9,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 
@@ -17,22 +16,18 @@ SUMMARY = "make a finished bag from a cut-off or damaged one"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file")
     parser.add_argument("--output", "-o", metavar="DIR", help="folder of the new bag (default: BAG_recovered)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Recover and print."""
     from straightcomp_ros.bags.recovery import default_output, recover
 
-    try:
-        bag = Path(options.bag)
-        with working("recovering"):
-            result = recover(bag, Path(options.output) if options.output else default_output(bag))
-    except BagError as error:
-        raise CommandFailed(str(error)) from error
+    bag = Path(options.bag)
+    with working("recovering"):
+        result = recover(bag, Path(options.output) if options.output else default_output(bag))
     lost = None if result.lost is None else sum(result.lost.values())
     if options.json:
         print_json(
@@ -52,7 +47,6 @@ def run(options: argparse.Namespace) -> int:
         _print(result, lost)
     if not result.saved:
         raise CommandFailed(f"bag {bag}: no message could be saved; {result.output} has none")
-    return 0
 
 
 def _print(result: Any, lost: int | None) -> None:

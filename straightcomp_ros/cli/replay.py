@@ -9,17 +9,15 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
-from straightcomp_ros.cli.law_tables import shown
+from straightcomp_ros.cli.law_tables import shown, titled_table
 from straightcomp_ros.cli.output import CommandFailed, console, notes, output_folder, print_json, require_ros, working
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file, finished or not")
     parser.add_argument("--law", help="what if this law had run")
     parser.add_argument(
@@ -37,26 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Audit, or simulate, or play."""
-    from straightcomp_ros.analysis.record import MetricsError
-    from straightcomp_ros.bags import BagError
-    from straightcomp_ros.settings.declaration import ParameterError
-    from straightcomp_ros.straightness.survey import SurveyError
-
     changes = bool(options.law or options.set)
     if options.graph and changes:
         raise CommandFailed("allowed: either --graph, or --law and --set", exit_code=2)
     action = _graph if options.graph else _what_if if changes else _audit
-    try:
-        return action(options, Path(options.bag), parsed_remap(options.remap))
-    except (BagError, MetricsError) as error:
-        raise CommandFailed(str(error)) from error
-    except (ParameterError, SurveyError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
+    action(options, Path(options.bag), parsed_remap(options.remap))
 
 
-def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
+def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
     from straightcomp_ros.offline.replay.audit import audit
 
     with working("computing the commands again"):
@@ -86,39 +74,28 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int
         )
     if not found.passed:
         raise CommandFailed(f"bag {bag}: no command can be verified")
-    return 0
 
 
-def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
-    from rich.table import Table
-
-    from straightcomp_ros.cli.parameter_options import parsed_assignment
+def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
+    from straightcomp_ros.cli.parameter_options import chosen_changes
     from straightcomp_ros.offline.replay.what_if import what_if
 
-    changes: dict[str, dict[str, Any]] = {}
-    for assignment in options.set:
-        node, name, value = parsed_assignment(assignment)
-        changes.setdefault(node, {})[name] = value
-    if options.law:
-        changes.setdefault("controller", {})["control.law"] = options.law
+    changes = chosen_changes(options)
     with working("simulating"):
         result = what_if(bag, changes, remap)
     columns = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
     if options.json:
         names = ("recorded", "simulated_as_recorded", "what_if")
         print_json({name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)})
-        return 0
-    table = Table(title=f"What if: {bag}", title_justify="left")
-    table.add_column("figure", no_wrap=True)
-    for heading, law in zip(("recorded", "simulated\nas recorded", "what if"), result.laws, strict=False):
-        table.add_column(f"{heading}\n{law}", justify="right")
+        return
+    headings = zip(("recorded", "simulated\nas recorded", "what if"), result.laws, strict=False)
+    table = titled_table(f"What if: {bag}", "figure", *("\n".join(heading) for heading in headings))
     for name in columns[0]:
         table.add_row(name, *(shown(one[name]) for one in columns))
     console.print(table)
-    return 0
 
 
-def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
+def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
     from straightcomp_ros.cell.launcher import LaunchError
     from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
 
@@ -138,4 +115,3 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int
             soft_wrap=True,
         )
         notes.print(f"bag: {found.bag}")
-    return 0

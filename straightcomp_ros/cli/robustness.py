@@ -14,12 +14,11 @@ from typing import Any
 
 from rich.table import Table
 
-from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.output import PICTURES, CommandFailed, console, output_file, print_json, progress_bar
+from straightcomp_ros.cli.output import PICTURES, CommandFailed, console, output_file, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.offline.sweep.many_trials import SweepError, sweep
+from straightcomp_ros.offline.sweep.many_trials import sweep
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
 from straightcomp_ros.offline.sweep.sweep_summary import PERCENTILES, LawSummary, summarise
@@ -31,7 +30,6 @@ SUMMARY = "run many strokes on uncertain machines, offline"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_parameter_options(parser)
     # Here --law may be repeated: this one takes the place of the one that the other verbs have.
     laws = parser.add_argument_group("laws", conflict_handler="resolve")
@@ -56,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Sweep and print the figures."""
     values = chosen_parameters(options)
     laws = list(dict.fromkeys(options.laws or LAWS))
@@ -65,48 +63,32 @@ def run(options: argparse.Namespace) -> int:
         # Dask itself takes 40 s to be sure.
         raise CommandFailed(f"--dask {options.dask}; allowed: HOST:PORT or tcp://HOST:PORT", exit_code=2)
     started = time.perf_counter()
-    try:
-        ranges = from_mapping(UncertaintyParameters, dict(map(_assignment, options.ranges)))
-        scenario = make_scenario(values, laws, ranges)
-    except (ParameterError, SurveyError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
-    with progress_bar() as bar:
-        task = bar.add_task(f"{options.trials} machines", total=1.0)
+    ranges = from_mapping(UncertaintyParameters, dict(map(_assignment, options.ranges)))
+    scenario = make_scenario(values, laws, ranges)
+    machines = f"{options.trials} machines"
+    with working(machines) as advance:
         try:
             results = sweep(
-                scenario,
-                options.seed,
-                options.trials,
-                jobs=options.jobs or -1,
-                dask=options.dask,
-                progress=lambda fraction: bar.update(task, completed=fraction),
+                scenario, options.seed, options.trials, jobs=options.jobs or -1, dask=options.dask, progress=advance
             )
-        except (SweepError, SurveyError, MetricsError) as error:
+        except SurveyError as error:
+            # The given survey is good: one with random errors is not.
             raise CommandFailed(str(error)) from error
     seconds = time.perf_counter() - started
     summaries = summarise(results)
     if plot is not None:
-        plot_sweep(results, summaries, plot, f"{options.trials} machines, seed {options.seed}")
+        plot_sweep(results, summaries, plot, f"{machines}, seed {options.seed}")
     if options.json:
-        print_json(
-            {
-                "trials": options.trials,
-                "seed": options.seed,
-                "laws": {summary.law: summary.to_display() for summary in summaries},
-                "seconds": seconds,
-            }
-        )
+        shown = {summary.law: summary.to_display() for summary in summaries}
+        print_json({"trials": options.trials, "seed": options.seed, "laws": shown, "seconds": seconds})
     else:
-        console.print(_table(summaries, ranges, options, seconds))
-    return 0
+        title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
+        console.print(_table(title, summaries, f"{_conditions(ranges)}\n{seconds:.0f} s"))
 
 
-def _table(
-    summaries: list[LawSummary], ranges: UncertaintyParameters, options: argparse.Namespace, seconds: float
-) -> Table:
-    title = f"True compensation error p-p in µm on {options.trials} machines, seed {options.seed}"
+def _table(title: str, summaries: list[LawSummary], caption: str) -> Table:
     table = titled_table(title, "law", *PERCENTILES, "failures", "limit cycles")
-    table.caption, table.caption_justify = f"{_conditions(ranges)}\n{seconds:.0f} s", "left"
+    table.caption, table.caption_justify = caption, "left"
     for summary in summaries:
         table.add_row(
             summary.law,
@@ -133,7 +115,7 @@ def _assignment(text: str) -> tuple[str, Any]:
     try:
         return name, float(value)
     except ValueError:
-        # Refused where the name is known, with the range that is allowed.
+        # from_mapping refuses it with the range that is allowed.
         return name, value
 
 

@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.law_tables import cycles_table, results_table
-from straightcomp_ros.cli.output import (
-    PICTURES,
-    CommandFailed,
-    check_range,
-    console,
-    output_file,
-    print_json,
-    progress_bar,
-)
+from straightcomp_ros.cli.output import PICTURES, CommandFailed, check_range, console, output_file, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.offline.simulation import Simulation
@@ -34,7 +25,6 @@ SUMMARY = "run strokes forward and back offline"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_parameter_options(parser)
     parser.add_argument(
         "--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)"
@@ -56,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Simulate and print the figures."""
     values = chosen_parameters(options)
     if options.delay is not None:
@@ -64,9 +54,8 @@ def run(options: argparse.Namespace) -> int:
     check_range("--strokes", options.strokes, 1)
     check_range("--starts", options.starts, 1)
     if options.starts > 1 and (options.strokes > 1 or options.learn or options.learned or options.bag):
-        raise CommandFailed(
-            "--starts: is of single cycles; leave out --strokes, --learn, --learned and --bag", exit_code=2
-        )
+        excluded = "--strokes, --learn, --learned and --bag"
+        raise CommandFailed(f"--starts: is of single cycles; leave out {excluded}", exit_code=2)
     plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
     if options.learn or options.learned:
         values["controller"]["learning.learn"] = True
@@ -82,9 +71,10 @@ def run(options: argparse.Namespace) -> int:
             record, cycles = _run_cycles(options, values, simulation)
             simulation.save_learning()
         over_starts = _over_starts(values, options.starts) if options.starts > 1 else {}
-    except (ParameterError, SurveyError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
-    except (BagError, MetricsError, OSError, ValueError) as error:
+    except (ParameterError, SurveyError):
+        raise
+    except ValueError as error:
+        # Among others: the position or the current became infinite.
         raise CommandFailed(str(error)) from error
     metrics = cycles[-1]
     if plot is not None:
@@ -100,18 +90,16 @@ def run(options: argparse.Namespace) -> int:
             figures["starts"] = {"count": options.starts, **{k: one._asdict() for k, one in over_starts.items()}}
         listed = [{"true_pp_um": c["true_pp_um"], "true_rms_um": c["true_rms_um"]} for c in shown]
         print_json({**figures, "cycles": listed} if options.strokes > 1 else figures)
-        return 0
+        return
     if options.strokes > 1:
         console.print(cycles_table(figures["law"], shown))
     console.print(results_table(figures, over_starts))
-    return 0
 
 
 def _over_starts(values: Mapping[str, Mapping[str, Any]], count: int) -> dict[str, Spread]:
     """Each figure over ``count`` starts."""
-    with progress_bar() as bar:
-        task = bar.add_task("simulating the starts", total=1.0)
-        found = metrics_of_starts(values, count, lambda fraction: bar.update(task, completed=fraction))
+    with working("simulating the starts") as advance:
+        found = metrics_of_starts(values, count, advance)
     return spreads(metrics.to_display() for metrics in found)
 
 
@@ -119,14 +107,12 @@ def _run_cycles(
     options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]], simulation: Simulation
 ) -> tuple[StrokeRecord, list[Metrics]]:
     """The last cycle, and the figures of all."""
-    cycles = []
-    with ExitStack() as stack:
-        bar = stack.enter_context(progress_bar())
-        task = bar.add_task("simulating", total=float(options.strokes))
-        bag = stack.enter_context(SimulatedRun(Path(options.bag), values, simulation.delay)) if options.bag else None
-        for number in range(options.strokes):
+    cycles: list[Metrics] = []
+    opened = SimulatedRun(Path(options.bag), values, simulation.delay) if options.bag else nullcontext()
+    with working("simulating") as advance, opened as bag:
+        for _ in range(options.strokes):
             record = simulation.run(
-                lambda fraction, done=number: bar.update(task, completed=done + fraction), bag.add if bag else None
+                lambda fraction: advance((len(cycles) + fraction) / options.strokes), bag.add if bag else None
             )
             cycles.append(evaluate(record, simulation.map))
     return record, cycles

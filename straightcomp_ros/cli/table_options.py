@@ -10,7 +10,6 @@ from straightcomp_ros.straightness.tables.formats import FORMATS
 
 
 def add_table_options(parser: argparse.ArgumentParser) -> None:
-    """Add --format, --unit, --stage-axis, --platform-axis, --error and --negate."""
     endings = ", ".join(f"{one.ending} {name}" for name, one in FORMATS.items())
     parser.add_argument("--format", choices=FORMATS, help=f"format (default: by the file's ending: {endings})")
     parser.add_argument(
@@ -39,11 +38,7 @@ def add_table_options(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_conventions(options: argparse.Namespace) -> Conventions:
-    """The conventions that the options name.
-
-    Raises:
-        CommandFailed: an axis is not allowed; exit code 2.
-    """
+    """The conventions that the options name; CommandFailed with exit code 2 if an axis is not allowed."""
     for axis in ("stage", "platform"):
         check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
     if options.stage_axis == options.platform_axis:
