@@ -9,7 +9,7 @@ import signal
 import sys
 from contextlib import closing
 
-from straightcomp_ros.cli.output import CommandFailed, check_range, print_json
+from straightcomp_ros.cli.output import CommandFailed, add_repeatable, check_range, print_json
 from straightcomp_ros.hardware.can.bus_faults import KINDS, Faults
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.timing import realtime
@@ -19,27 +19,14 @@ _HIGHEST_PRIORITY = 98
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--socket", required=True, metavar="PATH", help="socket file, the channel of interface straightcomp_hub"
-    )
-    parser.add_argument(
-        "--fault",
-        type=_rate,
-        action="append",
-        default=[],
-        metavar="KIND=RATE",
-        help=f"spoil frames at this rate, 0 to 1; may be repeated. KIND: {', '.join(KINDS)}",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the faults (default: %(default)s)")
-    parser.add_argument(
-        "--priority",
-        "--fifo",
-        type=int,
-        default=0,
-        metavar="N",
-        help="SCHED_FIFO priority; best that of the nodes (default: normal scheduling)",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    add("--socket", required=True, metavar="PATH", help="socket file, the channel of interface straightcomp_hub")
+    faults = f"spoil frames at this rate, 0 to 1. KIND: {', '.join(KINDS)}"
+    add_repeatable(parser, "--fault", "KIND=RATE", faults, type=_rate)
+    add("--seed", type=int, default=0, help="seed of the faults (default: %(default)s)")
+    priority = "SCHED_FIFO priority; best that of the nodes (default: normal scheduling)"
+    add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -22,27 +22,19 @@ SUMMARY = "run the node graph for one stroke, record and evaluate it"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    parser.add_argument(
-        "--output", "-o", metavar="DIR", default="demo_output", help="folder for the results (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--keep", action="store_true", help="keep earlier results: write to a new folder in DIR, named by the time"
-    )
-    parser.add_argument(
-        "--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can"
-    )
-    parser.add_argument(
-        "--hardware",
-        choices=("simulated", "can"),
-        help="can: the machine is an emulated board in a process of its own, on a CAN bus between processes",
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--output", "-o", metavar="DIR", default="demo_output", help="folder for the results (default: %(default)s)")
+    add("--keep", action="store_true", help="keep earlier results: write to a new folder in DIR, named by the time")
+    add("--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can")
+    hardware = "can: the machine is an emulated board in a process of its own, on a CAN bus between processes"
+    add("--hardware", choices=("simulated", "can"), help=hardware)
+    add(
         "--opcua",
         action="store_true",
         help="a client of the OPC UA gateway runs the cycle, in place of the cell's node",
     )
-    parser.add_argument("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

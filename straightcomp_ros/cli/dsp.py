@@ -21,12 +21,11 @@ _MOST_DRIFT_PPM = 1000.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "--drift-ppm", type=float, default=0.0, metavar="PPM", help="error of the board's quartz (default: %(default)s)"
     )
-    parser.add_argument(
-        "--hub", action="store_true", help="be the hub of interface straightcomp_hub too, at the socket can.channel"
-    )
+    add("--hub", action="store_true", help="be the hub of interface straightcomp_hub too, at the socket can.channel")
 
 
 def run(options: argparse.Namespace) -> int:

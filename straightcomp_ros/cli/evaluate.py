@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from straightcomp_ros.cli.law_tables import shown, titled_table
 from straightcomp_ros.cli.output import (
     CommandFailed,
+    add_repeatable,
     console,
     noted_warnings,
     notes,
@@ -70,13 +71,7 @@ def run(options: argparse.Namespace) -> None:
 
 def add_remap_option(parser: argparse.ArgumentParser) -> None:
     """Declare ``--remap``, which :func:`parsed_remap` reads."""
-    parser.add_argument(
-        "--remap",
-        action="append",
-        default=[],
-        metavar="OURS:=THEIRS",
-        help="the bag's topic for one of ours, e.g. encoder:=/machine/axes; may be repeated",
-    )
+    add_repeatable(parser, "--remap", "OURS:=THEIRS", "the bag's topic for one of ours, e.g. encoder:=/machine/axes")
 
 
 def parsed_remap(assignments: list[str]) -> dict[str, str]:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.output import CommandFailed, console, notes, output_file, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, add_repeatable, console, notes, output_file, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.contract import STROKE
@@ -28,17 +28,14 @@ from straightcomp_ros.identification.plant_file import parameter_file
 from straightcomp_ros.straightness.survey import write_survey
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
+_DEFAULT_KNOWN = "actuator.turns"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", nargs="?", metavar="BAG", help="rosbag2 folder or MCAP file")
     add_parameter_options(parser)
-    parser.add_argument(
-        "--known",
-        action="append",
-        metavar="NAME",
-        help="hold this parameter at its value, e.g. mass; may be repeated (default: actuator.turns)",
-    )
+    known = f"hold this parameter at its value, e.g. mass (default: {_DEFAULT_KNOWN})"
+    add_repeatable(parser, "--known", "NAME", known)
     parser.add_argument("--output", "-o", metavar="FILE", help="write the parameters as a ROS 2 parameter file")
     parser.add_argument("--excitation", metavar="FILE", help="write a map (CSV) that excites all parameters, and stop")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
@@ -54,7 +51,7 @@ def run(options: argparse.Namespace) -> None:
     output = output_file("--output", options.output) if options.output else None
     start = node_parameters("driver", chosen_parameters(options)["driver"]).simulated.plant
     with working("estimating") as advance:
-        estimate = estimate_from_bag(Path(options.bag), start, options.known or ["actuator.turns"], advance)
+        estimate = estimate_from_bag(Path(options.bag), start, options.known or [_DEFAULT_KNOWN], advance)
     if output is not None:
         output.write_text(parameter_file(estimate), encoding="utf-8")
     if options.json:
@@ -97,6 +94,8 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
 def _print(estimate: Estimate) -> None:
     headings = ("parameter", "value", "95 % from", "to", "unit", "remark")
     table = titled_table("Plant parameters", *headings, left=("unit", "remark"))
+    for column in table.columns[:-1]:
+        column.no_wrap = True
     for name, found in estimate.parameters.items():
         bounds = ("", "") if found.known else (f"{found.low:.4g}", f"{found.high:.4g}")
         table.add_row(name, f"{found.value:.4g}", *bounds, UNITS[name], _remark(found))

@@ -30,40 +30,25 @@ _UNITS = ("m", "mm", "um", "nm")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SOURCE", help="bag, or CSV file")
-    parser.add_argument("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
-    parser.add_argument("--force", action="store_true", help="replace FILE if it exists")
-    group = parser.add_argument_group("what to read from a bag")
-    group.add_argument(
-        "--stage",
-        metavar="TOPIC[:FIELD]",
-        default=ENCODER.topic,
-        help=f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}])",
-    )
-    group.add_argument(
-        "--sensor",
-        metavar="TOPIC[:FIELD]",
-        default=DISPLACEMENT.topic,
-        help="reading of the displacement sensor, e.g. /probe:range or /probe:point.y "
-        f"(default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])",
-    )
-    group.add_argument("--unit", choices=_UNITS, default="m", help="of the readings (default: %(default)s)")
-    group.add_argument("--invert", action="store_true", help="the reading falls when the slider moves towards +y")
-    group.add_argument(
-        "--delay", type=float, default=0.0, metavar="MS", help="age of a reading at its stamp (default: %(default)g)"
-    )
-    group.add_argument(
-        "--on-platform", action="store_true", help="the sensor rides on the platform: its y is taken off the reading"
-    )
-    parser.add_argument(
-        "--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)"
-    )
-    parser.add_argument(
-        "--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)"
-    )
-    parser.add_argument("--level", action="store_true", help="take the least squares line out, not only the mean")
-    parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    add("source", metavar="SOURCE", help="bag, or CSV file")
+    add("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
+    add("--force", action="store_true", help="replace FILE if it exists")
+    add("--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)")
+    add("--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)")
+    add("--level", action="store_true", help="take the least squares line out, not only the mean")
+    add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument_group("what to read from a bag").add_argument
+    stage = f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}])"
+    add("--stage", metavar="TOPIC[:FIELD]", default=ENCODER.topic, help=stage)
+    sensor = "reading of the displacement sensor, e.g. /probe:range or /probe:point.y"
+    sensor += f" (default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])"
+    add("--sensor", metavar="TOPIC[:FIELD]", default=DISPLACEMENT.topic, help=sensor)
+    add("--unit", choices=_UNITS, default="m", help="of the readings (default: %(default)s)")
+    add("--invert", action="store_true", help="the reading falls when the slider moves towards +y")
+    add("--delay", type=float, default=0.0, metavar="MS", help="age of a reading at its stamp (default: %(default)g)")
+    add("--on-platform", action="store_true", help="the sensor rides on the platform: its y is taken off the reading")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -18,15 +18,12 @@ _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM = 0.1, 1000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--output", "-o", required=True, metavar="FILE", help="error table to write")
-    parser.add_argument(
-        "--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)"
-    )
+    add = parser.add_argument
+    add("--output", "-o", required=True, metavar="FILE", help="error table to write")
+    add("--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)")
+    add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
     add_table_options(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -19,28 +19,26 @@ from straightcomp_ros.opcua.users import OPERATOR, ROLES, add_user
 
 SUMMARY = "users of the OPC UA gateway; a cycle run through it"
 PASSWORD = "STRAIGHTCOMP_OPCUA_PASSWORD"
+_PASSWORD_SOURCE = f"the password is asked for, or taken from ${PASSWORD}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     tools = parser.add_subparsers(dest="tool", metavar="TOOL", required=True)
-    user = tools.add_parser("user", help=f"add a user; the password is asked for, or taken from ${PASSWORD}")
-    user.add_argument("file", type=Path, metavar="FILE", help="file of users, made if need be")
-    user.add_argument("name", metavar="NAME", help="of the user")
-    user.add_argument(
-        "--role", choices=ROLES, default=OPERATOR, help="viewers read, operators also command (default: %(default)s)"
-    )
-    cycle = tools.add_parser("cycle", help=f"run strokes; the password is asked for, or taken from ${PASSWORD}")
-    cycle.add_argument("--url", default=OpcuaParameters().endpoint, help="endpoint (default: %(default)s)")
-    cycle.add_argument("--user", required=True, metavar="NAME", help="one who may command")
-    cycle.add_argument("--strokes", type=int, default=1, help="strokes forward and back (default: %(default)s)")
-    cycle.add_argument("--progress", action="store_true", help="print lines 'progress FRACTION'")
-    cycle.add_argument(
-        "--certificates", type=Path, metavar="DIR", help="folder of this client's certificate.der and key.pem: encrypt"
-    )
-    cycle.add_argument(
-        "--server-certificate", type=Path, metavar="FILE", help="the gateway's certificate.der, with --certificates"
-    )
-    cycle.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = tools.add_parser("user", help=f"add a user; {_PASSWORD_SOURCE}").add_argument
+    add("file", type=Path, metavar="FILE", help="file of users, made if need be")
+    add("name", metavar="NAME", help="of the user")
+    role = "viewers read, operators also command (default: %(default)s)"
+    add("--role", choices=ROLES, default=OPERATOR, help=role)
+    add = tools.add_parser("cycle", help=f"run strokes; {_PASSWORD_SOURCE}").add_argument
+    add("--url", default=OpcuaParameters().endpoint, help="endpoint (default: %(default)s)")
+    add("--user", required=True, metavar="NAME", help="one who may command")
+    add("--strokes", type=int, default=1, help="strokes forward and back (default: %(default)s)")
+    add("--progress", action="store_true", help="print lines 'progress FRACTION'")
+    certificates = "folder of this client's certificate.der and key.pem: encrypt"
+    add("--certificates", type=Path, metavar="DIR", help=certificates)
+    server = "the gateway's certificate.der, with --certificates"
+    add("--server-certificate", type=Path, metavar="FILE", help=server)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import os
@@ -47,6 +48,12 @@ def check_range(option: str, value: float, least: float, most: float = math.inf,
     if not least <= value <= most:
         allowed = f">= {least:.4g}" if most == math.inf else f"{least:.4g} to {most:.7g}"
         raise CommandFailed(f"{option} {value:g}; allowed: {allowed}{unit and ' '}{unit}", exit_code=2)
+
+
+def add_repeatable(parser: argparse.ArgumentParser, option: str, metavar: str | None, text: str, **more: Any) -> None:
+    """Declare an option that may be given several times; its values are a list."""
+    more = {"action": "append", "default": [], **more}
+    parser.add_argument(option, metavar=metavar, help=f"{text}; may be repeated", **more)
 
 
 PICTURES = (".png", ".svg", ".pdf")

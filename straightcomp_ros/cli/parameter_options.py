@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from straightcomp_ros.cli.output import add_repeatable
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.control.laws import LAWS
@@ -19,17 +20,10 @@ DEFAULT_FILE = "config/straightcomp.yaml"
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     """Add --law, --params-file and --set."""
-    parser.add_argument("--law", choices=LAWS, help="control law (default: the parameter file's)")
-    parser.add_argument(
-        "--params-file", metavar="FILE", help=f"ROS 2 parameter file (default: the installed {DEFAULT_FILE})"
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NODE.NAME=VALUE",
-        help="set one parameter, e.g. driver.simulated.plant.mass=3.5; may be repeated",
-    )
+    add = parser.add_argument
+    add("--law", choices=LAWS, help="control law (default: the parameter file's)")
+    add("--params-file", metavar="FILE", help=f"ROS 2 parameter file (default: the installed {DEFAULT_FILE})")
+    add_repeatable(parser, "--set", "NODE.NAME=VALUE", "set one parameter, e.g. driver.simulated.plant.mass=3.5")
 
 
 def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:

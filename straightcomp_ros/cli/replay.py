@@ -12,27 +12,30 @@ from pathlib import Path
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
 from straightcomp_ros.cli.law_tables import shown, titled_table
-from straightcomp_ros.cli.output import CommandFailed, console, notes, output_folder, print_json, require_ros, working
+from straightcomp_ros.cli.output import (
+    CommandFailed,
+    add_repeatable,
+    console,
+    notes,
+    output_folder,
+    print_json,
+    require_ros,
+    working,
+)
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file, finished or not")
-    parser.add_argument("--law", help="what if this law had run")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NODE.NAME=VALUE",
-        help="what if this parameter had been so, e.g. controller.control.smc_observer.bandwidth=300; may be repeated",
-    )
-    parser.add_argument("--graph", action="store_true", help="play the samples to feedforward, controller and logger")
-    parser.add_argument(
-        "--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)"
-    )
+    add = parser.add_argument
+    add("bag", metavar="BAG", help="rosbag2 folder or MCAP file, finished or not")
+    add("--law", help="what if this law had run")
+    changed = "what if this parameter had been so, e.g. controller.control.smc_observer.bandwidth=300"
+    add_repeatable(parser, "--set", "NODE.NAME=VALUE", changed)
+    add("--graph", action="store_true", help="play the samples to feedforward, controller and logger")
+    add("--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)")
     add_remap_option(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

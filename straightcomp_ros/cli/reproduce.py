@@ -19,10 +19,9 @@ SUMMARY = "compute the paper's figures, and its numbers beside ours"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--output", "-o", metavar="DIR", default="reproduce_output", help="folder for the PNGs (default: %(default)s)"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    add("--output", "-o", metavar="DIR", default="reproduce_output", help="folder for the PNGs (default: %(default)s)")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

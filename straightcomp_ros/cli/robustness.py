@@ -15,7 +15,15 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.output import PICTURES, CommandFailed, console, output_file, print_json, working
+from straightcomp_ros.cli.output import (
+    PICTURES,
+    CommandFailed,
+    add_repeatable,
+    console,
+    output_file,
+    print_json,
+    working,
+)
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.sweep.many_trials import sweep
@@ -33,25 +41,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     # Here --law may be repeated: this one takes the place of the one that the other verbs have.
     laws = parser.add_argument_group("laws", conflict_handler="resolve")
-    laws.add_argument(
-        "--law", dest="laws", action="append", choices=LAWS, help="control law; may be repeated (default: all)"
-    )
+    add_repeatable(laws, "--law", None, "control law (default: all)", dest="laws", choices=LAWS)
     parser.set_defaults(law=None)
-    parser.add_argument("--trials", type=_count, default=1000, metavar="N", help="machines (default: %(default)s)")
-    parser.add_argument("--seed", type=_natural, default=1, metavar="N", help="of all that is drawn (default: 1)")
-    parser.add_argument(
-        "--range",
-        dest="ranges",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="change one range, e.g. mass=0.3; may be repeated; names: "
-        + ", ".join(declaration.name for declaration in declarations(UncertaintyParameters)),
-    )
-    parser.add_argument("--jobs", type=_count, metavar="N", help="processes on this machine (default: all cores)")
-    parser.add_argument("--dask", default="", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
-    parser.add_argument("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    add("--trials", type=_count, default=1000, metavar="N", help="machines (default: %(default)s)")
+    add("--seed", type=_natural, default=1, metavar="N", help="of all that is drawn (default: 1)")
+    names = ", ".join(declaration.name for declaration in declarations(UncertaintyParameters))
+    add_repeatable(parser, "--range", "NAME=VALUE", f"change one range, e.g. mass=0.3; names: {names}", dest="ranges")
+    add("--jobs", type=_count, metavar="N", help="processes on this machine (default: all cores)")
+    add("--dask", default="", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
+    add("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -26,24 +26,17 @@ SUMMARY = "run strokes forward and back offline"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    parser.add_argument(
-        "--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)"
-    )
-    parser.add_argument("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
-    parser.add_argument(
-        "--starts",
-        type=int,
-        default=1,
-        metavar="N",
-        help="repeat the cycle from N places of the platform around its start, and tell median and range (default: 1)",
-    )
-    parser.add_argument("--learn", action="store_true", help="learn from stroke to stroke")
-    parser.add_argument(
-        "--learned", metavar="FILE", help="as --learn; read what was learned from FILE if it exists, and write it there"
-    )
-    parser.add_argument("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
-    parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    add("--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)")
+    add("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
+    starts = "repeat the cycle from N places of the platform around its start, and tell median and range (default: 1)"
+    add("--starts", type=int, default=1, metavar="N", help=starts)
+    add("--learn", action="store_true", help="learn from stroke to stroke")
+    learned = "as --learn; read what was learned from FILE if it exists, and write it there"
+    add("--learned", metavar="FILE", help=learned)
+    add("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
+    add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -10,31 +10,17 @@ from straightcomp_ros.straightness.tables.formats import FORMATS
 
 
 def add_table_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
     endings = ", ".join(f"{one.ending} {name}" for name, one in FORMATS.items())
-    parser.add_argument("--format", choices=FORMATS, help=f"format (default: by the file's ending: {endings})")
-    parser.add_argument(
-        "--unit",
-        choices=UNITS,
-        default=Conventions.unit,
-        help="length unit of the controller where the file does not say it: linuxcnc, aerotech (default: %(default)s)",
-    )
+    add("--format", choices=FORMATS, help=f"format (default: by the file's ending: {endings})")
+    unit = "length unit of the controller where the file does not say it: linuxcnc, aerotech (default: %(default)s)"
+    add("--unit", choices=UNITS, default=Conventions.unit, help=unit)
     for axis, default in (("stage", Conventions.stage_axis), ("platform", Conventions.platform_axis)):
-        parser.add_argument(
-            f"--{axis}-axis",
-            type=int,
-            default=default,
-            metavar="N",
-            help=f"the {axis}'s number in the controller, from 1: aerotech, crosscomp (default: %(default)s)",
-        )
-    parser.add_argument(
-        "--error",
-        default=Conventions.error,
-        metavar="NAME",
-        help="name of the straightness error after ISO 230-1: etalon (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--negate", action="store_true", help="turn the sign over, for an axis that counts the other way"
-    )
+        number = f"the {axis}'s number in the controller, from 1: aerotech, crosscomp (default: %(default)s)"
+        add(f"--{axis}-axis", type=int, default=default, metavar="N", help=number)
+    error = "name of the straightness error after ISO 230-1: etalon (default: %(default)s)"
+    add("--error", default=Conventions.error, metavar="NAME", help=error)
+    add("--negate", action="store_true", help="turn the sign over, for an axis that counts the other way")
 
 
 def chosen_conventions(options: argparse.Namespace) -> Conventions:

@@ -19,18 +19,13 @@ _NAMESPACE = r"(/?[A-Za-z_]\w*)*/?"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--port", type=int, default=DEFAULT_PORT, help="port on 127.0.0.1; 0 takes a free one (default: %(default)s)"
-    )
-    parser.add_argument("--namespace", default="", metavar="NAME", help="namespace of the graph")
-    parser.add_argument(
-        "--priority",
-        type=int,
-        default=0,
-        metavar="N",
-        help="SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    port = "port on 127.0.0.1; 0 takes a free one (default: %(default)s)"
+    add("--port", type=int, default=DEFAULT_PORT, help=port)
+    add("--namespace", default="", metavar="NAME", help="namespace of the graph")
+    priority = "SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)"
+    add("--priority", type=int, default=0, metavar="N", help=priority)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> int:
