@@ -9,7 +9,8 @@ import signal
 import sys
 from contextlib import closing
 
-from straightcomp_ros.cli.output import CommandFailed, add_repeatable, check_range, print_json
+from straightcomp_ros.cli.options import add_repeatable, check_range
+from straightcomp_ros.cli.output import CommandFailed, print_json
 from straightcomp_ros.hardware.can.bus_faults import KINDS, Faults
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.timing import realtime

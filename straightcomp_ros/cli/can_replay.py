@@ -12,7 +12,8 @@ from pathlib import Path
 
 import can
 
-from straightcomp_ros.cli.output import CommandFailed, check_range, notes, print_json, working
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import CommandFailed, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.frame_replay import DamagedLog, of_the_board, play, recorded_frames
@@ -30,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Play to the end."""
     check_range("--speed", options.speed, _SLOWEST, _FASTEST)
     if not options.log.is_file():
         raise CommandFailed(f"log '{options.log}': No such file; name a recorded bus", exit_code=2)

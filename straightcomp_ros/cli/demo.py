@@ -14,7 +14,8 @@ from pathlib import Path
 from straightcomp_ros.analysis.run_plot import plot_run
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cli.law_tables import results_table, timing_table
-from straightcomp_ros.cli.output import CommandFailed, console, notes, output_folder, print_json, require_ros, working
+from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 
 SUMMARY = "run the node graph for one stroke, record and evaluate it"
@@ -38,7 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the graph, print the figures, save the plot."""
     require_ros()
     if options.opcua and options.lockstep:
         raise CommandFailed("--opcua runs in real time; allowed without --lockstep", exit_code=2)

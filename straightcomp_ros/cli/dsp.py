@@ -9,7 +9,8 @@ import argparse
 import sys
 
 from straightcomp_ros.cli import main as command_line
-from straightcomp_ros.cli.output import CommandFailed, check_range
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE

@@ -10,16 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from straightcomp_ros.cli.law_tables import shown, titled_table
-from straightcomp_ros.cli.output import (
-    CommandFailed,
-    add_repeatable,
-    console,
-    noted_warnings,
-    notes,
-    output_file,
-    print_json,
-    working,
-)
+from straightcomp_ros.cli.options import add_repeatable, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, working
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.assessment import Assessment
@@ -39,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Judge and print."""
     from straightcomp_ros.analysis.limits import judged, read_limits
 
     remap = parsed_remap(options.remap)
@@ -75,11 +66,7 @@ def add_remap_option(parser: argparse.ArgumentParser) -> None:
 
 
 def parsed_remap(assignments: list[str]) -> dict[str, str]:
-    """Topic of the bag by our name, from texts OURS:=THEIRS.
-
-    Raises:
-        CommandFailed: another form, or a stream that is not ours.
-    """
+    """Topic of the bag by our name, from texts OURS:=THEIRS; CommandFailed for another form or an unknown OURS."""
     from straightcomp_ros.contract import STREAMS
 
     known = [stream.topic for stream in STREAMS]
@@ -115,8 +102,7 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
         cells = [shown(value)]
         if other is not None:
             beside = theirs[name]
-            both = value is not None and beside is not None
-            cells += [shown(beside), shown(beside - value) if both else ""]
+            cells += [shown(beside), "" if value is None or beside is None else shown(beside - value)]
         if any(cells[:2]):
             table.add_row(name, *cells)
     console.print(table)

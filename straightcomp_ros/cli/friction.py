@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.output import CommandFailed, add_repeatable, console, notes, output_file, print_json, working
+from straightcomp_ros.cli.options import add_repeatable, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.contract import STROKE
@@ -29,6 +30,10 @@ from straightcomp_ros.straightness.survey import write_survey
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
 _DEFAULT_KNOWN = "actuator.turns"
+_EXCITATION_COMMENTS = (
+    "Made up, not measured: a map for feedforward.map.file that excites friction, mass and stiffness.",
+    "Written by straightcomp friction --excitation. The platform moves up to 57 um to each side.",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,12 +63,6 @@ def run(options: argparse.Namespace) -> None:
         print_json(_figures(estimate))
     else:
         _print(estimate)
-
-
-_EXCITATION_COMMENTS = (
-    "Made up, not measured: a map for feedforward.map.file that excites friction, mass and stiffness.",
-    "Written by straightcomp friction --excitation. The platform moves up to 57 um to each side.",
-)
 
 
 def _figures(estimate: Estimate) -> dict[str, Any]:

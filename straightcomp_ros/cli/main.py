@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import ast
 import importlib
 import os
+import re
 import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -15,26 +15,12 @@ from xml.etree import ElementTree
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.settings.share import share_path
 
-_VERBS = {
-    "bench": "trials.verbs.bench",
-    "can": "cli.can",
-    "completion": "cli.completion",
-    "demo": "cli.demo",
-    "doctor": "cli.doctor",
-    "dsp": "cli.dsp",
-    "evaluate": "cli.evaluate",
-    "faults": "trials.verbs.inject_faults",
-    "friction": "cli.friction",
-    "map": "cli.map",
-    "opcua": "cli.opcua",
-    "recover": "cli.recover",
-    "replay": "cli.replay",
-    "reproduce": "cli.reproduce",
-    "robustness": "cli.robustness",
-    "simulate": "cli.simulate",
-    "soak": "trials.verbs.soak",
-    "view": "cli.view",
-}
+_TRIALS = {"bench": "trials.verbs.bench", "faults": "trials.verbs.inject_faults", "soak": "trials.verbs.soak"}
+_NAMES = (
+    "bench can completion demo doctor dsp evaluate faults friction map opcua recover replay reproduce robustness "
+    "simulate soak view"
+)
+_VERBS = {name: _TRIALS.get(name, f"cli.{name}") for name in _NAMES.split()}
 """The module of each verb."""
 _FIRST_STEPS = """\
 first steps:
@@ -146,12 +132,7 @@ class _Version(argparse.Action):
 def _summary(source: str) -> str:
     """SUMMARY of a verb, read without importing it."""
     path = Path(__file__).parents[1].joinpath(*source.split(".")).with_suffix(".py")
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return next(
-        str(ast.literal_eval(node.value))
-        for node in tree.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "SUMMARY"
-    )
+    return re.findall(r'^SUMMARY = "(.*)"$', path.read_text(encoding="utf-8"), re.MULTILINE)[0]
 
 
 if __name__ == "__main__":

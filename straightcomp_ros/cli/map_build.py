@@ -10,23 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli.law_tables import figures_table
-from straightcomp_ros.cli.output import (
-    PICTURES,
-    CommandFailed,
-    check_range,
-    console,
-    noted_warnings,
-    notes,
-    output_file,
-    print_json,
-)
+from straightcomp_ros.cli.options import PICTURES, check_range, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 
 if TYPE_CHECKING:
-    from straightcomp_ros.analysis.map_building import BuiltMap, Choices
+    from straightcomp_ros.analysis.map_building import BuiltMap
 
 SUMMARY = "map from a bag of survey runs, or from CSV"
-_UNITS = ("m", "mm", "um", "nm")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,14 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sensor = "reading of the displacement sensor, e.g. /probe:range or /probe:point.y"
     sensor += f" (default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])"
     add("--sensor", metavar="TOPIC[:FIELD]", default=DISPLACEMENT.topic, help=sensor)
-    add("--unit", choices=_UNITS, default="m", help="of the readings (default: %(default)s)")
+    add("--unit", choices=("m", "mm", "um", "nm"), default="m", help="of the readings (default: %(default)s)")
     add("--invert", action="store_true", help="the reading falls when the slider moves towards +y")
     add("--delay", type=float, default=0.0, metavar="MS", help="age of a reading at its stamp (default: %(default)g)")
     add("--on-platform", action="store_true", help="the sensor rides on the platform: its y is taken off the reading")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Build, write and print."""
     from straightcomp_ros.straightness.survey import SurveyError
 
     for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
@@ -81,7 +71,8 @@ def run(options: argparse.Namespace) -> None:
 
 def _built(options: argparse.Namespace) -> BuiltMap:
     from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
-    from straightcomp_ros.analysis.survey_series import is_series, series_of_csv
+    from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
+    from straightcomp_ros.bags.fields import Field
     from straightcomp_ros.straightness.survey import SurveyError, read_survey
 
     choices = Choices(step=options.step * 1e-3, limit=options.outliers, level=options.level)
@@ -89,26 +80,18 @@ def _built(options: argparse.Namespace) -> BuiltMap:
     if not source.exists():
         raise SurveyError(f"survey {source} does not exist; give a bag or a CSV file")
     if source.is_dir() or source.suffix in (".mcap", ".db3"):
-        return _from_bag(options, source, choices)
+        try:
+            stage = Field.parsed(options.stage, f"position[{STAGE}]")
+            readings = Field.parsed(options.sensor, Sensor().readings.path)
+        except ValueError as error:
+            raise CommandFailed(f"--stage or --sensor: {error}", exit_code=2) from error
+        sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
+        return build_from_series(series_of_bag(source, stage, sensor), source, choices)
     if is_series(source):
         return build_from_series(series_of_csv(source), source, choices)
     parameters = choices.parameters
     survey = read_survey(source, min_points=parameters.min_points, max_gap=parameters.max_gap)
     return build(survey, source, choices)
-
-
-def _from_bag(options: argparse.Namespace, source: Path, choices: Choices) -> BuiltMap:
-    from straightcomp_ros.analysis.map_building import build_from_series
-    from straightcomp_ros.analysis.survey_series import Sensor, series_of_bag
-    from straightcomp_ros.bags.fields import Field
-
-    try:
-        stage = Field.parsed(options.stage, f"position[{STAGE}]")
-        readings = Field.parsed(options.sensor, Sensor().readings.path)
-    except ValueError as error:
-        raise CommandFailed(f"--stage or --sensor: {error}", exit_code=2) from error
-    sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
-    return build_from_series(series_of_bag(source, stage, sensor), source, choices)
 
 
 def _as_json(built: BuiltMap) -> dict[str, Any]:

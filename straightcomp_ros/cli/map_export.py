@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import argparse
 
-from straightcomp_ros.cli.output import check_range, console, output_file, print_json
-from straightcomp_ros.cli.table_options import add_table_options, chosen_conventions
+from straightcomp_ros.cli.map_convert import add_table_options, chosen_conventions
+from straightcomp_ros.cli.options import check_range, output_file
+from straightcomp_ros.cli.output import console, print_json
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.tables.error_table import sampled
 from straightcomp_ros.straightness.tables.formats import format_of

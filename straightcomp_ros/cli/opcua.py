@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.users import OPERATOR, ROLES, add_user
@@ -27,28 +28,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = tools.add_parser("user", help=f"add a user; {_PASSWORD_SOURCE}").add_argument
     add("file", type=Path, metavar="FILE", help="file of users, made if need be")
     add("name", metavar="NAME", help="of the user")
-    role = "viewers read, operators also command (default: %(default)s)"
-    add("--role", choices=ROLES, default=OPERATOR, help=role)
+    add("--role", choices=ROLES, default=OPERATOR, help="viewers read, operators also command (default: %(default)s)")
     add = tools.add_parser("cycle", help=f"run strokes; {_PASSWORD_SOURCE}").add_argument
     add("--url", default=OpcuaParameters().endpoint, help="endpoint (default: %(default)s)")
     add("--user", required=True, metavar="NAME", help="one who may command")
     add("--strokes", type=int, default=1, help="strokes forward and back (default: %(default)s)")
     add("--progress", action="store_true", help="print lines 'progress FRACTION'")
-    certificates = "folder of this client's certificate.der and key.pem: encrypt"
-    add("--certificates", type=Path, metavar="DIR", help=certificates)
-    server = "the gateway's certificate.der, with --certificates"
-    add("--server-certificate", type=Path, metavar="FILE", help=server)
+    add("--certificates", type=Path, metavar="DIR", help="folder of this client's certificate.der and key.pem: encrypt")
+    add("--server-certificate", type=Path, metavar="FILE", help="the gateway's certificate.der, with --certificates")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run one tool."""
     if options.tool == "user":
         add_user(options.file, options.name, _password(options.name), options.role)
         notes.print(f"user '{options.name}', {options.role}: {options.file}", markup=False)
         return
-    if options.strokes < 1:
-        raise CommandFailed(f"--strokes {options.strokes}: allowed: 1 and more", exit_code=2)
+    check_range("--strokes", options.strokes, 1)
     if (options.certificates is None) != (options.server_certificate is None):
         raise CommandFailed("--certificates and --server-certificate need each other", exit_code=2)
     figures = _run_cycle(options)
@@ -94,9 +90,8 @@ def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _password(user: str) -> str:
-    given = os.environ.get(PASSWORD)
-    if given is not None:
-        return given
+    if PASSWORD in os.environ:
+        return os.environ[PASSWORD]
     if not sys.stdin.isatty():
         raise CommandFailed(f"no password for user '{user}': set {PASSWORD}, or run on a terminal", exit_code=2)
     return getpass.getpass(f"Password of {user}: ")

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from straightcomp_ros.cli.output import add_repeatable
+from straightcomp_ros.cli.options import add_repeatable
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.control.laws import LAWS

@@ -12,16 +12,8 @@ from pathlib import Path
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
 from straightcomp_ros.cli.law_tables import shown, titled_table
-from straightcomp_ros.cli.output import (
-    CommandFailed,
-    add_repeatable,
-    console,
-    notes,
-    output_folder,
-    print_json,
-    require_ros,
-    working,
-)
+from straightcomp_ros.cli.options import add_repeatable, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
@@ -39,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Audit, or simulate, or play."""
     changes = bool(options.law or options.set)
     if options.graph and changes:
         raise CommandFailed("allowed: either --graph, or --law and --set", exit_code=2)
@@ -55,17 +46,11 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> Non
     if options.json:
         print_json(dataclasses.asdict(found))
     else:
-        console.print(
-            f"law '{found.law}': {found.commands} commands computed again, {found.different} different, "
-            f"{found.unverified} not verifiable",
-            soft_wrap=True,
-        )
+        counts = f"{found.different} different, {found.unverified} not verifiable"
+        console.print(f"law '{found.law}': {found.commands} commands computed again, {counts}", soft_wrap=True)
     if found.missing:
-        notes.print(
-            f"{found.missing} samples, references or states are not in the bag: commands after them cannot be computed "
-            "until the law starts anew",
-            soft_wrap=True,
-        )
+        missing = f"{found.missing} samples, references or states are not in the bag"
+        notes.print(f"{missing}: commands after them cannot be computed until the law starts anew", soft_wrap=True)
     if found.began_running:
         notes.print("the recording began while the law was running: it is verified from the law's next start")
     if found.first:
@@ -83,19 +68,16 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> N
     from straightcomp_ros.cli.parameter_options import chosen_changes
     from straightcomp_ros.offline.replay.what_if import what_if
 
-    changes = chosen_changes(options)
     with working("simulating"):
-        result = what_if(bag, changes, remap)
+        result = what_if(bag, chosen_changes(options), remap)
     columns = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
     if options.json:
         names = ("recorded", "simulated_as_recorded", "what_if")
         print_json({name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)})
         return
     headings = zip(("recorded", "simulated\nas recorded", "what if"), result.laws, strict=False)
-    table = titled_table(f"What if: {bag}", "figure", *("\n".join(heading) for heading in headings))
-    for name in columns[0]:
-        table.add_row(name, *(shown(one[name]) for one in columns))
-    console.print(table)
+    rows = ([name, *(shown(one[name]) for one in columns)] for name in columns[0])
+    console.print(titled_table(f"What if: {bag}", "figure", *map("\n".join, headings), rows=rows))
 
 
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
@@ -110,11 +92,9 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> Non
     except LaunchError as error:
         raise CommandFailed(f"{error} (logs in {output}/logs)") from error
     if options.json:
-        print_json({"bag": str(found.bag), **{key: value for key, value in vars(found).items() if key != "bag"}})
+        print_json({**vars(found), "bag": str(found.bag)})
     else:
-        console.print(
-            f"{found.samples} samples played; {found.commands} commands came back: "
-            f"{found.equal} as recorded to the bit, {found.different} otherwise",
-            soft_wrap=True,
-        )
+        counts = f"{found.equal} as recorded to the bit, {found.different} otherwise"
+        played = f"{found.samples} samples played; {found.commands} commands came back"
+        console.print(f"{played}: {counts}", soft_wrap=True)
         notes.print(f"bag: {found.bag}")

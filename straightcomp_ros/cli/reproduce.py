@@ -7,8 +7,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.output import console, notes, output_folder, print_json, working
+from straightcomp_ros.cli.law_tables import shown, titled_table
+from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.output import console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import DEFAULT_FILE
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.paper.all_figures import Reproduction, reproduce
@@ -41,9 +42,8 @@ def _print(result: Reproduction, folder: Path) -> None:
     headings = ("claim", "paper", "ours", "unit", "within")
     table = titled_table("The paper's numbers and ours", *headings, left=("unit", "within"))
     for claim in result.claims:
-        paper = "" if claim.paper is None else f"{claim.paper:.4g}"
         within = {True: "yes", False: "no", None: ""}[claim.within]
-        table.add_row(claim.name, paper, claim.shown, claim.unit, within)
+        table.add_row(claim.name, shown(claim.paper), claim.shown, claim.unit, within)
     console.print(table)
     for claim in result.claims:
         if claim.within is False:

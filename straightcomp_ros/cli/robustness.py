@@ -10,20 +10,12 @@ from __future__ import annotations
 import argparse
 import re
 import time
+from collections.abc import Callable
 from typing import Any
 
-from rich.table import Table
-
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.output import (
-    PICTURES,
-    CommandFailed,
-    add_repeatable,
-    console,
-    output_file,
-    print_json,
-    working,
-)
+from straightcomp_ros.cli.options import PICTURES, add_repeatable, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.sweep.many_trials import sweep
@@ -44,18 +36,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_repeatable(laws, "--law", None, "control law (default: all)", dest="laws", choices=LAWS)
     parser.set_defaults(law=None)
     add = parser.add_argument
-    add("--trials", type=_count, default=1000, metavar="N", help="machines (default: %(default)s)")
-    add("--seed", type=_natural, default=1, metavar="N", help="of all that is drawn (default: 1)")
+    add("--trials", type=_whole(1), default=1000, metavar="N", help="machines (default: %(default)s)")
+    add("--seed", type=_whole(0), default=1, metavar="N", help="of all that is drawn (default: 1)")
     names = ", ".join(declaration.name for declaration in declarations(UncertaintyParameters))
     add_repeatable(parser, "--range", "NAME=VALUE", f"change one range, e.g. mass=0.3; names: {names}", dest="ranges")
-    add("--jobs", type=_count, metavar="N", help="processes on this machine (default: all cores)")
+    add("--jobs", type=_whole(1), metavar="N", help="processes on this machine (default: all cores)")
     add("--dask", default="", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
     add("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Sweep and print the figures."""
     values = chosen_parameters(options)
     laws = list(dict.fromkeys(options.laws or LAWS))
     plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
@@ -83,20 +74,14 @@ def run(options: argparse.Namespace) -> None:
         print_json({"trials": options.trials, "seed": options.seed, "laws": shown, "seconds": seconds})
     else:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
-        console.print(_table(title, summaries, f"{_conditions(ranges)}\n{seconds:.0f} s"))
+        table = titled_table(title, "law", *PERCENTILES, "failures", "limit cycles", rows=map(_row, summaries))
+        table.caption, table.caption_justify = f"{_conditions(ranges)}\n{seconds:.0f} s", "left"
+        console.print(table)
 
 
-def _table(title: str, summaries: list[LawSummary], caption: str) -> Table:
-    table = titled_table(title, "law", *PERCENTILES, "failures", "limit cycles")
-    table.caption, table.caption_justify = caption, "left"
-    for summary in summaries:
-        table.add_row(
-            summary.law,
-            *(f"{value * 1e6:.3f}" for value in summary.pp.values()),
-            str(sum(summary.failures.values())),
-            str(summary.limit_cycles),
-        )
-    return table
+def _row(summary: LawSummary) -> list[object]:
+    pp = [f"{value * 1e6:.3f}" for value in summary.pp.values()]
+    return [summary.law, *pp, sum(summary.failures.values()), summary.limit_cycles]
 
 
 def _conditions(ranges: UncertaintyParameters) -> str:
@@ -119,13 +104,10 @@ def _assignment(text: str) -> tuple[str, Any]:
         return name, value
 
 
-def _natural(text: str) -> int:
-    if not text.isascii() or not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= 0")
-    return int(text)
+def _whole(least: int) -> Callable[[str], int]:
+    def number(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and int(text) >= least):
+            raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= {least}")
+        return int(text)
 
-
-def _count(text: str) -> int:
-    if (number := _natural(text)) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= 1")
     return number

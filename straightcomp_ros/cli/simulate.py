@@ -12,13 +12,15 @@ from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.law_tables import cycles_table, results_table
-from straightcomp_ros.cli.output import PICTURES, CommandFailed, check_range, console, output_file, print_json, working
+from straightcomp_ros.cli.options import PICTURES, check_range, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
 from straightcomp_ros.offline.sweep.starts import Spread, metrics_of_starts, spreads
 from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "run strokes forward and back offline"
@@ -40,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Simulate and print the figures."""
     values = chosen_parameters(options)
     if options.delay is not None:
         values["driver"]["lockstep_delay"] = options.delay
@@ -54,27 +55,22 @@ def run(options: argparse.Namespace) -> None:
         values["controller"]["learning.learn"] = True
     if options.learned:
         values["controller"]["learning.file"] = str(output_file("--learned", options.learned))
+    over_starts: dict[str, Spread] = {}
     try:
-        if options.strokes == 1 and not options.bag and can_run(values):
-            record, straightness = run_stroke(values)
-            cycles = [evaluate(record, straightness)]
-        else:
-            simulation = Simulation(values)
-            straightness = simulation.map
-            record, cycles = _run_cycles(options, values, simulation)
-            simulation.save_learning()
-        over_starts = _over_starts(values, options.starts) if options.starts > 1 else {}
+        record, straightness, cycles = _run_cycles(options, values)
+        if options.starts > 1:
+            with working("simulating the starts") as advance:
+                over_starts = spreads(one.to_display() for one in metrics_of_starts(values, options.starts, advance))
     except (ParameterError, SurveyError):
         raise
     except ValueError as error:
         # Among others: the position or the current became infinite.
         raise CommandFailed(str(error)) from error
-    metrics = cycles[-1]
     if plot is not None:
         # Only here: matplotlib takes longer to import than the cycle to run.
         from straightcomp_ros.analysis.run_plot import plot_run
 
-        plot_run(record, straightness, metrics, plot, title=f"Simulated stroke, law '{record.law}'")
+        plot_run(record, straightness, cycles[-1], plot, title=f"Simulated stroke, law '{record.law}'")
     shown = [cycle.to_display() for cycle in cycles]
     delay = node_parameters("driver", values["driver"]).lockstep_delay
     figures = {"law": record.law, "delay_samples": delay, **shown[-1]}
@@ -89,17 +85,14 @@ def run(options: argparse.Namespace) -> None:
     console.print(results_table(figures, over_starts))
 
 
-def _over_starts(values: Mapping[str, Mapping[str, Any]], count: int) -> dict[str, Spread]:
-    """Each figure over ``count`` starts."""
-    with working("simulating the starts") as advance:
-        found = metrics_of_starts(values, count, advance)
-    return spreads(metrics.to_display() for metrics in found)
-
-
 def _run_cycles(
-    options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]], simulation: Simulation
-) -> tuple[StrokeRecord, list[Metrics]]:
-    """The last cycle, and the figures of all."""
+    options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]]
+) -> tuple[StrokeRecord, StraightnessMap, list[Metrics]]:
+    """The last cycle, the map, and the figures of all cycles."""
+    if options.strokes == 1 and not options.bag and can_run(values):
+        record, straightness = run_stroke(values)
+        return record, straightness, [evaluate(record, straightness)]
+    simulation = Simulation(values)
     cycles: list[Metrics] = []
     opened = SimulatedRun(Path(options.bag), values, simulation.delay) if options.bag else nullcontext()
     with working("simulating") as advance, opened as bag:
@@ -108,4 +101,5 @@ def _run_cycles(
                 lambda fraction: advance((len(cycles) + fraction) / options.strokes), bag.add if bag else None
             )
             cycles.append(evaluate(record, simulation.map))
-    return record, cycles
+    simulation.save_learning()
+    return record, simulation.map, cycles

@@ -9,7 +9,8 @@ import argparse
 import re
 import sys
 
-from straightcomp_ros.cli.output import CommandFailed, check_range, print_json, require_ros
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
@@ -20,8 +21,7 @@ _NAMESPACE = r"(/?[A-Za-z_]\w*)*/?"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    port = "port on 127.0.0.1; 0 takes a free one (default: %(default)s)"
-    add("--port", type=int, default=DEFAULT_PORT, help=port)
+    add("--port", type=int, default=DEFAULT_PORT, help="port on 127.0.0.1; 0 takes a free one (default: %(default)s)")
     add("--namespace", default="", metavar="NAME", help="namespace of the graph")
     priority = "SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)"
     add("--priority", type=int, default=0, metavar="N", help=priority)
