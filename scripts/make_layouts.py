@@ -2,7 +2,7 @@
 
 From the top of the repository:
 
-    python -m scripts.make_layouts [directory]
+    python -m scripts.make_layouts
 
 What is shown is said once, here; names of topics and places of numbers in the messages come from the contract.
 Foxglove names a number by its place in an array (`/encoder.position[1]`), PlotJuggler by the joint
@@ -12,7 +12,6 @@ topic in the files.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -224,13 +223,5 @@ def make(directory: Path) -> None:
     (directory / "plotjuggler.xml").write_text(f"<?xml version='1.0' encoding='UTF-8'?>\n{xml}\n", encoding="utf-8")
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    default = Path(__file__).resolve().parent.parent / "config"
-    parser.add_argument("directory", type=Path, nargs="?", default=default)
-    make(parser.parse_args().directory)
-
-
 if __name__ == "__main__":
-    main()
+    make(Path(__file__).resolve().parent.parent / "config")

@@ -2,7 +2,7 @@
 
 From the top of the repository:
 
-    python -m scripts.make_sample_bags [directory]
+    python -m scripts.make_sample_bags
 
 Everything is simulated, with the parameters of config/straightcomp.yaml where nothing else is said. Bags that are there
 already are replaced. The messages are the same every time; what the bags say of their making (revision, date) is not.
@@ -10,7 +10,6 @@ already are replaced. The messages are the same every time; what the bags say of
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import tempfile
 from pathlib import Path
@@ -120,13 +119,5 @@ def make(directory: Path) -> None:
     cut_off(directory / "cut_off", directory / "smc")
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    default = Path(__file__).resolve().parent.parent / "bags"
-    parser.add_argument("directory", type=Path, nargs="?", default=default)
-    make(parser.parse_args().directory)
-
-
 if __name__ == "__main__":
-    main()
+    make(Path(__file__).resolve().parent.parent / "bags")

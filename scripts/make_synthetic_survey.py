@@ -2,7 +2,7 @@
 
 From the top of the repository:
 
-    python -m scripts.make_synthetic_survey [directory]
+    python -m scripts.make_synthetic_survey
 
 The guide has the features of the paper's Fig. 2: 1760 mm, 22.4 µm peak to peak beside its least
 squares line, a long-wave bow with medium waves and a small ripple at the pitch of the rail's bolts.
@@ -12,7 +12,6 @@ repeatability of a good laser interferometer; there is no hysteresis. Every run 
 
 from __future__ import annotations
 
-import argparse
 import random
 from pathlib import Path
 from statistics import NormalDist
@@ -87,13 +86,5 @@ def make(directory: Path) -> None:
     )
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    default = Path(__file__).resolve().parent.parent / "config"
-    parser.add_argument("directory", type=Path, nargs="?", default=default)
-    make(parser.parse_args().directory)
-
-
 if __name__ == "__main__":
-    main()
+    make(Path(__file__).resolve().parent.parent / "config")

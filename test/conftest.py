@@ -17,6 +17,15 @@ settings.register_profile("shared machine", deadline=None)
 settings.load_profile("shared machine")
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--trigger",
+        choices=("sample", "timer"),
+        default="sample",
+        help="what begins the controller's cycles in live tests",
+    )
+
+
 @pytest.hookimpl(hookwrapper=True, trylast=True)
 def pytest_runtest_call(item):
     """In a worker of xdist coverage runs twice: as in any subprocess, and by pytest-cov. Where pytest-cov pauses for

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
-from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -24,12 +23,7 @@ LAW = LawFigures(
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = Path(__file__).resolve().parents[1] / "scripts" / "law_table.py"
-    spec = importlib.util.spec_from_file_location("law_table", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("scripts.law_table")
 
 
 def test_a_row_has_the_readers_units(script):

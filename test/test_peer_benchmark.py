@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import re
 import sys
 from pathlib import Path
@@ -20,12 +20,7 @@ SHORT = {"driver": {}, "controller": {}, "cell": {"motion.stroke": 0.03, "motion
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    path = Path(__file__).resolve().parents[1] / "benchmarks" / "peer_opensmc.py"
-    spec = importlib.util.spec_from_file_location("peer_opensmc", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module("benchmarks.peer_opensmc")
 
 
 def test_without_the_peer_one_sentence_says_how_to_install_it(script, monkeypatch, capsys):

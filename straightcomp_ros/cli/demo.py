@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
     if options.lockstep:
         values["driver"]["lockstep"] = True
-        values["controller"]["trigger"] = "sample"
+        values["controller"]["trigger"] = "lockstep"
     if options.strokes is not None:
         values["cell"]["strokes"] = options.strokes
     output = output_folder("--output", options.output)

@@ -105,9 +105,11 @@ class ControllerNodeParameters:
     autostart: bool = _autostart()
     rate: int = parameter(DEFAULT_RATE, "Control cycles per second", unit="Hz", minimum=10, maximum=20_000)
     trigger: str = parameter(
-        "timer",
-        "timer: in real time, in step with the samples; sample: each waits for its reference (lockstep, replay)",
-        choices=("timer", "sample"),
+        "sample",
+        "What begins a control cycle. sample: the arrival of an encoder sample. timer: a timer at 'rate'; each cycle "
+        "answers all samples that came since the last. lockstep: as sample, but each sample waits for its own "
+        "reference, for a driver in lockstep or a replay",
+        choices=("sample", "timer", "lockstep"),
     )
     reference_lead: int = parameter(
         12,

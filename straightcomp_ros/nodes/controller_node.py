@@ -12,6 +12,7 @@ from rclpy.node import Node
 
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
+from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.law_crossfade import FADE_TIME
 from straightcomp_ros.control.laws import make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
@@ -22,6 +23,7 @@ from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
+from straightcomp_ros.runtime.periodic import Loop, PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.streams import Inbox, subscribe, unspun_node
 from straightcomp_ros.runtime.trip import tripper
@@ -34,20 +36,25 @@ _LOOK_FOR_SILENCE_S = 0.05
 _SPARE_REFERENCES = 2
 """Samples to come that have theirs already when the next references are fetched."""
 
+Answer = tuple[int, Command, float]
+"""Stamp of the sample in ns, the law's command, age of the reference in s."""
+
 
 class ControllerPart:
-    """Pairs each sample with its reference and steps the law, on the timer or on arrival.
+    """Pairs each sample with its reference and steps the law.
 
-    When a cycle finds several new samples the law steps through all of them in order: its velocity
-    estimate and its integral need every sample, and a replay of the bag gives the same commands.
+    ``trigger`` says what begins a cycle: the arrival of a sample, a timer, or in lockstep each message. When a cycle
+    finds several new samples the law steps through all of them in order: its velocity estimate and its integral need
+    every sample, and a replay of the bag gives the same commands.
     """
 
     def __init__(self, node: ManagedNode, parameters: ControllerNodeParameters) -> None:
         self._node, self._parameters = node, parameters
         # The law may be changed while the loop runs.
         prepare_all()
+        lockstep = parameters.trigger == "lockstep"
         self._learner: BesideTheLoop | None = None
-        if parameters.learning.learn and parameters.trigger == "timer":
+        if parameters.learning.learn and not lockstep:
             self._learner = BesideTheLoop(node)
         self._learning = make_learning(
             parameters.learning,
@@ -56,17 +63,17 @@ class ControllerPart:
             self._learner.run if self._learner is not None else lambda job: job(),
         )
         self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate), learning=self._learning)
-        self._new_pairing = partial(Pairing, parameters.lead_ns, wait=parameters.trigger == "sample")
+        self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()
-        self._publish_command = CopiedPublisher(node, COMMAND, copied=parameters.trigger == "timer")
+        self._publish_command = CopiedPublisher(node, COMMAND, copied=not lockstep)
         self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
         self._samples_seen = self._commands = self._refused = 0
         self._gaps = StampGaps()
         self._trip = tripper(node)
         self._silent, self._seen = 0, 0
-        self.loop: LockedLoop | None = None
+        self.loop: Loop | None = None
         self._unspun: Node | None = None
-        if parameters.trigger == "sample":
+        if lockstep:
             subscribe(node, ENCODER, self._on_sample)
             subscribe(node, REFERENCE, self._on_reference)
         else:
@@ -76,7 +83,10 @@ class ControllerPart:
             period_ns = round(1e9 / parameters.rate)
             self._spare_ns = _SPARE_REFERENCES * period_ns
             self._apart_ns = period_ns // 2
-            self.loop = LockedLoop(period_ns, self._samples.wait, self._cycle)
+            if parameters.trigger == "timer":
+                self.loop = PeriodicLoop(period_ns, self._on_timer)
+            else:
+                self.loop = LockedLoop(period_ns, self._wait, self._cycle)
             self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
             node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
         Diagnostics(node, self._counters)
@@ -116,40 +126,62 @@ class ControllerPart:
         self._pairing.add_sample(stamp_ns, numbers)
 
     def _on_sample(self, stamp_ns: int, numbers: Sequence[float]) -> None:
-        if not self._node.active:
-            return
-        self._add_sample(stamp_ns, numbers)
-        self._answer()
+        if self._node.active:
+            self._add_sample(stamp_ns, numbers)
+            self._write(self._update())
 
     def _on_reference(self, stamp_ns: int, numbers: Sequence[float]) -> None:
         self._pairing.add_reference(stamp_ns, numbers)
-        self._answer()
+        self._write(self._update())
+
+    def _on_timer(self, wake_ns: int) -> None:
+        self._fetch_references()
+        self._cycle()
+
+    def _wait(self, timeout_ns: int) -> None:
+        """Until a sample comes. The references for the samples to come are fetched before: nobody waits then."""
+        self._fetch_references()
+        self._samples.wait(timeout_ns)
 
     def _cycle(self) -> tuple[int, int]:
-        samples = self._samples.fetch()
-        fetched_ns = time.time_ns()
+        arrived = self._read()
+        answers = self._update()
+        self._write(answers)
+        return arrived
+
+    def _read(self) -> tuple[int, int]:
+        """Take the samples that came: how many times some were sent, and how long ago the newest came, in ns."""
+        samples, fetched_ns = self._samples.fetch(), time.time_ns()
+        if not samples:
+            return 0, 0
         for stamp_ns, numbers, _ in samples:
             self._add_sample(stamp_ns, numbers)
-        self._answer()
-        # They are for samples to come, and come some at a time.
+        return sendings(self._samples.sent_ns, self._apart_ns), max(0, fetched_ns - samples[-1][2])
+
+    def _fetch_references(self) -> None:
         if self._pairing.short(self._spare_ns):
             for stamp_ns, numbers, _ in self._references.fetch():
                 self._pairing.add_reference(stamp_ns, numbers)
-        count = len(samples)
-        if count > 1:
-            count = sendings(self._samples.sent_ns, self._apart_ns)
-        return count, max(0, fetched_ns - samples[-1][2]) if samples else 0
 
-    def _answer(self) -> None:
+    def _update(self) -> list[Answer]:
+        """Step the law through the samples that have their references."""
+        answers = []
         for stamp_ns, sample, reference, age_ns in self._pairing.take():
             command = self._servo.step(stamp_ns, sample[1], sample[3], reference, sample[0])
             if command is None:
                 self._refused += 1
-                continue
+            else:
+                answers.append((stamp_ns, command, age_ns * 1e-9))
+        return answers
+
+    def _write(self, answers: list[Answer]) -> None:
+        """Publish the commands, and after them what is only watched and recorded."""
+        for stamp_ns, command, _ in answers:
             self._publish_command(stamp_ns, command.current)
+        for stamp_ns, command, age in answers:
             self._publish_command.copy()
-            self._publish_state(stamp_ns, *command[1:], age_ns * 1e-9)
-            self._commands += 1
+            self._publish_state(stamp_ns, *command[1:], age)
+        self._commands += len(answers)
 
     def _look_for_silence(self) -> None:
         # Looks are counted, not seconds: a process that stood still has seen no silence.

@@ -155,33 +155,28 @@ class DriverPart:
         finding = self._clock_watch.check(now, system_now)
         if finding is not None:
             self._trip(*finding)
-        if self._unanswered:
-            self._fetch_commands(now, system_now)
+        # A simulated machine is integrated up to ``now``: a command that has come acts from its arrival.
+        self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
         latenesses = [self._hand_out(sample) for sample, _ in samples]
         if samples and self._gives_way:
             # Whom the sample has woken on this CPU is not to wait for the records.
             for _ in range(_TURNS_OF_OTHERS):
                 os.sched_yield()
-            # Usually the answer to this sample has come, and a machine on a bus waits for it.
+            # A board on a bus waits for the answer, which has usually come now: not until the next cycle.
             self._fetch_commands(now_ns(), self._system_ns())
         self._publish_sample.copy()
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
             self._record(sample, truth, lateness)
-        if self._unanswered:
-            self._fetch_commands(now_ns(), self._system_ns())
         if self._hardware.fault_kind is not None and self._safety.fault is None:
             self._trip(self._hardware.fault_kind, self._hardware.fault)
         return len(samples)
 
-    @property
-    def _unanswered(self) -> bool:
-        return self._newest is None or self._commands.stamp_ns != self._newest.stamp_ns
-
     def _fetch_commands(self, now: int, system_now: int) -> None:
+        if self._newest is not None and self._commands.stamp_ns == self._newest.stamp_ns:
+            return  # the newest sample is answered
         for stamp_ns, numbers, received_ns in self._inbox.fetch():
-            # The machine has not been integrated past its last sample yet: the command acts from when it came in.
-            self._accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
+            self._commands.accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
 
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
         self._hand_out(sample)
@@ -212,9 +207,6 @@ class DriverPart:
         if self._lockstep and self._lockstep.awaits(stamp_ns) and self._commands.is_good(numbers[0]):
             self._commands.count(self._lockstep.delay_ns)
             self._lockstep.answer(numbers[0])
-
-    def _accept(self, stamp_ns: int, current: float, arrival_ns: int) -> None:
-        self._commands.accept(stamp_ns, current, arrival_ns)
 
     def _trip(self, fault: Fault, reason: str) -> None:
         self._safety.trip(fault, reason, now_ns())

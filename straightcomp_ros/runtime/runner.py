@@ -45,12 +45,7 @@ class Runnable(Protocol):
         """Leave everything safe and saved. The ROS context may be gone already."""
 
 
-def run(
-    name: str,
-    make: Callable[[Node], Runnable],
-    arguments: Sequence[str] | None = None,
-    executor: Callable[[], Executor] = EventsExecutor,
-) -> int:
+def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | None = None) -> int:
     """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
 
     Returns:
@@ -58,11 +53,7 @@ def run(
         failed, or what the node itself gave as the result of ``done``.
     """
     return _run(
-        name,
-        lambda: WithSteadyTimers(name, automatically_declare_parameters_from_overrides=True),
-        make,
-        lambda runnable: _spin(runnable, executor()),
-        arguments,
+        name, lambda: WithSteadyTimers(name, automatically_declare_parameters_from_overrides=True), make, arguments
     )
 
 
@@ -73,21 +64,11 @@ def run_managed(name: str, parameter_set: type, make: MakePart, arguments: Seque
         node.begin()
         return node
 
-    return _run(
-        name,
-        lambda: ManagedNode(name, parameter_set, make),
-        begun,
-        lambda node: _spin_managed(node, EventsExecutor()),
-        arguments,
-    )
+    return _run(name, lambda: ManagedNode(name, parameter_set, make), begun, arguments)
 
 
 def _run(
-    name: str,
-    make_node: Callable[[], Any],
-    make: Callable[[Any], Any],
-    spin: Callable[[Any], int],
-    arguments: Sequence[str] | None,
+    name: str, make_node: Callable[[], Any], make: Callable[[Any], Runnable], arguments: Sequence[str] | None
 ) -> int:
     # rclpy's own handlers shut the context down under a running callback; ours let it end first.
     stop = _StopRequest()
@@ -112,7 +93,7 @@ def _run(
             return EXIT_CONFIGURATION
         try:
             stop.ends(runnable.done)
-            code = spin(runnable)
+            code = _spin(runnable)
         finally:
             runnable.close()
         return code
@@ -145,33 +126,25 @@ class _StopRequest:
             self._done.set_result(0)
 
 
-def _spin(runnable: Runnable, executor: Executor) -> int:
-    done = runnable.done
+def _spin(runnable: Runnable) -> int:
+    executor = EventsExecutor()
     idle = _settle(runnable, executor)
-    try:
-        if runnable.loop:
-            runnable.loop.run(done.done, idle)
-        while not done.done():
-            executor.spin_until_future_complete(done, timeout_sec=_LONGEST_WAIT_S)
-    except ExternalShutdownException:
-        return 0
-    return int(done.result())
-
-
-def _spin_managed(node: ManagedNode, executor: Executor) -> int:
-    idle = _settle(node, executor)
-    while not node.done.done():
-        turn = node.turn
+    managed = runnable if isinstance(runnable, ManagedNode) else None
+    while not runnable.done.done():
+        # Another state of a managed node has another loop, or none.
+        turn = managed.turn if managed else runnable.done
         try:
-            if node.loop:
-                node.loop.run(turn.done, idle)
+            if runnable.loop:
+                runnable.loop.run(turn.done, idle)
             else:
                 executor.spin_until_future_complete(turn, timeout_sec=_LONGEST_WAIT_S)
         except ExternalShutdownException:
             return 0
         except RUN_FAILURES as error:
-            node.fail(error)
-    return int(node.done.result())
+            if managed is None:
+                raise
+            managed.fail(error)
+    return int(runnable.done.result())
 
 
 def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:

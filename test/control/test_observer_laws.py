@@ -39,21 +39,6 @@ def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(l
         assert command.error == r - reading
 
 
-@pytest.mark.parametrize("law", OBSERVER_LAWS)
-def test_at_rest_on_the_reference_nothing_is_asked_for(law):
-    servo = make_law(ControlParameters(law=law), T)
-    servo.reset(0.0)
-    assert servo.step(0.0, 0.0, 0.0, 0.0).current == 0.0
-
-
-@pytest.mark.parametrize("law", OBSERVER_LAWS)
-def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
-    for r in (1e-6, -1e-6):
-        servo = make_law(ControlParameters(law=law), T)
-        servo.reset(0.0)
-        assert math.copysign(1.0, servo.step(0.0, r, 0.0, 0.0).current) == math.copysign(1.0, r)
-
-
 def test_far_from_the_surface_the_reaching_acceleration_is_rho_and_near_it_never_overshoots():
     parameters = ControlParameters(law="smc_observer", smc_observer=ObserverDesign(rho=1.5))
     servo = make_law(parameters, T)

@@ -65,6 +65,7 @@ def short_cycle(request):
     values = read_parameter_file(share_path("config/straightcomp.yaml"))
     values["cell"].update({"motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1, "motion.start": 0.0})
     values["driver"].update(FORGIVING)
+    values["controller"]["trigger"] = request.config.getoption("trigger")
     if request.node.get_closest_marker("live") is None:
         # Other tests run beside it: no node takes their CPU.
         for section in values.values():
@@ -76,7 +77,7 @@ def short_cycle(request):
 @pytest.fixture
 def in_lockstep(short_cycle):
     """A short cycle of a graph that waits for each answer: nothing in it can be late, so other tests may run beside."""
-    short_cycle["controller"]["trigger"] = "sample"
+    short_cycle["controller"]["trigger"] = "lockstep"
     short_cycle["driver"].update({"lockstep": True, "lockstep_delay": 0.5})
     # Both directions and a turn: a difference of one bit would grow from the first sample on.
     short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})

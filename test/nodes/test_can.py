@@ -9,9 +9,8 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-import rclpy
 import yaml
-from rclpy.node import Node
+from participant import PATIENCE_S, Participant
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -29,17 +28,15 @@ from straightcomp_ros.runtime.streams import subscribe
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 
 NODES = ("driver", "feedforward", "controller", "logger")
-PATIENCE_S = 60.0
 RATE = 500
 """Seven processes at 2 kHz are more than a busy computer has for a test."""
 
 
-class Operator:
+class Operator(Participant):
     """Switches on, moves the stage, resets; sees the samples."""
 
     def __init__(self):
-        rclpy.init()
-        self.node = Node("operator")
+        super().__init__("operator")
         self.stamps = []
         self.current = math.nan
         self.trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
@@ -48,19 +45,6 @@ class Operator:
     def _on_sample(self, stamp_ns, numbers):
         self.stamps.append(stamp_ns)
         self.x, self.current = numbers[0], numbers[3]
-
-    def until(self, condition):
-        end = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < end, "it never came true"
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-
-    def call(self, kind, name, request):
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(timeout_sec=PATIENCE_S)
-        future = client.call_async(request)
-        self.until(future.done)
-        return future.result()
 
     def enabled(self):
         return self.call(SetBool, "driver/enable", SetBool.Request(data=True)).success
@@ -73,8 +57,7 @@ class Operator:
 def operator():
     operator = Operator()
     yield operator
-    operator.node.destroy_node()
-    rclpy.shutdown()
+    operator.close()
 
 
 @pytest.fixture

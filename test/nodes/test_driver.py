@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
+from participant import Participant
 from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.cell.launcher import Graph
@@ -22,12 +22,11 @@ pytestmark = pytest.mark.live
 _APPLIED, _ENABLED = (DRIVER_STATE.layout.columns.index(name) for name in ("applied_current", "enabled"))
 
 
-class Peer:
+class Peer(Participant):
     """A stand-in for the controller."""
 
     def __init__(self) -> None:
-        rclpy.init()
-        self.node = Node("peer")
+        super().__init__("peer")
         self.samples: list[tuple[int, list[float]]] = []
         self.states: list[list[float]] = []
         self.current: float | None = 0.0
@@ -45,20 +44,6 @@ class Peer:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.05)
-
-    def until(self, condition, seconds=60.0):
-        end = time.monotonic() + seconds
-        # Asked once in each turn: a condition may be a request, and a second one after it was granted may be refused.
-        while not condition():
-            assert time.monotonic() < end, "it never came true"
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-
-    def call(self, kind, name, request):
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(timeout_sec=60)
-        future = client.call_async(request)
-        self.until(future.done)
-        return future.result()
 
     def enable(self, on=True):
         return self.call(SetBool, "driver/enable", SetBool.Request(data=on))
@@ -87,8 +72,7 @@ def peer_in_this_domain():
     try:
         yield peer
     finally:
-        peer.node.destroy_node()
-        rclpy.shutdown()
+        peer.close()
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.srv import ChangeState, GetState
+from participant import PATIENCE_S, Participant
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -16,7 +17,6 @@ from straightcomp_ros.contract import CONTROLLER_STATE, ENCODER, SAFETY_STATE, T
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.runtime.streams import subscribe
 
-PATIENCE_S = 60.0
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
 FORGIVING = {
@@ -25,32 +25,17 @@ FORGIVING = {
 }
 
 
-class Manager:
+class Manager(Participant):
     """Stands for a lifecycle manager and a cell controller."""
 
     def __init__(self):
-        rclpy.init()
-        self.node = Node("manager")
+        super().__init__("manager")
         self.safety = None
         self.node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety, LATCHED)
         self.trip = self.node.create_publisher(DiagnosticStatus, TRIP, 10)
-        self._clients = {}
 
     def _on_safety(self, message):
         self.safety = (message.name, {value.key: value.value for value in message.values}["condition"])
-
-    def until(self, condition, seconds=PATIENCE_S):
-        end = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < end, "it never came true"
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-
-    def call(self, kind, name, request):
-        client = self._clients.setdefault(name, self.node.create_client(kind, name))
-        self.until(client.service_is_ready)
-        future = client.call_async(request)
-        self.until(future.done)
-        return future.result()
 
     def change(self, node, label):
         request = ChangeState.Request()
@@ -98,8 +83,7 @@ class Manager:
 def manager():
     manager = Manager()
     yield manager
-    manager.node.destroy_node()
-    rclpy.shutdown()
+    manager.close()
 
 
 @pytest.fixture

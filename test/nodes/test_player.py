@@ -1,7 +1,6 @@
 """A recorded bag in the real graph, without a driver."""
 
 import time
-from itertools import pairwise
 from pathlib import Path
 
 import pytest

@@ -56,14 +56,9 @@ def test_a_refused_option_ends_with_code_2_and_what_is_allowed(capsys, arguments
 
 
 def test_a_ratio_with_nothing_below_it_is_no_number():
-    def figures(cpu, lost):
-        return {
-            "cpu_cores": cpu,
-            "controller": {"rate_hz": 2000.0},
-            "lost_samples": lost,
-            "latency_us": {"p50": 100.0, "p99": 200.0},
-        }
+    def figures(cpu, p99):
+        return {"cpu_cores": cpu, "latency_us": {"p50": 100.0, "p99": p99, "p999": 1000.0, "max": 4000.0}}
 
-    found = ratios(figures(1.0, 3), figures(2.0, 0))
-    assert (found["cpu_cores"], found["rate_hz"]) == pytest.approx((0.5, 1.0))
-    assert math.isnan(found["lost_samples"])
+    found = ratios(figures(1.0, 300.0), figures(2.0, 0.0))
+    assert (found["cpu_cores"], found["latency_p50"]) == pytest.approx((0.5, 1.0))
+    assert math.isnan(found["latency_p99"])

@@ -43,7 +43,7 @@ class GraphReplay:
 def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | None = None) -> GraphReplay:
     """Play a bag to the graph, with the parameters and the map that are attached to it, and compare the commands.
 
-    The controller waits for each sample's reference (trigger ``sample``): what it answers then depends on the samples
+    The controller waits for each sample's reference (trigger ``lockstep``): what it answers then depends on the samples
     alone, not on this machine's speed.
 
     Args:
@@ -68,7 +68,7 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
         survey = unpacked_map(attachments, Path(folder))
         if survey is not None:
             values["feedforward"]["map.file"] = str(survey)
-        values["controller"]["trigger"] = "sample"
+        values["controller"]["trigger"] = "lockstep"
         values["player"] = {
             "bag": str(Path(bag).absolute()),
             "topic": (remap or {}).get(ENCODER.topic, ENCODER.topic),

@@ -135,11 +135,6 @@ def bench_parameters(
 _CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}.trials.bench.steady_cell"]}
 
 
-def baseline_commands() -> dict[str, Sequence[str]]:
-    """What starts the plain rclpy nodes instead of the project's."""
-    return {node: [sys.executable, "-m", f"{PACKAGE}.trials.bench.baseline", node] for node in RECORDED}
-
-
 def view_beside(priority: int) -> dict[str, Sequence[str]]:
     """The live view and a page that is open on it, as programs to run beside the graph.
 
@@ -161,7 +156,6 @@ def measure(
     seconds: float,
     *,
     progress: Callable[[float], None] = lambda fraction: None,
-    commands: Mapping[str, Sequence[str]] | None = None,
     beside: Mapping[str, Sequence[str]] | None = None,
     look_interval: float = 10.0,
 ) -> Measurement:
@@ -172,7 +166,6 @@ def measure(
         folder: gets bag, logs and parameter file; must not hold a bag.
         seconds: length of the window.
         progress: called with the fraction of the stage's motion that is done.
-        commands: by node, what to start in its place.
         beside: further programs by name that run meanwhile.
         look_interval: time between two looks at the nodes' memory, s.
 
@@ -205,7 +198,7 @@ def measure(
             duration,
             follow,
             started=process_ids.update,
-            commands={**_CELL, **(commands or {})},
+            commands=_CELL,
             beside=beside,
         )
         begin, end = window.looks[0], window.looks[-1]

@@ -37,7 +37,9 @@ def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[
     """Parameters by node and dotted name for the trials, from those to start from."""
     chosen = {node: dict(values[node]) for node in RECORDED}
     chosen["driver"] |= {"hardware": "simulated", "lockstep": False, "simulated.command_timeout": COMMAND_TIMEOUT}
-    chosen["controller"] |= {"sample_timeout": SAMPLE_TIMEOUT, "trigger": "timer"}
+    chosen["controller"]["sample_timeout"] = SAMPLE_TIMEOUT
+    if chosen["controller"].get("trigger") == "lockstep":
+        chosen["controller"]["trigger"] = "sample"
     return chosen
 
 

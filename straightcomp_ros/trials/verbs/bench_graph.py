@@ -18,12 +18,12 @@ from straightcomp_ros.cli.law_tables import rounded, titled_table
 from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.trials.bench.graph_bench import (
     BenchFailed,
     Measurement,
-    baseline_commands,
     bench_parameters,
     measure,
     view_beside,
@@ -53,7 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run all nodes at SCHED_FIFO priority N and keep the CPUs awake (default: normal scheduling)",
     )
     parser.add_argument(
-        "--baseline", action="store_true", help="afterwards the same with plain rclpy nodes, and the ratio of both"
+        "--triggers",
+        action="store_true",
+        help="afterwards the same with the controller's other trigger (sample, timer), and the ratio of both",
     )
     parser.add_argument("--view", action="store_true", help="afterwards the same with the live view open beside it")
     parser.add_argument("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
@@ -87,14 +89,11 @@ def run(options: argparse.Namespace) -> int:
         if options.view:
             beside = view_beside(options.priority)
             figures["with_view"] = _measured(values, folder / "view", seconds, "with view", beside=beside).to_display()
-        if options.baseline:
-            try:
-                plain = _measured(values, folder / "baseline", seconds, "baseline", baseline_commands())
-                figures["baseline"] = plain.to_display()
-                figures["ratio"] = ratios(figures, figures["baseline"])
-            except CommandFailed as failure:
-                # That the plain graph does not live at this rate is a result too.
-                figures["baseline"] = {"failed": str(failure)}
+        if options.triggers:
+            first = values["controller"].setdefault("trigger", ControllerNodeParameters().trigger)
+            second = values["controller"]["trigger"] = "timer" if first == "sample" else "sample"
+            figures |= {"trigger": first, second: _measured(values, folder / second, seconds, second).to_display()}
+            figures["ratio"] = ratios(figures, figures[second])
     if options.json:
         print_json(figures)
     else:
@@ -107,7 +106,6 @@ def _measured(
     folder: Path,
     seconds: float,
     words: str,
-    commands: Any = None,
     beside: Any = None,
 ) -> Measurement:
     if (folder / "bag").exists():
@@ -120,30 +118,24 @@ def _measured(
                 folder,
                 seconds,
                 progress=lambda done: bar.update(task, completed=done),
-                commands=commands,
                 beside=beside,
             )
     except BenchFailed as error:
         raise CommandFailed(f"{words}: {error}") from error
 
 
-def ratios(ours: dict[str, Any], baseline: dict[str, Any]) -> dict[str, float]:
-    """Ours divided by the baseline's: CPU in all and per sample that the controller handled, the controller's rate,
-    losses, latency; NaN where the baseline has zero."""
+def ratios(figures: dict[str, Any], other: dict[str, Any]) -> dict[str, float]:
+    """Figures of one measurement divided by those of another: CPU, latency; NaN where the other has zero."""
 
     def ratio(a: float, b: float) -> float:
         return a / b if b else float("nan")
 
     return {
-        "cpu_cores": ratio(ours["cpu_cores"], baseline["cpu_cores"]),
-        "cpu_per_sample": ratio(
-            ours["cpu_cores"] * baseline["controller"]["rate_hz"],
-            baseline["cpu_cores"] * ours["controller"]["rate_hz"],
-        ),
-        "rate_hz": ratio(ours["controller"]["rate_hz"], baseline["controller"]["rate_hz"]),
-        "lost_samples": ratio(ours["lost_samples"], baseline["lost_samples"]),
-        "latency_p50": ratio(ours["latency_us"]["p50"], baseline["latency_us"]["p50"]),
-        "latency_p99": ratio(ours["latency_us"]["p99"], baseline["latency_us"]["p99"]),
+        "cpu_cores": ratio(figures["cpu_cores"], other["cpu_cores"]),
+        **{
+            f"latency_{key}": ratio(figures["latency_us"][key], other["latency_us"][key])
+            for key in _LATENCY_WORDS.values()
+        },
     }
 
 
@@ -157,14 +149,12 @@ def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
     if "with_view" in figures:
         console.print(_table(figures["with_view"], "With the live view open"))
         _print_whole(figures["with_view"])
-    baseline = figures.get("baseline")
-    if baseline and "failed" in baseline:
-        console.print(f"baseline failed: {baseline['failed']}", markup=False)
-    elif baseline:
-        console.print(_table(baseline, "Baseline: plain rclpy nodes, SingleThreadedExecutor"))
-        _print_whole(baseline)
+    if "trigger" in figures:
+        second = "timer" if figures["trigger"] == "sample" else "sample"
+        console.print(_table(figures[second], f"With trigger '{second}'"))
+        _print_whole(figures[second])
         shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["ratio"].items())
-        console.print(f"ours / baseline: {shown}", markup=False)
+        console.print(f"{figures['trigger']} / {second}: {shown}", markup=False)
     if options.output:
         notes.print(f"bags and logs: {options.output}")
 

@@ -55,6 +55,15 @@ def rewritten(bag: Path, new: Path, change) -> Path:
     return new
 
 
+def one_bit_more(changed, at, place):
+    def change(topic, stamp, numbers, index):
+        if (topic, index) == (changed, at):
+            numbers[place] = float(np.nextafter(numbers[place], 1.0))
+        return numbers
+
+    return change
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_every_command_comes_out_the_same_to_the_bit(tmp_path, law):
     path = simulated(tmp_path / "run", law)
@@ -64,24 +73,14 @@ def test_every_command_comes_out_the_same_to_the_bit(tmp_path, law):
 
 
 def test_one_bit_in_one_command_is_found(bag, tmp_path):
-    def flip(topic, stamp, numbers, index):
-        if topic == "command" and index == 700:
-            numbers[0] = float(np.nextafter(numbers[0], 1.0))
-        return numbers
-
-    found = audit(rewritten(bag, tmp_path / "new", flip))
+    found = audit(rewritten(bag, tmp_path / "new", one_bit_more("command", 700, 0)))
     assert (found.different, found.unverified) == (1, 0)
     assert (found.first.step, found.first.column) == (700, "control_current")
     assert found.first.recorded != found.first.computed == pytest.approx(found.first.recorded)
 
 
 def test_one_bit_in_one_sample_shows_from_there_on(bag, tmp_path):
-    def change(topic, stamp, numbers, index):
-        if topic == "encoder" and index == 500:
-            numbers[1] = float(np.nextafter(numbers[1], 1.0))
-        return numbers
-
-    found = audit(rewritten(bag, tmp_path / "new", change))
+    found = audit(rewritten(bag, tmp_path / "new", one_bit_more("encoder", 500, 1)))
     assert found.different >= 1 and found.first.step == 500
 
 
