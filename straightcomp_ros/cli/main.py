@@ -132,7 +132,7 @@ class _Version(argparse.Action):
 def _summary(source: str) -> str:
     """SUMMARY of a verb, read without importing it."""
     path = Path(__file__).parents[1].joinpath(*source.split(".")).with_suffix(".py")
-    return re.findall(r'^SUMMARY = "(.*)"$', path.read_text(encoding="utf-8"), re.MULTILINE)[0]
+    return str(re.findall(r'^SUMMARY = "(.*)"$', path.read_text(encoding="utf-8"), re.MULTILINE)[0])
 
 
 if __name__ == "__main__":

@@ -18,7 +18,9 @@ def check_range(option: str, value: float, least: float, most: float = math.inf,
         raise CommandFailed(f"{option} {value:g}; allowed: {allowed}{unit and ' '}{unit}", exit_code=2)
 
 
-def add_repeatable(parser: argparse.ArgumentParser, option: str, metavar: str | None, text: str, **more: Any) -> None:
+def add_repeatable(
+    parser: argparse._ActionsContainer, option: str, metavar: str | None, text: str, **more: Any
+) -> None:
     """Declare an option that may be given several times; its values are a list."""
     more = {"action": "append", "default": [], **more}
     parser.add_argument(option, metavar=metavar, help=f"{text}; may be repeated", **more)

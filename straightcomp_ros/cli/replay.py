@@ -75,9 +75,10 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> N
         names = ("recorded", "simulated_as_recorded", "what_if")
         print_json({name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)})
         return
-    headings = zip(("recorded", "simulated\nas recorded", "what if"), result.laws, strict=False)
+    words = ("recorded", "simulated\nas recorded", "what if")
+    headings = [f"{word}\n{law}" for word, law in zip(words, result.laws, strict=False)]
     rows = ([name, *(shown(one[name]) for one in columns)] for name in columns[0])
-    console.print(titled_table(f"What if: {bag}", "figure", *map("\n".join, headings), rows=rows))
+    console.print(titled_table(f"What if: {bag}", "figure", *headings, rows=rows))
 
 
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
