@@ -22,8 +22,7 @@ def add_repeatable(
     parser: argparse._ActionsContainer, option: str, metavar: str | None, text: str, **more: Any
 ) -> None:
     """Declare an option that may be given several times; its values are a list."""
-    more = {"action": "append", "default": [], **more}
-    parser.add_argument(option, metavar=metavar, help=f"{text}; may be repeated", **more)
+    parser.add_argument(option, action="append", default=[], metavar=metavar, help=f"{text}; may be repeated", **more)
 
 
 PICTURES = (".png", ".svg", ".pdf")
