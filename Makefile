@@ -32,7 +32,7 @@ help:
 	make test              all tests, with branch coverage: below 95 % of the core or 85 % of all it fails
 	make test ARGS="..."   some of them, without coverage, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
-	make soak              the longest tests, which make test leaves out: README says which
+	make soak              the longest tests, which make test leaves out: CONTRIBUTING.md says which
 	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
 	make mutants           200 random changes of the core: tests of the changed folder must notice 92 % of them
 	make mutants ARGS="..."  with options, e.g. ARGS="--seed 2 --processes 4"; ARGS=--help lists them

@@ -1,4 +1,4 @@
-"""Print the table of the laws that the README shows, and below it each law's margins: Markdown, or JSON with --json.
+"""Print the table of the laws in docs/accuracy.md, and below it each law's margins: Markdown, or JSON with --json.
 
 Errors are medians over nine starts (min to max) of the whole stroke offline, with the shipped parameters. Percentiles
 over uncertain machines are taken from a file, since they take minutes:
@@ -128,7 +128,7 @@ def rows(values: Values, robustness: Mapping[str, Mapping[str, Any]]) -> list[di
 
 
 def cells(told: Mapping[str, Any]) -> list[str]:
-    """One row of the README's table."""
+    """One row of the table."""
     law = told["law"]
     errors = [
         Spread(**told[name]).text(digits) for name, digits in (("pp_um", 2), ("rms_um", 3), ("control_rms_step_mA", 1))
@@ -143,7 +143,7 @@ def cells(told: Mapping[str, Any]) -> list[str]:
 
 
 def markdown(table: Sequence[Mapping[str, Any]]) -> str:
-    """The table of the README, and the margins of those laws that have some."""
+    """The table, and the margins of those laws that have some."""
     margins = [
         [NAMES.get(told["law"], told["law"]), *(f"{told[name]:.{digits}f}" for name, (_, digits) in MARGINS.items())]
         for told in table

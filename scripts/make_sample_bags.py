@@ -28,8 +28,7 @@ from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_a
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import Survey, write_survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 
 SEED = 1760
 START_NS = 1_700_000_000_000_000_000

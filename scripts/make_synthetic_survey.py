@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
-from straightcomp_ros.straightness.survey import Survey, write_survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 
 PEAK_TO_PEAK = 22.4e-6
 REPEATABILITY = 0.025e-6

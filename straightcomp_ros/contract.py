@@ -63,7 +63,7 @@ CONTROLLER_STATE = Stream(
     joint_state(_CONTROLLER_VARIABLES, position=_CONTROLLER_VARIABLES),
     "Inner variables of the control law: error in m, sliding variable in m/s, the two parts of the control current "
     "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN where the law has none), age of the reference "
-    "that served the sample in s: its stamp is the sample's less this.",
+    "in s: stamp of the sample minus stamp of its reference.",
 )
 _DRIVER_VARIABLES = ("command_latency", "lateness", "applied_current", "enabled")
 DRIVER_STATE = Stream(
@@ -94,13 +94,13 @@ DISPLACEMENT = Stream(
 POSITION = Stream(
     "position",
     joint_state([STAGE, PLATFORM], position=["x", "y"]),
-    "Every twentieth sample of both encoders in m, for those who only look on. Not recorded.",
+    "Every twentieth sample of both encoders in m, for nodes that only watch. Not recorded.",
 )
 POSITION_EVERY = 20
 """Samples to one message of ``position``; in lockstep each has its own."""
 
 CLOCK = "/clock"
-"""rosgraph_msgs/Clock, from a player that is asked for it: the time of the samples that it publishes."""
+"""rosgraph_msgs/Clock, from the player while its parameter `clock` is true: time of the played samples."""
 STAGE_TRAJECTORY = "stage_trajectory"
 """trajectory_msgs/JointTrajectory: motion asked of the stage (joint `stage_x`)."""
 DIAGNOSTICS = "diagnostics"
@@ -111,6 +111,6 @@ SAFETY_STATE = "safety_state"
 """diagnostic_msgs/DiagnosticStatus, latched, from the driver at each change: level, fault's name (empty without one),
 message; values `condition` (off, on, fault) and `time_ns`, when that began, ns since the epoch."""
 TRIP = "trip"
-"""diagnostic_msgs/DiagnosticStatus: whoever publishes here switches the amplifier off; name of the fault, reason."""
+"""diagnostic_msgs/DiagnosticStatus: a message switches the amplifier off; name: the fault, message: the reason."""
 HEARTBEAT = "heartbeat"
 """diagnostic_msgs/DiagnosticStatus, ten times a second from each lifecycle node: name, and its state as message."""

@@ -1,4 +1,4 @@
-"""The README's table of laws: its arithmetic, and what it refuses."""
+"""The table of laws in docs/accuracy.md: its arithmetic, and what it refuses."""
 
 from __future__ import annotations
 

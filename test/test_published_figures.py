@@ -1,4 +1,4 @@
-"""Figures in README and on the pages are made again: all of the table of laws, some of each other table."""
+"""Figures on the pages are made again: all of the table of laws, some of each other table."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from straightcomp_ros.settings.share import share_path
 pytestmark = pytest.mark.no_cover
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+ACCURACY = (REPOSITORY / "docs" / "accuracy.md").read_text(encoding="utf-8")
 TUNING = (REPOSITORY / "docs" / "tuning.md").read_text(encoding="utf-8")
 DESIGN = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
 SURVEYS = (REPOSITORY / "docs" / "surveys.md").read_text(encoding="utf-8")
@@ -62,8 +62,8 @@ TABLES = script("tuning_tables")
 
 
 @pytest.mark.parametrize("law", [*LAW_TABLE.NAMES, LAW_TABLE.SGN])
-def test_the_readmes_table_of_laws_is_what_its_script_finds(law, shipped):
-    (line,) = (line for line in README.splitlines() if line.startswith(f"| {LAW_TABLE.NAMES.get(law, law)} |"))
+def test_the_table_of_laws_is_what_its_script_finds(law, shipped):
+    (line,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| {LAW_TABLE.NAMES.get(law, law)} |"))
     _, _, pp, rms, step, *_ = cells(line)
     found = spreads(one.to_display() for one in metrics_of_starts(LAW_TABLE.chosen_laws(shipped)[law]))
     assert lies_within(found["true_pp_um"].median, published(pp), 2)
@@ -71,15 +71,15 @@ def test_the_readmes_table_of_laws_is_what_its_script_finds(law, shipped):
     assert lies_within(found["control_rms_step_A"].median * 1e3, published(step), 1)
 
 
-def test_the_readmes_margins_of_the_default_law_are_those_of_its_linearised_loop(shipped):
-    told = re.search(r"gain ([\d.]+) to ([\d.]+), phase (\d+)°,\s+longest delay ([\d.]+) samples", README)
+def test_the_margins_of_the_default_law_are_those_of_its_linearised_loop(shipped):
+    told = re.search(r"gain ([\d.]+) to ([\d.]+), phase (\d+)°,\s+longest delay ([\d.]+) samples", ACCURACY)
     margins = LAW_TABLE.margins_of(LAW_TABLE.chosen_laws(shipped)["smc_observer"])
     assert [float(number) for number in told.groups()] == pytest.approx(list(margins.values()), rel=0.03)
 
 
 @pytest.mark.parametrize("law", ["linear", "smc_observer"])
-def test_the_first_uncertain_machines_lie_within_the_readmes_percentiles(law, shipped):
-    (line,) = (line for line in README.splitlines() if line.startswith(f"| `{law}` |"))
+def test_the_first_uncertain_machines_lie_within_the_percentiles_of_the_table(law, shipped):
+    (line,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| `{law}` |"))
     median, _, worst = (float(number) for number in cells(line)[5].split("/"))
     found = sorted(result.pp * 1e6 for result in run_trials(make_scenario(shipped, [law]), 1, range(8)))
     assert found[-1] <= worst * (1.0 + BESIDE)
@@ -98,10 +98,10 @@ def test_a_table_of_the_tuning_guide_is_what_its_script_finds(table, shipped):
         assert lies_within(found[row].median, published(last), TABLES.FIGURES[row][2]), row
 
 
-def test_the_tuning_guides_laws_are_those_of_the_readme():
+def test_the_tuning_guides_laws_are_those_of_the_page_on_accuracy():
     for law in ("linear", "smc", "smc_observer"):
         (line,) = (line for line in TUNING.splitlines() if line.startswith(f"| `{law}` |"))
-        (other,) = (line for line in README.splitlines() if line.startswith(f"| {LAW_TABLE.NAMES[law]} |"))
+        (other,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| {LAW_TABLE.NAMES[law]} |"))
         assert cells(line)[1:4] == cells(other)[2:5]
 
 

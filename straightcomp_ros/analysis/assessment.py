@@ -1,29 +1,29 @@
-"""All that is said of one recorded run: figures by name, and the strokes, gaps and intervals behind them."""
+"""The assessment of a recorded run: figures by name, the strokes, gaps and intervals behind them, and their limits."""
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
-from straightcomp_ros.analysis.record import Motion, find_motion
-from straightcomp_ros.analysis.recorded_reference import RecordedReference
-from straightcomp_ros.analysis.spectrum import BANDS, Spectrum, error_spectrum
-from straightcomp_ros.analysis.stick_slip import StickSlip, stick_slips
-from straightcomp_ros.analysis.strokes import StrokeFigures, stroke_figures
+from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
+from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
+from straightcomp_ros.analysis.metrics import Metrics, StrokeFigures, evaluate, stroke_figures, true_error
+from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion
 
 _AT_LIMIT = 1.0 - 1e-9
-"""Part of the current limit from which the law counts as limited."""
+"""Fraction of the current limit from which the command counts as limited."""
 
 
 class Interval(NamedTuple):
-    """A stretch of the run: s from its first sample to its last, and how many samples it covers or lacks."""
+    """A stretch of the run: times of its first and last sample in s, and how many samples it covers or lacks."""
 
     start: float
     end: float
@@ -32,18 +32,18 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """A run, judged.
+    """A run with all its figures.
 
     Attributes:
-        bag: what was read.
-        evaluation, motion, reference, metrics: the run, when it moved, its reference over x, the demo's figures.
+        bag: the bag's path.
+        evaluation, motion, reference, metrics: the run, when it moved, its reference over x, its figures.
         strokes: figures of each stroke, in order.
         spectrum: of the compensation error as the encoder sees it, while the stage moves.
         gaps: samples that the clock took and the bag lacks.
-        saturated: where the command stood at the law's current limit.
+        saturated: where the command was at the law's current limit.
         amplifier_off: where the amplifier was off between the run's first motion and its last: a fault, or a stop.
         stick_slips: events of all strokes.
-        warnings: what the reader had to say about the bag.
+        warnings: the reader's warnings about the bag.
     """
 
     bag: Path
@@ -60,14 +60,11 @@ class Assessment:
     warnings: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, Any]:
-        """Numbers by name, the unit in each name: what limits can be set for. NaN or None: not recorded."""
+        """Numbers by name, the unit in each name; limits can be set for them. NaN or None: not recorded."""
         evaluation = self.evaluation
+        counts = ("expected_samples", "received_samples", "lost_samples", "lost_references", "lost_commands")
         figures: dict[str, Any] = {
-            "expected_samples": evaluation.expected_samples,
-            "received_samples": evaluation.received_samples,
-            "lost_samples": evaluation.lost_samples,
-            "lost_references": evaluation.lost_references,
-            "lost_commands": evaluation.lost_commands,
+            **{name: getattr(evaluation, name) for name in counts},
             "gaps": len(self.gaps),
             "longest_gap_s": max((gap.end - gap.start for gap in self.gaps), default=0.0),
             **self.metrics.to_display(),
@@ -78,19 +75,18 @@ class Assessment:
                 worst = max((getattr(stroke, name) for stroke in ours), default=None)
                 figures[f"straightness_{name}_{way}_um"] = None if worst is None else worst * 1e6
         for low, high in BANDS:
-            rms = self.spectrum.band_rms(low, high) * 1e6 if len(self.spectrum.density) else math.nan
-            figures[f"error_rms_{low:g}_{high:g}_Hz_um"] = rms
+            figures[f"error_rms_{low:g}_{high:g}_Hz_um"] = self.spectrum.band_rms(low, high) * 1e6
         for name, values in (("latency", evaluation.latency), ("lateness", evaluation.lateness)):
-            for percentile in (50, 90, 99, 100):
-                label = "max" if percentile == 100 else f"p{percentile}"
-                value = float(np.percentile(values, percentile)) * 1e6 if len(values) else math.nan
-                figures[f"{name}_{label}_us"] = value
-        figures["latency_jitter_us"] = float(np.std(evaluation.latency)) * 1e6 if len(evaluation.latency) else math.nan
-        figures["stick_slip_events"] = len(self.stick_slips)
-        figures["saturated_samples"] = sum(interval.samples for interval in self.saturated)
-        figures["saturations"] = len(self.saturated)
-        figures["amplifier_off_in_motion"] = len(self.amplifier_off)
-        return figures
+            for label, percentile in (("p50", 50), ("p90", 90), ("p99", 99), ("max", 100)):
+                figures[f"{name}_{label}_us"] = percentile_us(values, percentile)
+        jitter = float(np.std(evaluation.latency)) * 1e6 if len(evaluation.latency) else math.nan
+        return figures | {
+            "latency_jitter_us": jitter,
+            "stick_slip_events": len(self.stick_slips),
+            "saturated_samples": sum(interval.samples for interval in self.saturated),
+            "saturations": len(self.saturated),
+            "amplifier_off_in_motion": len(self.amplifier_off),
+        }
 
     def as_json(self) -> dict[str, Any]:
         """The figures, and all lists behind them."""
@@ -101,7 +97,7 @@ class Assessment:
             "strokes": [stroke.to_display() for stroke in self.strokes],
             "spectrum_peaks": [
                 {"frequency_Hz": frequency, "amplitude_density_um_per_sqrt_Hz": math.sqrt(density) * 1e6}
-                for frequency, density in (self.spectrum.peaks() if len(self.spectrum.density) else [])
+                for frequency, density in self.spectrum.peaks()
             ],
             "gap_intervals": [interval._asdict() for interval in self.gaps],
             "saturation_intervals": [interval._asdict() for interval in self.saturated],
@@ -112,11 +108,7 @@ class Assessment:
 
 
 def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ()) -> Assessment:
-    """Judge a recorded run.
-
-    Raises:
-        MetricsError: the stage does not move, or a number within the motion is not finite.
-    """
+    """Assess a recorded run; MetricsError if the stage does not move, or a number within the motion is not finite."""
     record = evaluation.record
     motion, reference = find_motion(record), RecordedReference(record)
     window = motion.window
@@ -124,7 +116,9 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
     time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9
     limit = evaluation.parameters.get("controller", {}).get("control.current_limit", math.inf)
     first, last = record.time[window.start], record.time[window.stop - 1]
+    off = _intervals(time, ~evaluation.amplifier_on) if evaluation.amplifier_on.any() else []
     truth = true_error(record, reference)
+    columns = np.array([record.time, record.x, record.y, record.r])
     return Assessment(
         bag=bag,
         evaluation=evaluation,
@@ -135,17 +129,8 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
         spectrum=error_spectrum(record.time[window], error[window]),
         gaps=_gaps(time),
         saturated=_intervals(record.time, np.abs(record.current) >= _AT_LIMIT * float(limit)),
-        amplifier_off=[
-            interval for interval in _intervals(time, ~evaluation.amplifier_on) if first <= interval.end <= last
-        ]
-        if evaluation.amplifier_on.any()
-        else [],
-        stick_slips=[
-            event
-            for stroke in motion.strokes
-            for part in [slice(stroke.start, stroke.stop)]
-            for event in stick_slips(record.time[part], record.x[part], record.y[part], record.r[part])
-        ],
+        amplifier_off=[interval for interval in off if first <= interval.end <= last],
+        stick_slips=[event for stroke in motion.strokes for event in stick_slips(*columns[:, stroke.samples])],
         warnings=warnings,
     )
 
@@ -157,17 +142,93 @@ def displayed_error(assessment: Assessment) -> tuple[NDArray[np.float64], NDArra
 
 
 def _gaps(time: NDArray[np.float64]) -> list[Interval]:
-    steps = np.diff(time)
-    period = float(np.median(steps))
-    return [
-        Interval(float(time[place]), float(time[place + 1]), round(float(steps[place]) / period) - 1)
-        for place in np.flatnonzero(steps > 1.5 * period)
-    ]
+    steps = np.diff(time) / np.median(np.diff(time))
+    gaps = np.flatnonzero(steps > 1.5)
+    return [Interval(float(time[at]), float(time[at + 1]), round(float(steps[at])) - 1) for at in gaps]
 
 
 def _intervals(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[Interval]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [
-        Interval(float(time[start]), float(time[stop - 1]), int(stop - start))
-        for start, stop in edges.reshape(-1, 2).tolist()
-    ]
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
+    return [Interval(float(time[start]), float(time[stop - 1]), stop - start) for start, stop in edges]
+
+
+class LimitsError(ValueError):
+    """A file of limits is refused; the message names the file, the figure and what is allowed."""
+
+
+class Limit(NamedTuple):
+    """Smallest and largest value that is allowed for a figure."""
+
+    name: str
+    minimum: float
+    maximum: float
+
+
+class Verdict(NamedTuple):
+    """A limit, the figure's value, and whether it is within the limit. A figure that was not recorded fails."""
+
+    limit: Limit
+    value: float | None
+    passed: bool
+
+    def __str__(self) -> str:
+        bounds = ((">=", self.limit.minimum), ("<=", self.limit.maximum))
+        allowed = " and ".join(f"{sign} {value:g}" for sign, value in bounds if math.isfinite(value))
+        found = "was not recorded" if self.value is None else f"is {self.value:.6g}"
+        return f"{self.limit.name} {found}; allowed: {allowed}"
+
+
+def read_limits(path: str | Path, known: Mapping[str, Any]) -> list[Limit]:
+    """Limits of a YAML file, for figures among ``known``.
+
+        true_pp_um: 0.5                    # at most
+        lost_samples: {max: 0}
+        received_samples: {min: 30000}
+        latency_p99_us: {max: 400}
+
+    Raises:
+        LimitsError: the file cannot be read, is no mapping, names an unknown figure or sets no number.
+    """
+    where = f"limits {path}"
+    try:
+        tree = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise LimitsError(f"{where}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise LimitsError(f"{where}: no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(tree, Mapping) or not tree:
+        raise LimitsError(f"{where}: sets no limit; allowed: lines 'FIGURE: MAXIMUM' or 'FIGURE: {{min: …, max: …}}'")
+    return [_limit(where, str(name), value, known) for name, value in tree.items()]
+
+
+def judged(limits: list[Limit], figures: Mapping[str, Any]) -> list[Verdict]:
+    """A verdict for each limit, in its order."""
+    verdicts = []
+    for limit in limits:
+        value = figures[limit.name]
+        known = value is not None and math.isfinite(value)
+        verdicts.append(Verdict(limit, value if known else None, known and limit.minimum <= value <= limit.maximum))
+    return verdicts
+
+
+def _limit(where: str, name: str, value: Any, known: Mapping[str, Any]) -> Limit:
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+        raise LimitsError(f"{where}: figure '{name}' is unknown; {hint}")
+    given = value if isinstance(value, Mapping) else {"max": value}
+    bounds = {key: _number(one) for key, one in given.items()}
+    if not bounds or set(bounds) - {"min", "max"} or not all(map(math.isfinite, bounds.values())):
+        raise LimitsError(f"{where}: {name}: {value!r}; allowed: a number, or {{min: number, max: number}}")
+    limit = Limit(name, bounds.get("min", -math.inf), bounds.get("max", math.inf))
+    if limit.minimum > limit.maximum:
+        raise LimitsError(f"{where}: {name}: min {limit.minimum:g} is above max {limit.maximum:g}")
+    return limit
+
+
+def _number(value: Any) -> float:
+    """NaN for what is no number. YAML 1.1 reads 1e-6 as a text."""
+    try:
+        return math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return math.nan

@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file with interactive plots that needs no network, and that prints well."""
+"""The report of a run: one HTML file with interactive plots that needs no network and can be printed."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
-from straightcomp_ros.analysis.assessment import Assessment, Interval, displayed_error
-from straightcomp_ros.analysis.limits import Verdict
+from straightcomp_ros.analysis.assessment import Assessment, Interval, Verdict, displayed_error
 from straightcomp_ros.analysis.metrics import residual_over
-from straightcomp_ros.straightness.survey_run import Direction
+from straightcomp_ros.straightness.survey import Direction
 
 # Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
 _BLACK, _BLUE, _VERMILION, _GREEN, _GREY = "#000000", "#0072B2", "#D55E00", "#009E73", "#A8A8A8"
@@ -47,13 +46,7 @@ addEventListener('afterprint',()=>plots().forEach(plot=>Plotly.relayout(plot,{wi
 
 
 def report_html(assessment: Assessment, other: Assessment | None = None, verdicts: Sequence[Verdict] = ()) -> str:
-    """The whole document.
-
-    Args:
-        assessment: the run.
-        other: a run to compare with.
-        verdicts: of the limits that were set.
-    """
+    """The document for ``assessment``, compared with the run ``other``, and with the ``verdicts`` on its limits."""
     law = assessment.evaluation.record.law
     plots = (
         ("Straightness over the stroke, beside the least squares line", _straightness(assessment)),
@@ -63,27 +56,19 @@ def report_html(assessment: Assessment, other: Assessment | None = None, verdict
         ("Control current", _current(assessment)),
         ("Loop timing", _timing(assessment)),
     )
-    parts = [
-        f"<h1>Straightness compensation, law “{escape(law)}”</h1><p class=note>{escape(str(assessment.bag))}</p>",
-        *(f"<p class=fail>{escape(text)}</p>" for text in assessment.warnings),
-        _limits(verdicts),
-        *(
-            f"<section class=plot><h2>{title}</h2>"
-            f"{figure.to_html(full_html=False, include_plotlyjs=False, config=_CONFIG)}</section>"
-            for title, figure in plots
-            if figure is not None
-        ),
-        "<h2>Strokes</h2>",
-        _table([stroke.to_display() for stroke in assessment.strokes]),
-        _events(assessment),
-        "<h2>Figures</h2>",
-        _figures(assessment, other),
-    ]
-    return (
-        f"<!DOCTYPE html><html lang=en><head><meta charset=utf-8><title>{escape(str(assessment.bag))}</title>"
-        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>{''.join(parts)}"
-        f"<script>{_SCRIPT}</script></body></html>"
+    sections = "".join(
+        f"<section class=plot><h2>{title}</h2>"
+        f"{figure.to_html(full_html=False, include_plotlyjs=False, config=_CONFIG)}</section>"
+        for title, figure in plots
+        if figure is not None
     )
+    warnings = "".join(f"<p class=fail>{escape(text)}</p>" for text in assessment.warnings)
+    bag = escape(str(assessment.bag))
+    return f"""<!DOCTYPE html><html lang=en><head><meta charset=utf-8><title>{bag}</title>
+<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>
+<h1>Straightness compensation, law “{escape(law)}”</h1><p class=note>{bag}</p>{warnings}{_limits(verdicts)}
+{sections}<h2>Strokes</h2>{_table([stroke.to_display() for stroke in assessment.strokes])}
+{_events(assessment)}<h2>Figures</h2>{_figures(assessment, other)}<script>{_SCRIPT}</script></body></html>"""
 
 
 def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
@@ -93,14 +78,13 @@ def _straightness(assessment: Assessment, before: bool = True) -> go.Figure:
     moving = motion.samples()
     of_guide, after = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
     figure = _figure("slider position x / mm", f"deviation / µm ({seen})")
-    curves: list[tuple[str, NDArray[np.float64], str, Direction | None]] = [
+    curves: tuple[tuple[str, NDArray[np.float64], str, Direction | None], ...] = (
+        ("before", of_guide, _BLACK, None),
         ("after, forward", after, _BLUE, "forward"),
         ("after, backward", after, _VERMILION, "backward"),
-    ]
-    if before:
-        curves.insert(0, ("before", of_guide, _BLACK, None))
-    for name, values, colour, direction in curves:
-        chosen = np.isin(moving, motion.samples(direction)) if direction else np.ones(len(moving), bool)
+    )
+    for name, values, colour, direction in curves if before else curves[1:]:
+        chosen = np.isin(moving, motion.samples(direction))
         if chosen.any():
             label = f"{name}: {np.ptp(values[chosen]):.2f} µm p-p"
             _curve(figure, x[moving][chosen] * 1e3, values[chosen], label, colour)
@@ -118,10 +102,10 @@ def _error(assessment: Assessment, other: Assessment | None) -> go.Figure:
     if other is not None:
         values, true_values = displayed_error(other)
         shown = values if true_values is None else true_values
-        window, start = other.motion.window, assessment.motion.window.start
+        start = record.time[window.start]
+        window = other.motion.window
         time = other.evaluation.record.time[window]
-        shift = record.time[start] - time[0]
-        _curve(figure, time + shift, shown[window] * 1e6, f"{other.bag}", _VERMILION)
+        _curve(figure, time - time[0] + start, shown[window] * 1e6, str(other.bag), _VERMILION)
     _mark(figure, assessment.amplifier_off, "amplifier off", _VERMILION)
     _mark(figure, assessment.gaps, "samples lost", _GREEN)
     return figure
@@ -150,29 +134,23 @@ def _current(assessment: Assessment) -> go.Figure:
 
 def _timing(assessment: Assessment) -> go.Figure | None:
     evaluation = assessment.evaluation
-    figure = _figure("time / µs", "samples")
-    shown = [
-        (name, values * 1e6, colour)
-        for name, values, colour in (
-            ("sample to command", evaluation.latency, _BLUE),
-            ("sample to publication", evaluation.lateness, _VERMILION),
-        )
-        if len(values)
-    ]
-    if not shown:
+    curves = (
+        ("sample to command", evaluation.latency * 1e6, _BLUE),
+        ("sample to publication", evaluation.lateness * 1e6, _VERMILION),
+    )
+    both = np.concatenate([values for _, values, _ in curves])
+    if not len(both):
         return None
-    lowest = min(float(values.min()) for _, values, _ in shown)
-    highest = max(float(values.max()) for _, values, _ in shown)
     # At least 1 µs wide: in a simulated run all samples take the same time.
-    width = max((highest - lowest) / _BINS, 1.0)
-    edges = lowest - width / 2 + width * np.arange(math.ceil((highest - lowest) / width) + 2)
+    width = max(float(np.ptp(both)) / _BINS, 1.0)
+    edges = both.min() - width / 2 + width * np.arange(math.ceil(np.ptp(both) / width) + 2)
+    figure = _figure("time / µs", "samples")
     most = 1
-    for name, values, colour in shown:
-        counts = np.histogram(values, edges)[0]
-        most = max(most, int(counts.max()))
-        figure.add_bar(
-            x=edges[:-1] + width / 2, y=counts, width=width, name=name, marker={"color": colour}, opacity=0.7
-        )
+    for name, values, colour in curves:
+        if len(values):
+            counts = np.histogram(values, edges)[0]
+            most = max(most, int(counts.max()))
+            figure.add_bar(x=edges[:-1] + width / 2, y=counts, width=width, name=name, marker_color=colour, opacity=0.7)
     figure.update_layout(barmode="overlay")
     # From half a sample on: a single one must show.
     figure.update_yaxes(type="log", range=[math.log10(0.5), math.log10(2 * most)], dtick=1)
@@ -180,9 +158,8 @@ def _timing(assessment: Assessment) -> go.Figure | None:
 
 
 def _figure(x: str, y: str) -> go.Figure:
-    figure = go.Figure(
-        layout={"template": "plotly_white", "height": 330, "margin": {"l": 70, "r": 20, "t": 45, "b": 50}}
-    )
+    figure = go.Figure()
+    figure.update_layout(template="plotly_white", height=330, margin={"l": 70, "r": 20, "t": 45, "b": 50})
     figure.update_layout(legend={"orientation": "h", "y": 1.02, "yanchor": "bottom"}, xaxis_title=x, yaxis_title=y)
     return figure
 
@@ -193,7 +170,7 @@ def _curve(figure: go.Figure, x: NDArray[np.float64], y: NDArray[np.float64], na
 
 
 def _extremes(values: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Indices of the smallest and largest value of each of some thousand equal pieces, in order."""
+    """Indices of the smallest and largest value of each of several thousand equal pieces, in order."""
     size = -(-2 * len(values) // _POINTS)
     if size < 3:
         return np.arange(len(values))
@@ -206,64 +183,44 @@ def _extremes(values: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _mark(figure: go.Figure, intervals: Sequence[Interval], name: str, colour: str) -> None:
-    # More than these are no places to look at, but a state; the figures tell their number.
+    # More of them would fill the plot; the figures give their number.
     for number, interval in enumerate(intervals[:200]):
         text = {"annotation_text": name, "annotation_position": "top left"} if number == 0 else {}
-        figure.add_vrect(
-            x0=interval.start,
-            x1=interval.end,
-            fillcolor=colour,
-            opacity=0.3,
-            line={"color": colour, "width": 1},
-            **text,
-        )
+        line = {"color": colour, "width": 1}
+        figure.add_vrect(interval.start, interval.end, fillcolor=colour, opacity=0.3, line=line, **text)
 
 
 def _limits(verdicts: Sequence[Verdict]) -> str:
-    if not verdicts:
-        return ""
-    rows = "".join(
-        f"<tr><td{'' if verdict.passed else ' class=fail'}>{'passed' if verdict.passed else 'FAILED'}</td>"
-        f"<td>{escape(str(verdict))}</td></tr>"
-        for verdict in verdicts
-    )
-    return f"<h2>Limits</h2><table>{rows}</table>"
+    rows = [{"verdict": "passed" if one.passed else "FAILED", "limit": str(one)} for one in verdicts]
+    return "<h2>Limits</h2>" + _table(rows).replace("<td>FAILED", "<td class=fail>FAILED") if rows else ""
 
 
 def _events(assessment: Assessment) -> str:
-    lists = (
-        ("Samples lost", [interval._asdict() for interval in assessment.gaps]),
-        ("Command at the current limit", [interval._asdict() for interval in assessment.saturated]),
-        ("Amplifier off while the stage moved", [interval._asdict() for interval in assessment.amplifier_off]),
-        (
-            "Stick-slip",
-            [
-                {"time_s": e.time, "x_mm": e.x * 1e3, "stuck_ms": e.duration * 1e3, "slip_um": e.slip * 1e6}
-                for e in assessment.stick_slips
-            ],
-        ),
-    )
+    intervals = {
+        "Samples lost": assessment.gaps,
+        "Command at the current limit": assessment.saturated,
+        "Amplifier off while the stage moved": assessment.amplifier_off,
+    }
+    events = {title: [interval._asdict() for interval in found] for title, found in intervals.items()}
+    events["Stick-slip"] = [
+        {"time_s": e.time, "x_mm": e.x * 1e3, "stuck_ms": e.duration * 1e3, "slip_um": e.slip * 1e6}
+        for e in assessment.stick_slips
+    ]
     shown = 40
     return "".join(
         f"<h2>{title}: {len(rows)}</h2>{_table(rows[:shown])}"
         + (f"<p class=note>and {len(rows) - shown} more</p>" if len(rows) > shown else "")
-        for title, rows in lists
+        for title, rows in events.items()
         if rows
     )
 
 
 def _figures(assessment: Assessment, other: Assessment | None) -> str:
-    theirs = other.figures() if other is not None else {}
-    rows = "".join(
-        f"<tr><td>{name}</td><td class=n>{_number(value)}</td>"
-        + (f"<td class=n>{_number(theirs[name])}</td>" if other is not None else "")
-        + "</tr>"
-        for name, value in assessment.figures().items()
-    )
-    if other is None:
-        return f"<div class=columns><table>{rows}</table></div>"
-    # In a head it stands on each page.
-    return f"<table><thead><tr><th>figure<th>this run<th>{escape(str(other.bag))}</tr></thead>{rows}</table>"
+    runs = {"this run": assessment.figures()}
+    if other is not None:
+        runs[str(other.bag)] = other.figures()
+    rows = [{"figure": name, **{run: runs[run][name] for run in runs}} for name in runs["this run"]]
+    return f"<div{' class=columns' if other is None else ''}>{_table(rows)}</div>"
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> str:
@@ -271,9 +228,9 @@ def _table(rows: Sequence[dict[str, Any]]) -> str:
         return "<p class=note>none</p>"
     # Headings break at their underscores: a stroke has more figures than a page is wide.
     heading = "".join(f"<th>{escape(name).replace('_', '_<wbr>')}</th>" for name in rows[0])
-    body = "".join(
-        f"<tr>{''.join(f'<td class=n>{_number(value)}</td>' for value in row.values())}</tr>" for row in rows
-    )
+    cells = [[f"<td{'' if isinstance(v, str) else ' class=n'}>{_number(v)}</td>" for v in row.values()] for row in rows]
+    # The browser prints a head on each page.
+    body = "".join(f"<tr>{''.join(row)}</tr>" for row in cells)
     return f"<table><thead><tr>{heading}</tr></thead>{body}</table>"
 
 

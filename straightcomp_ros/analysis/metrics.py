@@ -1,36 +1,47 @@
-"""The figures of a run: what the servo leaves, how straight the workpiece moves, how hard the coils work."""
+"""The figures of a run and of its strokes: compensation error, residual straightness, control current."""
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import MetricsError, Motion, ReferenceMap, StrokeRecord, check_finite, find_motion
-from straightcomp_ros.straightness.residual import least_squares_residual, peak_to_peak
-from straightcomp_ros.straightness.survey_run import Direction
+from straightcomp_ros.analysis.record import (
+    MetricsError,
+    Motion,
+    ReferenceMap,
+    Stroke,
+    StrokeRecord,
+    check_finite,
+    find_motion,
+)
+from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
 
-__all__ = ["Metrics", "MetricsError", "evaluate", "residual_over"]
+__all__ = ["Metrics", "MetricsError", "StrokeFigures", "evaluate", "residual_over", "stroke_figures", "true_error"]
+
+_UNITS = {
+    **dict.fromkeys(("control_activity", "control_rms_step"), ("_A", 1.0)),
+    **dict.fromkeys(("duration", "start"), ("_s", 1.0)),
+    **dict.fromkeys(("direction", "samples"), ("", 1.0)),
+    "travel": ("_mm", 1e3),
+}
+"""How a figure is displayed: suffix of its name, and factor. All others are lengths, in µm."""
 
 
 @dataclass(frozen=True)
 class Metrics:
     """Figures of one run; lengths in m, currents in A, None where the record holds no truth.
 
-    Compensation error, over the window from the first to the last sample of motion, all strokes and the
-    pauses between them included; ``_forward`` and ``_backward`` over the strokes of that direction only,
-    None if there is none. RMS is about zero, so that a constant error counts.
-
-    Residual straightness, over all samples in motion of both directions together, pauses left out; the
+    The compensation error is taken from the first to the last sample of motion, with the pauses between the strokes;
+    ``_forward`` and ``_backward`` over the strokes of that direction only, None if there is none. RMS is about zero, so
+    that a constant error counts. The residual straightness is taken over all samples in motion of both directions; the
     least squares line against x is removed (ISO 230-1), each piece of the guide counted by its length.
 
     Attributes:
-        encoder_pp, encoder_rms: error r − y, y as the encoder sees it.
-        encoder_pp_forward, encoder_pp_backward: the same per direction.
-        true_pp, true_rms: error r(true x) − true y.
-        true_pp_forward, true_pp_backward: the same per direction.
+        encoder_pp, encoder_rms, encoder_pp_forward, encoder_pp_backward: error r − y, y as the encoder sees it.
+        true_pp, true_rms, true_pp_forward, true_pp_backward: error r(true x) − true y.
         residual_pp: guide + true y over true x if the truth is there, otherwise as ``residual_encoder_pp``.
         residual_encoder_pp: the map's δ(x) + y, both as the encoders see them: blind to the map's own error.
         uncompensated_pp: residual straightness if y were zero: of the guide, or of the map without truth.
@@ -56,52 +67,103 @@ class Metrics:
     samples: int
     duration: float
 
-    def to_display(self) -> dict[str, float | None]:
+    def to_display(self) -> dict[str, Any]:
         """The figures as a person reads them: lengths in µm, the unit in each name."""
-        shown: dict[str, float | None] = {}
-        for name, value in dataclasses.asdict(self).items():
-            if name.startswith("control_"):
-                shown[f"{name}_A"] = value
-            elif name == "duration":
-                shown["duration_s"] = value
-            elif name == "samples":
-                shown[name] = value
-            else:
-                shown[f"{name}_um"] = None if value is None else value * 1e6
-        return shown
+        return _displayed(self)
+
+
+@dataclass(frozen=True)
+class StrokeFigures:
+    """Figures of one movement one way; s, m.
+
+    Attributes:
+        start, duration, travel: of the movement, travel in x.
+        encoder_pp, encoder_rms: compensation error as the encoder sees it.
+        true_pp, true_rms: the true one, None without truth.
+        before_least_squares, before_end_points: straightness of the guide by ISO 230-1, beside either line.
+        after_least_squares, after_end_points: straightness of the workpiece, likewise. True positions where they are
+            known, else the map's and the encoder's.
+    """
+
+    direction: str
+    start: float
+    duration: float
+    travel: float
+    encoder_pp: float
+    encoder_rms: float
+    true_pp: float | None
+    true_rms: float | None
+    before_least_squares: float
+    before_end_points: float
+    after_least_squares: float
+    after_end_points: float
+
+    def to_display(self) -> dict[str, Any]:
+        """The figures as a person reads them: lengths in µm, the travel in mm, the unit in each name."""
+        return _displayed(self)
 
 
 def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
     """The figures of ``record``, with the map that its reference was made from.
 
-    Raises:
-        MetricsError: the stage does not move, or a number within the window is not finite.
+    MetricsError if the stage does not move, or a number within the window is not finite.
     """
     motion = find_motion(record)
     window = motion.window
     check_finite(record, tuple(record.columns()), window)
 
+    def stroke_pp(error: NDArray[np.float64] | None, samples: NDArray[np.intp]) -> float | None:
+        return peak_to_peak(error[samples]) if error is not None and samples.size else None
+
+    forward, backward = motion.samples("forward"), motion.samples("backward")
     error = record.r - record.y
     truth = true_error(record, straightness)
     steps = np.diff(record.current[window])
-    residual_encoder = residual_over(record.x, straightness.deviations(record.x) + record.y, record, motion)
     known = record.best_known(straightness)
+    of_encoder = straightness.deviations(record.x) + record.y
     return Metrics(
         encoder_pp=peak_to_peak(error[window]),
         encoder_rms=_rms(error[window]),
-        encoder_pp_forward=_stroke_pp(error, motion, "forward"),
-        encoder_pp_backward=_stroke_pp(error, motion, "backward"),
+        encoder_pp_forward=stroke_pp(error, forward),
+        encoder_pp_backward=stroke_pp(error, backward),
         true_pp=None if truth is None else peak_to_peak(truth[window]),
         true_rms=None if truth is None else _rms(truth[window]),
-        true_pp_forward=None if truth is None else _stroke_pp(truth, motion, "forward"),
-        true_pp_backward=None if truth is None else _stroke_pp(truth, motion, "backward"),
+        true_pp_forward=stroke_pp(truth, forward),
+        true_pp_backward=stroke_pp(truth, backward),
         residual_pp=peak_to_peak(residual_over(known.x, known.guide + known.y, record, motion)),
-        residual_encoder_pp=peak_to_peak(residual_encoder),
+        residual_encoder_pp=peak_to_peak(residual_over(record.x, of_encoder, record, motion)),
         uncompensated_pp=peak_to_peak(residual_over(known.x, known.guide, record, motion)),
         control_activity=float(np.abs(steps).sum()),
         control_rms_step=_rms(steps),
         samples=window.stop - window.start,
         duration=float(record.time[window.stop - 1] - record.time[window.start]),
+    )
+
+
+def stroke_figures(
+    record: StrokeRecord, reference: ReferenceMap, truth: NDArray[np.float64] | None, stroke: Stroke
+) -> StrokeFigures:
+    """Figures of ``stroke`` in ``record``; ``truth`` is :func:`true_error` of the record."""
+    part = stroke.samples
+    error = (record.r - record.y)[part]
+    known = record.best_known(reference)
+    x, guide, after = known.x[part], known.guide[part], (known.guide + known.y)[part]
+    # As in residual_over().
+    weights = np.abs(np.gradient(x, record.time[part]))
+    of_truth = None if truth is None else truth[part]
+    return StrokeFigures(
+        direction=stroke.direction,
+        start=float(record.time[stroke.start]),
+        duration=float(record.time[stroke.stop - 1] - record.time[stroke.start]),
+        travel=float(np.ptp(x)),
+        encoder_pp=peak_to_peak(error),
+        encoder_rms=_rms(error),
+        true_pp=None if of_truth is None else peak_to_peak(of_truth),
+        true_rms=None if of_truth is None else _rms(of_truth),
+        before_least_squares=peak_to_peak(least_squares_residual(x, guide, weights)),
+        before_end_points=peak_to_peak(end_point_residual(x, guide)),
+        after_least_squares=peak_to_peak(least_squares_residual(x, after, weights)),
+        after_end_points=peak_to_peak(end_point_residual(x, after)),
     )
 
 
@@ -115,22 +177,22 @@ def true_error(record: StrokeRecord, straightness: ReferenceMap) -> NDArray[np.f
 def residual_over(
     x: NDArray[np.float64], deviation: NDArray[np.float64], record: StrokeRecord, motion: Motion
 ) -> NDArray[np.float64]:
-    """``deviation`` beside its least squares line, (m,) in m for the samples ``motion.samples()``.
+    """``deviation`` (n,) over ``x`` (n,) in m beside its least squares line, (m,) for the samples ``motion.samples()``.
 
-    Args:
-        x, deviation: (n,) in m, for all samples of the record.
-        record: its time weighs each sample by the speed: in time the stage lingers where it starts and stops.
-        motion: the samples to take.
+    Samples are weighed by the speed, since the stage lingers where it starts and stops.
     """
     moving = motion.samples()
     speed = np.abs(np.gradient(x, record.time))
     return least_squares_residual(x[moving], deviation[moving], speed[moving])
 
 
+def _displayed(figures: Metrics | StrokeFigures) -> dict[str, Any]:
+    shown = {}
+    for name, value in asdict(figures).items():
+        suffix, factor = _UNITS.get(name, ("_um", 1e6))
+        shown[name + suffix] = value * factor if isinstance(value, float) else value
+    return shown
+
+
 def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(values * values)))
-
-
-def _stroke_pp(error: NDArray[np.float64], motion: Motion, direction: Direction) -> float | None:
-    samples = motion.samples(direction)
-    return peak_to_peak(error[samples]) if samples.size else None

@@ -1,16 +1,16 @@
-"""One recorded run of the machine, and when the stage moved in it."""
+"""One recorded run of the machine, its reference over x, and when the stage moved."""
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from straightcomp_ros.straightness.survey_run import Direction
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.survey import Direction
 
 SPEED_SPAN = 0.02
 """Time in s over which the stage's speed is taken: one encoder quantum of 0.1 µm is then 5 µm/s."""
@@ -23,17 +23,7 @@ SHORTEST_STROKE = 1e-3
 
 
 class MetricsError(ValueError):
-    """A record cannot be evaluated; the message says which part of it, and where."""
-
-
-class ReferenceMap(Protocol):
-    """What the figures need of a map: a `StraightnessMap`, or the reference as it was recorded."""
-
-    def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64], ...]:
-        """r in m (and more) at x in m."""
-
-    def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
-        """δ in m at x in m."""
+    """A record cannot be evaluated; the message names the column and the sample."""
 
 
 class BestKnown(NamedTuple):
@@ -81,15 +71,37 @@ class StrokeRecord:
             raise MetricsError(f"record: of the truth it has {', '.join(truth)} only; allowed: all three, or none")
 
     def best_known(self, straightness: ReferenceMap) -> BestKnown:
-        """The truth; on real hardware what the encoders and the map say of it."""
+        """The truth; on real hardware the values of the encoders and of the map."""
         if self.true_x is None or self.true_y is None or self.guide is None:
             return BestKnown(self.x, self.y, straightness.deviations(self.x), False)
         return BestKnown(self.true_x, self.true_y, self.guide, True)
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """All arrays by name, without those that are None."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self) if field.name != "law"}
-        return {name: column for name, column in values.items() if column is not None}
+        return {name: column for name, column in vars(self).items() if name != "law" and column is not None}
+
+
+class RecordedReference:
+    """r(x) as a run used it, by straight lines between the recorded samples; needs no survey file.
+
+    At 0.3 m/s and 2 kHz the samples are h = 0.15 mm apart; a curvature r'' of 1e-3 1/m then makes h²r''/8 = 3 pm.
+    """
+
+    def __init__(self, record: StrokeRecord) -> None:
+        finite = np.isfinite(record.x) & np.isfinite(record.r)
+        self._x, rows = np.unique(record.x[finite], return_index=True)
+        self._r = record.r[finite][rows]
+
+    def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64]]:
+        """r in m at x in m; beyond the recorded positions that of the nearest."""
+        return (np.asarray(np.interp(np.asarray(x, np.float64), self._x, self._r)),)
+
+    def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
+        """δ in m, up to a constant."""
+        return -self.evaluate(x)[0]
+
+
+ReferenceMap = StraightnessMap | RecordedReference
 
 
 @dataclass(frozen=True)
@@ -99,6 +111,11 @@ class Stroke:
     start: int
     stop: int
     direction: Direction
+
+    @property
+    def samples(self) -> slice:
+        """All samples of the movement."""
+        return slice(self.start, self.stop)
 
 
 @dataclass(frozen=True)
@@ -119,11 +136,7 @@ class Motion:
 
 
 def find_motion(record: StrokeRecord) -> Motion:
-    """The strokes of a record, from the x encoder; see :func:`motion_of`.
-
-    Raises:
-        MetricsError: time or x is not finite, time does not rise, or there is no stroke.
-    """
+    """:func:`motion_of` a record, from the x encoder; MetricsError also if time or x is not finite."""
     check_finite(record, ("time", "x"), slice(None))
     return motion_of(record.time, record.x)
 
@@ -131,9 +144,9 @@ def find_motion(record: StrokeRecord) -> Motion:
 def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
     """The strokes in a motion: ``time`` (n,) in s and ``x`` (n,) in m, finite.
 
-    Speed is taken over :data:`SPEED_SPAN`, which the quantisation of x does not disturb, but which makes a
-    stroke seem longer at both ends; the ends are then drawn in to where x leaves its resting value by
-    :data:`ARRIVED`. At 0.2 m/s² that is 3 ms after the stage began to move.
+    Speed is taken over :data:`SPEED_SPAN`, which hides the quantisation of x, but makes a stroke seem longer at both
+    ends. The ends are then moved in to where x leaves its resting value by :data:`ARRIVED`. At 0.2 m/s² that is 3 ms
+    after the stage began to move.
 
     Raises:
         MetricsError: time does not rise, or there is no stroke.
@@ -151,11 +164,13 @@ def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
     speed = (x[after] - x[before]) / (time[after] - time[before])
     way = np.where(np.abs(speed) >= MOVING, np.sign(speed), 0.0)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(way)) + 1, [n]])
-    strokes = [
-        _drawn_in(x, int(start), int(stop), "forward" if way[start] > 0.0 else "backward")
-        for start, stop in itertools.pairwise(edges)
-        if way[start] != 0.0 and abs(x[stop - 1] - x[start]) >= SHORTEST_STROKE
-    ]
+    strokes = []
+    for start, stop in itertools.pairwise(edges.tolist()):
+        piece = x[start:stop]
+        if way[start] != 0.0 and abs(piece[-1] - piece[0]) >= SHORTEST_STROKE:
+            away = np.flatnonzero((np.abs(piece - piece[0]) > ARRIVED) & (np.abs(piece - piece[-1]) > ARRIVED))
+            direction: Direction = "forward" if way[start] > 0.0 else "backward"
+            strokes.append(Stroke(start + int(away[0]), start + int(away[-1]) + 1, direction))
     if not strokes:
         raise MetricsError(
             f"record: the stage does not move: x stays within {np.ptp(x) * 1e3:.6g} mm; "
@@ -164,12 +179,17 @@ def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
     return Motion(tuple(strokes))
 
 
-def check_finite(record: StrokeRecord, names: tuple[str, ...], window: slice) -> None:
-    """Refuse a record with NaN or infinity in the columns ``names`` within ``window``.
+def group_means(
+    x: NDArray[np.float64], y: NDArray[np.float64], group: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean of x and of y in each group, the groups in ascending order."""
+    _, piece = np.unique(group, return_inverse=True)
+    count = np.bincount(piece)
+    return np.bincount(piece, x) / count, np.bincount(piece, y) / count
 
-    Raises:
-        MetricsError: with the column, the sample and its time.
-    """
+
+def check_finite(record: StrokeRecord, names: tuple[str, ...], window: slice) -> None:
+    """Raise MetricsError if a record has NaN or infinity in the columns ``names`` within ``window``."""
     columns = record.columns()
     for name in names:
         bad = np.flatnonzero(~np.isfinite(columns[name][window]))
@@ -179,9 +199,3 @@ def check_finite(record: StrokeRecord, names: tuple[str, ...], window: slice) ->
                 f"record: {name} is {columns[name][at]} at sample {at} ({record.time[at]:.6g} s), "
                 f"one of {bad.size}; allowed: finite numbers"
             )
-
-
-def _drawn_in(x: NDArray[np.float64], start: int, stop: int, direction: Direction) -> Stroke:
-    piece = x[start:stop]
-    away = np.flatnonzero((np.abs(piece - piece[0]) > ARRIVED) & (np.abs(piece - piece[-1]) > ARRIVED))
-    return Stroke(start + int(away[0]), start + int(away[-1]) + 1, direction)

@@ -20,8 +20,7 @@ from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.stage import cycles
 from straightcomp_ros.opcua.demonstrated import driven_by_opcua
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
-from straightcomp_ros.timing.blame import blamed
-from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, summarise
+from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, blamed, summarise
 
 
 class DemonstrationFailed(RuntimeError):

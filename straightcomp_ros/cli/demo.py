@@ -11,7 +11,7 @@ import tempfile
 from datetime import datetime
 from pathlib import Path
 
-from straightcomp_ros.analysis.run_plot import plot_run
+from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cli.law_tables import results_table, timing_table
 from straightcomp_ros.cli.options import output_folder

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from straightcomp_ros.analysis.limits import judged, read_limits
+    from straightcomp_ros.analysis.assessment import judged, read_limits
 
     remap = parsed_remap(options.remap)
     report = output_file("--report", options.report) if options.report else None

@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> None:
     if output is not None:
         built.write(output)
     if plot is not None:
-        from straightcomp_ros.analysis.map_plot import plot_map
+        from straightcomp_ros.analysis.pictures import plot_map
 
         plot_map(built, plot)
     if options.json:

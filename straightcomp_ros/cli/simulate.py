@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> None:
         raise CommandFailed(str(error)) from error
     if plot is not None:
         # Only here: matplotlib takes longer to import than the cycle to run.
-        from straightcomp_ros.analysis.run_plot import plot_run
+        from straightcomp_ros.analysis.pictures import plot_run
 
         plot_run(record, straightness, cycles[-1], plot, title=f"Simulated stroke, law '{record.law}'")
     shown = [cycle.to_display() for cycle in cycles]

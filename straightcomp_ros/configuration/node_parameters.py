@@ -23,7 +23,7 @@ from straightcomp_ros.timing.realtime import RealtimeParameters
 
 def _autostart() -> bool:
     declared: bool = parameter(
-        True, "Configure and activate at the start; false leaves that to whoever manages lifecycle nodes"
+        True, "Configure and activate the node when it starts; false leaves that to a lifecycle manager"
     )
     return declared
 
@@ -36,29 +36,31 @@ class DriverNodeParameters:
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
-    hardware: str = parameter("simulated", "Backend", choices=("simulated", "can"))
+    hardware: str = parameter(
+        "simulated", "Machine: simulated in the driver, or a board on CAN", choices=("simulated", "can")
+    )
     current_limit: float = parameter(
         1.0,
-        "A command beyond ± this switches the amplifier off and latches a fault",
+        "Largest magnitude of a commanded control current; beyond it the amplifier is switched off and a fault latched",
         unit="A",
         above=0.0,
         maximum=100.0,
     )
     lockstep: bool = parameter(
-        False, "Advance the simulated machine only when the command for its last sample came, instead of in real time"
+        False, "Advance the simulated machine only when the command for its last sample has come, not in real time"
     )
     lockstep_delay: float = parameter(
         0.5,
-        "In lockstep: command delay from the sample, in sampling periods",
+        "Time from a sample until its command takes effect while 'lockstep' is true",
         unit="samples",
         minimum=0.0,
         maximum=10.0,
     )
-    simulated: SimulatedParameters = group(SimulatedParameters)
-    guide: MapParameters = group(MapParameters, file="config/guide_synthetic.csv")
-    can: CanParameters = group(CanParameters)
-    watch: WatchParameters = group(WatchParameters)
-    realtime: RealtimeParameters = group(RealtimeParameters)
+    simulated: SimulatedParameters = group(SimulatedParameters, "Simulated board")
+    guide: MapParameters = group(MapParameters, "Simulated guide", file="config/guide_synthetic.csv")
+    can: CanParameters = group(CanParameters, "CAN board")
+    watch: WatchParameters = group(WatchParameters, "Fault detection")
+    realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
     def __post_init__(self) -> None:
         if self.hardware != "can":
@@ -87,12 +89,12 @@ class FeedforwardNodeParameters:
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
-    map: MapParameters = group(MapParameters)
-    feedforward: FeedforwardParameters = group(FeedforwardParameters)
+    map: MapParameters = group(MapParameters, "Map of the guide")
+    feedforward: FeedforwardParameters = group(FeedforwardParameters, "Tracking of the stage")
     interval: float = parameter(
-        0.002, "Time between two looks for samples; all that came are answered then", unit="s", above=0.0, maximum=0.01
+        0.002, "Time between two cycles; each answers all samples since the last", unit="s", above=0.0, maximum=0.01
     )
-    realtime: RealtimeParameters = group(RealtimeParameters)
+    realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 
 @dataclass(frozen=True)
@@ -113,17 +115,17 @@ class ControllerNodeParameters:
     )
     reference_lead: int = parameter(
         12,
-        "A sample is served by the reference of so many samples before, extrapolated",
+        "Age of a sample's reference, in samples; the controller extrapolates it to the sample's time",
         unit="samples",
         minimum=0,
         maximum=100,
     )
     sample_timeout: float = parameter(
-        1.0, "Silence of the encoder after which the driver is asked to switch off", unit="s", above=0.0, maximum=60.0
+        1.0, "Time without a sample after which the driver is asked to switch off", unit="s", above=0.0, maximum=60.0
     )
     control: ControlParameters = group(ControlParameters)
-    learning: LearningParameters = group(LearningParameters)
-    realtime: RealtimeParameters = group(RealtimeParameters)
+    learning: LearningParameters = group(LearningParameters, "Learned correction")
+    realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
     @property
     def lead_ns(self) -> int:
@@ -139,88 +141,90 @@ class LoggerNodeParameters:
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
-    output: str = parameter("", "Folder of the bag; empty makes one named after the time of the start")
+    output: str = parameter("", "Folder of the bag; empty: a new one, named after the time of the start")
     compression: str = parameter("zstd", "Compression of the bag's chunks", choices=("zstd", "lz4", "none"))
     queue_depth: int = parameter(
-        8000, "Messages of each topic that may wait in the middleware while this process is held up", minimum=1
+        8000, "Messages of each topic that may wait in the middleware while the logger is held up", minimum=1
     )
     queue_limit: int = parameter(
-        200_000, "Messages in memory that wait for the disk; beyond it they are dropped and counted", minimum=1000
+        200_000, "Messages that may wait in memory for the disk; further ones are dropped and counted", minimum=1000
     )
     topics: str = parameter(
-        ".*", "Regular expression that a topic's name must match as a whole to be recorded, e.g. 'encoder|command'"
+        ".*", "Regular expression for the whole names of this package's topics to record, e.g. 'encoder|command'"
     )
     other_topics: str = parameter(
         "",
-        "Regular expression that full names of further topics must match as a whole, of any type, e.g. "
+        "Regular expression for the whole full names of further topics to record, of any type, e.g. "
         "'/displacement|/rosout'; empty for none",
     )
-    record_at_start: bool = parameter(True, "Record from the start on; otherwise from ~/start on")
+    record_at_start: bool = parameter(True, "Record from the node's start on; false: from the service ~/start on")
     max_file_bytes: int = parameter(
-        0, "Size of a file from which the bag goes on in another; 0 for one file", unit="byte", minimum=0
+        0, "Size of a file at which the bag continues in a new one; 0 for one file", unit="byte", minimum=0
     )
     max_file_duration: float = parameter(
         0.0,
-        "Time from a file's first message after which the bag goes on in another; 0 for one file",
+        "Time from a file's first message after which the bag continues in a new file; 0 for one file",
         unit="s",
         minimum=0.0,
     )
     snapshot: float = parameter(
         0.0,
-        "0 records all; otherwise the last so many seconds stay in memory until ~/snapshot is called",
+        "Length of the recording that stays in memory until the service ~/snapshot writes it; 0 writes all at once",
         unit="s",
         minimum=0.0,
         maximum=600.0,
     )
     min_free_bytes: int = parameter(
-        200_000_000, "Free space on the disk below which the recording is finished and the node fails", minimum=0
+        200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", minimum=0
     )
     nodes: str = parameter(
         "driver feedforward controller", "Nodes whose parameters are attached to the bag, separated by blanks"
     )
-    realtime: RealtimeParameters = group(RealtimeParameters)
+    realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 
 @dataclass(frozen=True)
 class CellNodeParameters:
     """Parameters of the node `cell`."""
 
-    nodes: str = parameter("driver feedforward controller logger", "Nodes that must be there, separated by blanks")
-    start_timeout: float = parameter(30.0, "Longest wait for the nodes, and for the amplifier", unit="s", above=0.0)
-    sample_timeout: float = parameter(2.0, "Silence of the encoder that ends the run", unit="s", above=0.0)
-    heartbeat_timeout: float = parameter(
-        3.0, "Silence of a node that ends the run", unit="s", minimum=0.5, maximum=60.0
+    nodes: str = parameter(
+        "driver feedforward controller logger", "Nodes to wait for and to watch, separated by blanks"
     )
-    strokes: int = parameter(1, "Strokes forward and back", minimum=1, maximum=1000)
+    start_timeout: float = parameter(30.0, "Longest wait for the nodes, and for the amplifier", unit="s", above=0.0)
+    sample_timeout: float = parameter(2.0, "Time without a sample that ends the run", unit="s", above=0.0)
+    heartbeat_timeout: float = parameter(
+        3.0, "Time without a heartbeat of a node that ends the run", unit="s", minimum=0.5, maximum=60.0
+    )
+    strokes: int = parameter(1, "Number of strokes, each forward and back", minimum=1, maximum=1000)
     home: bool = parameter(
-        False, "First bring the platform to the middle of its travel, then onto the map; takes some 2 s"
+        False, "Before the strokes move the platform to the middle of its travel, then to the map; takes some 2 s"
     )
     recoveries: int = parameter(
-        0, "Faults after which the amplifier is switched on again in mid-cycle; one more ends the run", minimum=0
+        0, "Faults in mid-cycle after which the cell switches the amplifier on again; one more ends the run", minimum=0
     )
-    progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output as the stage moves")
-    motion: MotionParameters = group(MotionParameters)
-    realtime: RealtimeParameters = group(RealtimeParameters)
+    progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output while the stage moves")
+    motion: MotionParameters = group(MotionParameters, "Strokes of the stage")
+    realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 
 @dataclass(frozen=True)
 class PlayerNodeParameters:
     """Parameters of the node `player`."""
 
-    bag: str = parameter("", "Bag whose samples are published: a rosbag2 folder or MCAP file")
-    topic: str = parameter("encoder", "The bag's name for the topic of the samples")
-    speed: float = parameter(1.0, "Speed of the play, 1 as recorded", above=0.0, maximum=100.0)
-    subscribers: int = parameter(2, "Subscribers of the samples that the play waits for", minimum=0, maximum=100)
-    start_timeout: float = parameter(30.0, "Longest wait for them", unit="s", above=0.0)
+    bag: str = parameter("", "Bag whose encoder samples are played: a rosbag2 folder or MCAP file")
+    topic: str = parameter("encoder", "Name of the topic with the encoder samples in the bag")
+    speed: float = parameter(1.0, "Speed of the playback; 1 is as recorded", above=0.0, maximum=100.0)
+    subscribers: int = parameter(2, "Subscribers of the samples that the player waits for", minimum=0, maximum=100)
+    start_timeout: float = parameter(30.0, "Longest wait for the subscribers", unit="s", above=0.0)
     ahead: int = parameter(
         0,
-        "Samples without a command beyond which the play waits, so that slow nodes lose none; 0 keeps the pace",
+        "Samples without a command beyond which the player waits, so that slow nodes lose none; 0 never waits",
         unit="samples",
         minimum=0,
         maximum=500,
     )
     clock: bool = parameter(False, "Publish the time of the samples on /clock, for nodes with use_sim_time")
-    realtime: RealtimeParameters = group(RealtimeParameters)
+    realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 
 @dataclass(frozen=True)
@@ -232,11 +236,11 @@ class OpcuaNodeParameters:
         30.0, "Longest wait for the nodes, for the amplifier, and for a fault to be cleared", unit="s", above=0.0
     )
     error_limit: float = parameter(
-        2e-6, "Peak-to-peak error of a movement of the stage above which there is an alarm", unit="m", above=0.0
+        2e-6, "Peak-to-peak error of one motion of the stage above which there is an alarm", unit="m", above=0.0
     )
-    opcua: OpcuaParameters = group(OpcuaParameters)
-    motion: MotionParameters = group(MotionParameters)
-    realtime: RealtimeParameters = group(RealtimeParameters)
+    opcua: OpcuaParameters = group(OpcuaParameters, "OPC UA server")
+    motion: MotionParameters = group(MotionParameters, "Strokes of the stage")
+    realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 
 NODE_PARAMETERS: Mapping[str, type] = {

@@ -21,15 +21,15 @@ from straightcomp_ros.settings.declaration import group, parameter
 class NominalPlant:
     """What the control law believes of the plant (5)."""
 
-    mass: float = parameter(3.0, "Moving mass M", unit="kg", above=0.0, maximum=1e4)
+    mass: float = parameter(3.0, "Moving mass M of the platform", unit="kg", above=0.0, maximum=1e4)
     friction: float = parameter(
-        0.645, "Largest friction force expected, for the check of rho by (11)", unit="N", minimum=0.0
+        0.645, "Largest friction force expected, for the check of smc.rho by (11)", unit="N", minimum=0.0
     )
-    travel: float = parameter(25e-6, "Largest |y| in operation, for the check of rho by (11)", unit="m", above=0.0)
+    travel: float = parameter(25e-6, "Largest |y| in operation, for the check of smc.rho", unit="m", above=0.0)
     amplifier_bandwidth: float = parameter(
         500.0, "Bandwidth of the amplifier, for the laws with an observer", unit="Hz", above=0.0, maximum=1e6
     )
-    actuator: ActuatorParameters = group(ActuatorParameters)
+    actuator: ActuatorParameters = group(ActuatorParameters, "Nominal magnets of the laws")
 
 
 @dataclass(frozen=True)
@@ -38,24 +38,24 @@ class SlidingDesign:
 
     zeta: float = parameter(0.8, "Damping ratio ζ on the sliding surface", above=0.0, maximum=10.0)
     natural_frequency: float = parameter(
-        35.0, "Natural frequency ωn/2π on the surface", unit="Hz", above=0.0, maximum=1e4
+        35.0, "Natural frequency ωn/2π on the sliding surface", unit="Hz", above=0.0, maximum=1e4
     )
-    phi: float = parameter(100.0, "Rate φ at which the sliding variable decays", unit="1/s", above=0.0, maximum=1e5)
-    rho: float = parameter(1.0, "Switching gain ρ of law 'smc'", unit="m/s²", above=0.0, maximum=1e4)
+    phi: float = parameter(100.0, "Rate φ at which the sliding variable σ decays", unit="1/s", above=0.0, maximum=1e5)
+    rho: float = parameter(1.0, "Switching gain ρ, of smc alone", unit="m/s²", above=0.0, maximum=1e4)
     gamma: float = parameter(0.1, "Margin γ of the reaching condition (11)", unit="m/s²", minimum=0.0, maximum=1e4)
     enforce_reaching: bool = parameter(True, "Refuse a rho that does not fulfil the reaching condition (11)")
     boundary_layer: float = parameter(
         4e-3,
-        "Half width of the boundary layer around σ = 0; 0 switches with sgn σ",
+        "Half width of the boundary layer around σ = 0, of smc alone; 0 switches with sgn σ",
         unit="m/s",
         minimum=0.0,
         maximum=10.0,
     )
     velocity_bandwidth: float = parameter(
-        1000.0, "Bandwidth of the velocity estimate", unit="Hz", above=0.0, maximum=1e5
+        1000.0, "Bandwidth of the estimate of the platform's velocity", unit="Hz", above=0.0, maximum=1e5
     )
     feedforward: bool = parameter(
-        True, "Law 'smc' follows the map's rates; without it (9) as printed, with its lag of 2ζ/ωn"
+        True, "Let smc follow the reference's rates; false: the paper's (9), which lags by 2ζ/ωn"
     )
 
     @property

@@ -18,17 +18,15 @@ class ObserverDesign:
     """Observer and reaching law of 'smc_observer'."""
 
     bandwidth: float = parameter(545.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
-    delay: float = parameter(
-        1.0, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
-    )
+    delay: float = parameter(1.0, "Loop delay that the observer assumes", unit="samples", minimum=0.0, maximum=1.0)
     surface: float = parameter(
-        545.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
+        545.0, "Rate λ at which the error decays on the sliding surface", unit="1/s", above=0.0, maximum=1e5
     )
-    reaching: float = parameter(600.0, "κ: rate at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
+    reaching: float = parameter(600.0, "Rate κ at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
     rho: float = parameter(5.0, "Largest reaching acceleration ρ", unit="m/s²", above=0.0, maximum=1e4)
     gain_allowance: float = parameter(
         2.3,
-        "How many times stronger than nominal a current is taken to accelerate; above 1 it leaves gain margin",
+        "Factor by which a current is assumed to accelerate more than nominal; above 1 leaves gain margin",
         minimum=0.1,
         maximum=10.0,
     )
@@ -39,13 +37,11 @@ class TwistingDesign:
     """Observer and gains of 'super_twisting'."""
 
     bandwidth: float = parameter(200.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
-    delay: float = parameter(
-        0.5, "Loop delay that the observer reckons with, in sampling periods", unit="samples", minimum=0.0, maximum=1.0
-    )
+    delay: float = parameter(0.5, "Loop delay that the observer assumes", unit="samples", minimum=0.0, maximum=1.0)
     surface: float = parameter(
-        500.0, "λ: rate at which the error decays on the surface", unit="1/s", above=0.0, maximum=1e5
+        500.0, "Rate λ at which the error decays on the sliding surface", unit="1/s", above=0.0, maximum=1e5
     )
-    disturbance_rate: float = parameter(10.0, "L: bound of the disturbance's rate", unit="m/s³", above=0.0, maximum=1e6)
+    disturbance_rate: float = parameter(10.0, "Bound L of the disturbance's rate", unit="m/s³", above=0.0, maximum=1e6)
 
 
 @dataclass(frozen=True)
@@ -53,11 +49,11 @@ class ControlParameters:
     """Law, design, and what the law believes of the plant."""
 
     law: str = parameter("smc_observer", "Control law", choices=LAWS)
-    current_limit: float = parameter(0.9, "Largest |i_c| that a law asks for", unit="A", above=0.0, maximum=100.0)
-    smc: SlidingDesign = group(SlidingDesign)
-    super_twisting: TwistingDesign = group(TwistingDesign)
-    smc_observer: ObserverDesign = group(ObserverDesign)
-    nominal: NominalPlant = group(NominalPlant)
+    current_limit: float = parameter(0.9, "Largest control current |i_c| of a law", unit="A", above=0.0, maximum=100.0)
+    smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
+    super_twisting: TwistingDesign = group(TwistingDesign, "Law super_twisting")
+    smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")
+    nominal: NominalPlant = group(NominalPlant, "Nominal plant of the laws")
 
     def __post_init__(self) -> None:
         bound = reaching_bound(self.smc, self.nominal)

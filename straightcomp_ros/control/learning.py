@@ -57,14 +57,14 @@ class LearningParameters:
 
     learn: bool = parameter(False, "Learn from stroke to stroke, and correct the law's reference by what was learned")
     file: str = parameter(
-        "", "What was learned: read at the start if it exists, written at the end; empty keeps it in memory only"
+        "", "File of the learned correction: read at the start if it exists, written at the end; empty: memory only"
     )
     gain: float = parameter(
-        0.3, "Part of a pass's error that is learned, once many were averaged", above=0.0, maximum=1.0
+        0.3, "Fraction of a pass's error that is learned, once many were averaged", above=0.0, maximum=1.0
     )
-    forgetting: float = parameter(0.01, "Part of the correction that each pass forgets", minimum=0.0, maximum=0.5)
+    forgetting: float = parameter(0.01, "Fraction of the correction that each pass forgets", minimum=0.0, maximum=0.5)
     cutoff: float = parameter(
-        35.0, "Frequency up to which is learned, below the servo's bandwidth", unit="Hz", above=0.0, maximum=1000.0
+        35.0, "Errors up to this frequency are learned; below the servo's bandwidth", unit="Hz", above=0.0, maximum=1e3
     )
     limit: float = parameter(2e-6, "Largest correction of the reference", unit="m", above=0.0, maximum=1e-4)
     spacing: float = parameter(0.25e-3, "Distance of the nodes along x", unit="m", minimum=1e-5, maximum=1e-2)
@@ -73,7 +73,7 @@ class LearningParameters:
     )
     margin: float = parameter(
         0.05,
-        "Part by which a pass's RMS error may exceed the best one's by chance; beyond it the last update is taken back",
+        "Fraction by which a pass's RMS error may exceed the best one's; beyond it the last update is taken back",
         minimum=0.0,
         maximum=1.0,
     )

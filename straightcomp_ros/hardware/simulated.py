@@ -71,49 +71,43 @@ class SimulatedParameters:
 
     rate: int = parameter(DEFAULT_RATE, "Samples per second", unit="Hz", minimum=10, maximum=20_000)
     command_timeout: float = parameter(
-        0.005,
-        "Age of the newest command at which the board switches the amplifier off",
-        unit="s",
-        above=0.0,
-        maximum=1.0,
+        0.005, "Age of the newest command at which the board switches off", unit="s", above=0.0, maximum=1.0
     )
     actuation_delay: float = parameter(
         1.0,
-        "A command takes effect this long after its sample, or when it comes in, if that is later: the loop's delay is"
-        " then the same from sample to sample, whatever the host's jitter. 0: always when it comes in. In lockstep,"
-        " lockstep_delay alone counts",
+        "A command takes effect this long after its sample, or on arrival if that is later, so that the host's jitter"
+        " does not change the loop's delay. 0: always on arrival. Lockstep uses lockstep_delay instead",
         unit="samples",
         minimum=0.0,
         maximum=1.0,
     )
     hold_after: float = parameter(
         1.25,
-        "Time since the last command took effect from which the board holds the platform by itself: with the mean of"
-        " the last commands, and a stiffness about the place where it is then",
+        "Time after the last command took effect at which the board begins to hold the platform by itself",
         unit="samples",
         minimum=1.1,
         maximum=1e6,
     )
-    hold_mean: float = parameter(0.015, "Time constant of that mean", unit="s", above=0.0, maximum=10.0)
+    hold_mean: float = parameter(
+        0.015, "Time constant of the mean command, held when commands stop", unit="s", above=0.0, maximum=10.0
+    )
     hold_braking: float = parameter(
-        0.5,
-        "Share of the impulse that the last commands gave beyond that mean which the board takes back in each sample",
-        minimum=0.0,
-        maximum=1.0,
+        0.5, "While holding: share of the last commands' impulse taken back per sample", minimum=0.0, maximum=1.0
     )
     hold_memory: float = parameter(
-        0.001, "Time constant with which friction ends such an impulse", unit="s", above=0.0, maximum=1.0
+        0.001, "Time constant with which friction ends an impulse", unit="s", above=0.0, maximum=1.0
     )
     hold_stiffness: float = parameter(
         7000.0,
-        "That stiffness, as control current per displacement; the magnets' negative stiffness is I0/y0 = 667 A/m",
+        "Stiffness of the board's hold, as control current per displacement; the magnets' negative stiffness is"
+        " I0/y0 = 667 A/m",
         unit="A/m",
         minimum=0.0,
         maximum=1e6,
     )
     sample_memory: int = parameter(256, "Samples that the board keeps for a late host", minimum=1, maximum=100_000)
     initial_y: float = parameter(0.0, "Platform's position at the start", unit="m", minimum=-1e-2, maximum=1e-2)
-    plant: PlantParameters = group(PlantParameters)
+    plant: PlantParameters = group(PlantParameters, "Simulated plant")
 
     @property
     def hold(self) -> Hold:

@@ -12,8 +12,7 @@ import math
 
 import numpy as np
 
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey
 
 WAVES = ((0.300, 30e-6), (0.060, 15e-6), (0.030, 8e-6), (0.015, 4e-6))
 """Wavelength and amplitude in m: at 0.3 m/s 1, 5, 10 and 20 Hz, together up to 57 µm and 1.3 mm/s."""

@@ -47,7 +47,7 @@ class DriveParameters:
 
     dac_bits: int = parameter(12, "Resolution of the D/A converter", unit="bit", minimum=4, maximum=24)
     dac_range: float = parameter(10.0, "Output range ± of the D/A converter", unit="V", above=0.0, maximum=1e3)
-    gain: float = parameter(0.1, "Amplifier gain K_a", unit="A/V", above=0.0, maximum=1e3)
+    gain: float = parameter(0.1, "Gain K_a of the amplifier", unit="A/V", above=0.0, maximum=1e3)
     bandwidth: float = parameter(500.0, "Bandwidth of the amplifier (first order)", unit="Hz", above=0.0, maximum=1e6)
 
     @cached_property

@@ -53,10 +53,10 @@ class PlantParameters:
 
     mass: float = parameter(3.0, "Moving mass M of the platform", unit="kg", above=0.0, maximum=1e4)
     stop: float = parameter(1.2e-3, "Mechanical stop at ± this position, inside the air gap", unit="m", above=0.0)
-    actuator: ActuatorParameters = group(ActuatorParameters)
-    friction: FrictionParameters = group(FrictionParameters)
-    drive: DriveParameters = group(DriveParameters)
-    encoder: EncoderParameters = group(EncoderParameters)
+    actuator: ActuatorParameters = group(ActuatorParameters, "Simulated magnets")
+    friction: FrictionParameters = group(FrictionParameters, "Simulated friction (LuGre)")
+    drive: DriveParameters = group(DriveParameters, "Simulated drive")
+    encoder: EncoderParameters = group(EncoderParameters, "Simulated encoders")
 
     def __post_init__(self) -> None:
         if self.stop >= self.actuator.air_gap:

@@ -34,10 +34,8 @@ class MotionParameters:
     stroke: float = parameter(STROKE, "Length of the stroke", unit="m", above=0.0, maximum=100.0)
     speed: float = parameter(0.3, "Cruising speed", unit="m/s", above=0.0, maximum=20.0)
     acceleration: float = parameter(0.2, "Acceleration and deceleration", unit="m/s²", above=0.0, maximum=200.0)
-    settle: float = parameter(
-        1.0, "Rest before the first and after the last stroke", unit="s", minimum=0.0, maximum=60.0
-    )
-    pause: float = parameter(0.5, "Rest between strokes", unit="s", minimum=0.0, maximum=60.0)
+    settle: float = parameter(1.0, "Time at rest before and after each stroke", unit="s", minimum=0.0, maximum=60.0)
+    pause: float = parameter(0.5, "Time at rest between forward and back", unit="s", minimum=0.0, maximum=60.0)
 
 
 def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -> list[Waypoint]:

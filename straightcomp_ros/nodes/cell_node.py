@@ -36,8 +36,7 @@ from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 from straightcomp_ros.runtime.streams import subscribe
 from straightcomp_ros.safety.state_machine import Condition
-from straightcomp_ros.timing.blame import blamed
-from straightcomp_ros.timing.node_timing import LOST, held_up
+from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
 
 _TICK_S = 0.05
 _SETTLE_S = 1.5

@@ -22,9 +22,8 @@ from straightcomp_ros.runtime.streams import Inbox, unspun_node
 from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.settings.declaration import ParameterError
-from straightcomp_ros.straightness.feedforward import Feedforward
+from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
-from straightcomp_ros.straightness.map_crossfade import FADE_TIME
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES

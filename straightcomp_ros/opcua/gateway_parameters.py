@@ -14,22 +14,22 @@ AUTO, NONE, ENCRYPTED = "auto", "none", "encrypted"
 class OpcuaParameters:
     """Where the server listens and whom it lets in."""
 
-    host: str = parameter("127.0.0.1", "Address to listen on; 0.0.0.0 for all of this machine's")
-    port: int = parameter(4840, "TCP port", minimum=1, maximum=65535)
+    host: str = parameter("127.0.0.1", "Address to listen on; 0.0.0.0 for all of this machine's addresses")
+    port: int = parameter(4840, "TCP port to listen on", minimum=1, maximum=65535)
     security: str = parameter(
         AUTO,
         "encrypted: only signed and encrypted connections of known users; none: no encryption, anybody may read and "
-        "known users may command, on the loopback interface only; auto: none there, encrypted elsewhere",
+        "known users may command, on the loopback interface only; auto: none on loopback, encrypted elsewhere",
         choices=(AUTO, NONE, ENCRYPTED),
     )
-    users: str = parameter("", "File of users, from `straightcomp opcua user`; empty: nobody may command")
+    users: str = parameter("", "File of users, made by `straightcomp opcua user`; empty: nobody may command")
     certificates: str = parameter(
         "", "Folder of the server's own certificate and key, made there where they are missing; for encryption"
     )
     trusted: str = parameter(
         "", "Folder of certificates (.der, .pem) of the clients, or of their issuers, that may connect; empty: any"
     )
-    max_clients: int = parameter(20, "Connections at one time", minimum=1, maximum=1000)
+    max_clients: int = parameter(20, "Largest number of connections at one time", minimum=1, maximum=1000)
 
     def __post_init__(self) -> None:
         if self.security == NONE and not self.on_loopback:

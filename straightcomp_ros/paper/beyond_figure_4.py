@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.paper.claims import Claim, yes
 from straightcomp_ros.paper.drawing import SMALL, label, sheet

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.run_plot import BLACK, BLUE, VERMILION
+from straightcomp_ros.analysis.pictures import BLACK, BLUE, VERMILION
 from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters, node_parameters
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import label, legend_above, sheet

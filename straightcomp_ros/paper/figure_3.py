@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from straightcomp_ros.analysis.run_plot import BLACK, BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT, stiffness_errors
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import SMALL, label, sheet

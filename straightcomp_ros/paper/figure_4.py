@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis.run_plot import BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.pictures import BLUE, GREY, VERMILION
 from straightcomp_ros.paper.claims import Claim, yes
 from straightcomp_ros.paper.drawing import SMALL, label, sheet
 from straightcomp_ros.paper.figure_3 import gain_error_limit

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.run_plot import BLUE, GREY, VERMILION
+from straightcomp_ros.analysis.pictures import BLUE, GREY, VERMILION
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import SMALL, label, sheet
 from straightcomp_ros.paper.friction_estimate import WINDOW, FrictionEstimate, estimate_friction

@@ -12,10 +12,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS
-from straightcomp_ros.timing.blame import NORMAL, REFUSED
 from straightcomp_ros.timing.cpu_wait import CpuWait
 from straightcomp_ros.timing.level import Levels
-from straightcomp_ros.timing.node_timing import CPU_WAIT, LOST, OVERRUNS, RATE, SAMPLES, SCHEDULING
+from straightcomp_ros.timing.node_timing import CPU_WAIT, LOST, NORMAL, OVERRUNS, RATE, REFUSED, SAMPLES, SCHEDULING
 
 _TICK_S, _TICKS = 0.25, 4
 """Values are collected at each fourth tick and published at the next."""

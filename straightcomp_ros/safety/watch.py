@@ -26,13 +26,13 @@ class WatchParameters:
     )
     y_limit: float = parameter(
         1e-3,
-        "Largest |y|; a platform that is switched on beyond it may first come back",
+        "Largest |y|, once y was within it with the amplifier on",
         unit="m",
         above=0.0,
         maximum=0.1,
     )
     frozen_time: float = parameter(
-        0.01, "Time without a change of y before it may be called frozen", unit="s", above=0.0, maximum=10.0
+        0.01, "Time without a change of y after which it may count as frozen", unit="s", above=0.0, maximum=10.0
     )
     frozen_current: float = parameter(
         0.08, "Change of the mean control current that must move y by a count", unit="A", above=0.0, maximum=100.0
@@ -41,7 +41,7 @@ class WatchParameters:
         0.02, "Length of the stage's trajectory over which x must move by a count", unit="m", above=0.0, maximum=10.0
     )
     clock_step: float = parameter(
-        0.05, "Step of the system's clock that is a fault; a slewed clock is none", unit="s", above=0.0, maximum=3600.0
+        0.05, "Step of the system's clock that is a fault; a slewed clock is not", unit="s", above=0.0, maximum=3600.0
     )
 
 

@@ -124,9 +124,13 @@ def parameter(
     )
 
 
-def group(parameter_set: type[T], **defaults: Any) -> T:
-    """Declare a field that holds another parameter set, with other ``defaults`` for some of its fields."""
-    return dataclasses.field(default_factory=partial(parameter_set, **defaults), metadata={"defaults": defaults})
+def group(parameter_set: type[T], about: str = "", **defaults: Any) -> T:
+    """Declare a field that holds another parameter set, with other ``defaults`` for some of its fields.
+
+    Each description in the set begins with ``about``: `ros2 param describe` shows one parameter without its group.
+    """
+    metadata = {"about": about, "defaults": defaults}
+    return dataclasses.field(default_factory=partial(parameter_set, **defaults), metadata=metadata)
 
 
 @cache
@@ -134,17 +138,18 @@ def _field_types(parameter_set: type) -> dict[str, Any]:
     return typing.get_type_hints(parameter_set)
 
 
-def declarations(parameter_set: type, prefix: str = "") -> Iterator[Declaration]:
-    """All parameters of a set and of the groups in it, in the order of declaration."""
+def declarations(parameter_set: type, prefix: str = "", about: str = "") -> Iterator[Declaration]:
+    """All parameters of a set and of the groups in it, in the order of declaration; ``about`` is that of its group."""
     for field in dataclasses.fields(parameter_set):
         kind = _field_types(parameter_set)[field.name]
         if dataclasses.is_dataclass(kind):
             start = f"{prefix}{field.name}."
-            for declaration in declarations(typing.cast(type, kind), start):
+            for declaration in declarations(typing.cast(type, kind), start, field.metadata["about"] or about):
                 default = field.metadata["defaults"].get(declaration.name[len(start) :], declaration.default)
                 yield dataclasses.replace(declaration, default=default)
         else:
-            yield Declaration(name=prefix + field.name, kind=kind, default=field.default, **field.metadata)
+            one = Declaration(name=prefix + field.name, kind=kind, default=field.default, **field.metadata)
+            yield dataclasses.replace(one, description=f"{about}: {one.description}") if about else one
 
 
 def from_mapping(parameter_set: type[T], values: Mapping[str, Any]) -> T:

@@ -1,13 +1,18 @@
-"""Reference and its time derivatives for each encoder sample: what the control law is fed forward.
+"""Reference and its time derivatives for each encoder sample, the feedforward of the control law.
 
     r = r(x),   ṙ = r'(x) ẋ,   r̈ = r''(x) ẋ² + r'(x) ẍ
 
-r is taken at the measured x, without lag: a quantum of 0.1 µm in x is 0.01 nm in r. ẋ and ẍ come from a
-tracking filter.
+r is taken at the measured x, without lag: a quantum of 0.1 µm in x is 0.01 nm in r. A filter estimates ẋ and ẍ.
+
+From one map to another the reference and its derivatives fade without a jump. The weight of the old map falls from 1 to
+0 along the quintic 1 − s³(10 − 15 s + 6 s²), whose first two derivatives are zero at both ends: r, ṙ and r̈ are
+continuous, and for maps that differ by D and a time T the speed changes by at most 1.875 D/T and the acceleration by
+5.774 D/T², beside the maps' own rates.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -17,25 +22,40 @@ from numpy.typing import NDArray
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.settings.declaration import parameter
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.map_crossfade import FADE_TIME, Lookup, blended, weight
 from straightcomp_ros.straightness.stage_tracking import restarted, updated
 
 T = TypeVar("T", float, NDArray[np.float64])
+Rates = tuple[float, float, float]
+Lookup = Callable[[float], Rates]
 
-_NEVER = -(2**63)  # longer ago than any restart_gap
+FADE_TIME = 0.5
+"""s, from the old map to the new one."""
+
+_NEVER = -(2**63)
+"""Stamp in ns, earlier than any restart_gap before a sample."""
 
 
 @dataclass(frozen=True)
 class FeedforwardParameters:
     """Tracking of the stage."""
 
-    bandwidth: float = parameter(30.0, "Bandwidth of the estimate of ẋ and ẍ", unit="Hz", minimum=0.1, maximum=500.0)
+    bandwidth: float = parameter(
+        30.0,
+        "Bandwidth of the filter that estimates speed and acceleration of the stage",
+        unit="Hz",
+        minimum=0.1,
+        maximum=500.0,
+    )
     restart_gap: float = parameter(
-        0.05, "Time without a sample after which the estimate starts anew", unit="s", above=0.0, maximum=10.0
+        0.05,
+        "Time without a sample after which the estimate of speed and acceleration restarts",
+        unit="s",
+        above=0.0,
+        maximum=10.0,
     )
     max_speed: float = parameter(
         1.0,
-        "Speed that the stage cannot reach; a jump of x beyond it starts the estimate anew",
+        "Speed that the stage cannot reach; a jump of x that would need more restarts the estimate",
         unit="m/s",
         above=0.0,
         maximum=100.0,
@@ -49,14 +69,32 @@ class FeedforwardParameters:
 
 @compilable
 def continues(gap_ns: int, max_speed: float, elapsed_ns: int, distance: float) -> bool:
-    """Whether the estimate goes on from the last sample to one ``elapsed_ns`` and ``distance`` (m) away, or starts
-    anew. A NaN compares false, so it restarts the estimate, and so does the sample after it."""
+    """Whether a sample ``elapsed_ns`` and ``distance`` (m) from the last one updates the estimate or restarts it. A NaN
+    compares false, so it restarts the estimate, and so does the sample after it."""
     return 0 < elapsed_ns <= gap_ns and abs(distance) <= max_speed * (elapsed_ns * 1e-9)
 
 
 def rates(slope: T, curvature: T, v: T, a: T) -> tuple[T, T]:
     """ṙ in m/s and r̈ in m/s² from r', r'', ẋ and ẍ; for numbers, or arrays of one shape."""
     return slope * v, curvature * v * v + slope * a
+
+
+def weight(elapsed: float, duration: float) -> Rates:
+    """Weight of the old map ``elapsed`` s after the change, its rate in 1/s and acceleration in 1/s²."""
+    s = min(max(elapsed / duration, 0.0), 1.0)
+    rest = 1.0 - s
+    return (
+        1.0 - s * s * s * (10.0 - 15.0 * s + 6.0 * s * s),
+        -30.0 * s * s * rest * rest / duration,
+        -60.0 * s * rest * (1.0 - 2.0 * s) / (duration * duration),
+    )
+
+
+def blended(old: Rates, new: Rates, fade: Rates) -> Rates:
+    """r in m, ṙ in m/s and r̈ in m/s² between two references, by the old one's weight and the weight's rates."""
+    w, w_dot, w_ddot = fade
+    d, d_dot, d_ddot = (before - after for before, after in zip(old, new, strict=True))
+    return new[0] + w * d, new[1] + w * d_dot + w_dot * d, new[2] + w * d_ddot + 2.0 * w_dot * d_dot + w_ddot * d
 
 
 class Feedforward:
@@ -83,45 +121,42 @@ class Feedforward:
 
     @property
     def changing(self) -> bool:
-        """Whether an earlier map is still being left."""
+        """Whether a change of the map is not finished yet."""
         return self._left is not None
 
     def change(self, reference: Lookup) -> None:
-        """Go over to another map's ``reference`` within :data:`~.crossfade.FADE_TIME`, without a bump; at once before
-        the first sample. Not while an earlier map is still being left."""
+        """Fade to another map's ``reference`` within :data:`FADE_TIME`; before the first sample, change
+        at once. Not while :attr:`changing`."""
         if self._stamp_ns != _NEVER:
             self._left, self._left_ns = self._reference, self._stamp_ns
         self._reference = reference
 
-    def step(self, stamp_ns: int, x: float) -> tuple[float, float, float]:
+    def step(self, stamp_ns: int, x: float) -> Rates:
         """r in m, ṙ in m/s, r̈ in m/s² for the sample of ``stamp_ns`` at ``x`` in m.
 
-        Lost samples do no harm: times are taken from the stamps. A repeated stamp gives the last answer
-        again and changes nothing. The estimate starts anew (ṙ = r̈ = 0 once) on the first sample, a stamp
-        that goes back, a gap longer than ``restart_gap``, an x that moved faster than ``max_speed``, and an
-        x that is not finite, for which the answer is NaN.
+        The stamps give the times, also across lost samples. A repeated stamp gives the last answer again and changes
+        nothing. The estimate restarts (ṙ = r̈ = 0 once) on the first sample, a stamp that goes back, a gap longer than
+        ``restart_gap``, an x that moved faster than ``max_speed``, and an x that is not finite, for which the answer is
+        NaN.
         """
         elapsed_ns = stamp_ns - self._stamp_ns
         if elapsed_ns == 0:
             return self._last
         if continues(self._restart_gap_ns, self._max_speed, elapsed_ns, x - self._x):
-            tracked = updated(self._bandwidth, self._tracked, elapsed_ns * 1e-9, x)
+            self._tracked = updated(self._bandwidth, self._tracked, elapsed_ns * 1e-9, x)
         else:
-            tracked = restarted(x)
-        self._tracked = tracked
+            self._tracked = restarted(x)
         self._stamp_ns = stamp_ns
         self._x = x
-        r, slope, curvature = self._reference(x)
-        self._last = (r, *rates(slope, curvature, tracked.v, tracked.a))
+        self._last = self._rates(self._reference, x)
         if self._left is not None:
-            self._last = self._fade(self._left, x, self._last)
+            elapsed = (stamp_ns - self._left_ns) * 1e-9
+            if 0.0 <= elapsed < FADE_TIME:
+                self._last = blended(self._rates(self._left, x), self._last, weight(elapsed, FADE_TIME))
+            else:
+                self._left = None
         return self._last
 
-    def _fade(self, left: Lookup, x: float, new: tuple[float, float, float]) -> tuple[float, float, float]:
-        elapsed = (self._stamp_ns - self._left_ns) * 1e-9
-        if not 0.0 <= elapsed < FADE_TIME:
-            self._left = None
-            return new
-        r, slope, curvature = left(x)
-        old = (r, *rates(slope, curvature, self._tracked.v, self._tracked.a))
-        return blended(old, new, weight(elapsed, FADE_TIME))
+    def _rates(self, reference: Lookup, x: float) -> Rates:
+        r, slope, curvature = reference(x)
+        return r, *rates(slope, curvature, self._tracked.v, self._tracked.a)

@@ -6,30 +6,29 @@ from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from straightcomp_ros.settings.declaration import parameter
 from straightcomp_ros.settings.share import share_path
-from straightcomp_ros.straightness.mean import mean_of_directions, on_common_grid, report
-from straightcomp_ros.straightness.runout import Runout, runout
-from straightcomp_ros.straightness.spline import cubic_spline
+from straightcomp_ros.straightness.common_grid import cubic_spline, on_common_grid
+from straightcomp_ros.straightness.repeatability import repeatability
 from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey
 
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+T = TypeVar("T", float, NDArray[np.float64])
 
 
 @dataclass(frozen=True)
 class MapParameters:
-    """Where the survey is and what is asked of it."""
+    """The survey of the guide, and the requirements on it."""
 
     file: str = parameter(
-        "config/survey_synthetic.csv", "Survey file; a relative name is looked up here, then in the package's share"
+        "config/survey_synthetic.csv",
+        "Survey file; a relative name is looked up in the working directory, then in the package's share",
     )
-    min_points: int = parameter(20, "Fewest points of a run", minimum=4, maximum=1_000_000)
+    min_points: int = parameter(20, "Fewest points that a run of the survey may have", minimum=4, maximum=1_000_000)
     max_gap: float = parameter(0.05, "Widest distance between neighbouring points", unit="m", above=0.0, maximum=1.0)
     travel: float = parameter(100e-6, "Usable travel of the platform, to each side", unit="m", above=0.0, maximum=1e-2)
     runout: float = parameter(
@@ -45,33 +44,34 @@ class StraightnessMap:
     """r(x) with two continuous derivatives, from a cubic spline through the mean of a survey's runs.
 
     The spline has not-a-knot ends. r is centred: over the survey its largest and smallest value are opposite.
-    Beyond the survey r runs out to a constant (see :mod:`straightcomp_ros.straightness.runout`). No line is
-    removed: the workpiece moves straight along the line that the survey was measured against.
-
-    A lookup takes no NumPy: at 2 kHz its overhead on single numbers would be the largest part.
+    Beyond the survey r runs out to a constant, see :func:`runout`. No line is removed: the workpiece moves straight
+    along the line that the survey was measured against.
 
     Attributes:
-        report: agreement of the runs, lengths in m.
+        report: agreement of the runs.
         span: first and last x of the survey in m.
         offset: the constant in r(x) = offset − δ(x), in m.
+
+    Raises:
+        SurveyError: the runs do not fit together, or the correction exceeds the platform's travel.
     """
 
     def __init__(self, survey: Survey, parameters: MapParameters = MapParameters()) -> None:
-        """Build the map.
-
-        Raises:
-            SurveyError: the runs do not fit together, or the correction exceeds the platform's travel.
-        """
-        x, values = on_common_grid(survey, min_points=parameters.min_points, max_gap=parameters.max_gap)
-        self.report = report(survey, values)
-        self.span = (float(x[0]), float(x[-1]))
-        spline = cubic_spline(x, mean_of_directions(survey, values))
+        x, values = on_common_grid(survey, parameters.min_points, parameters.max_gap)
+        self.report = repeatability(survey, x, values)
+        first, last = self.span = (float(x[0]), float(x[-1]))
+        spline = cubic_spline(x, self.report.mean)
         turns = spline.derivative().roots(extrapolate=False)
         extremes = np.concatenate([spline(x), spline(turns[np.isfinite(turns)])])
-        self.offset = float(extremes.max() + extremes.min()) / 2.0
+        self.offset = offset = float(extremes.max() + extremes.min()) / 2.0
 
-        low = runout(*_end_state(spline, x[0], -1.0, self.offset), parameters.runout)
-        high = runout(*_end_state(spline, x[-1], 1.0, self.offset), parameters.runout)
+        # Value, slope and curvature of r at each end, the slope outward.
+        low, high = (
+            runout(
+                offset - float(spline(end)), -outward * float(spline(end, 1)), -float(spline(end, 2)), parameters.runout
+            )
+            for end, outward in ((first, -1.0), (last, 1.0))
+        )
         largest = max(
             float(np.ptp(extremes)) / 2.0, *(abs(value) for end in (low, high) for value in (end.held, end.turning))
         )
@@ -80,40 +80,35 @@ class StraightnessMap:
                 f"survey {survey.source}: the correction reaches {largest * 1e6:.4g} µm to each side; "
                 f"allowed: <= {parameters.travel * 1e6:.4g} µm (travel)"
             )
-        self._breaks: tuple[float, ...] = tuple(
-            [self.span[0] - parameters.runout, *x.tolist(), self.span[1] + parameters.runout]
-        )
-        self._pieces = _pieces(spline, self.offset, self._breaks, low, high)
-        self._tables = (np.array(self._breaks), np.array(self._pieces).T)
+        # Piece i is origin and polynomial coefficients, constant first; it holds where i breaks are at or below x.
+        breaks = [first - parameters.runout, *x.tolist(), last + parameters.runout]
+        pieces = [
+            (breaks[0], low.held, 0.0, 0.0, 0.0, 0.0),
+            (first, *(c if power % 2 == 0 else -c for power, c in enumerate(low.coefficients))),
+            *(
+                (start, offset - c0, -c1, -c2, -c3, 0.0)
+                for start, (c3, c2, c1, c0) in zip(breaks[1:-2], spline.c.T.tolist(), strict=True)
+            ),
+            (last, *high.coefficients),
+            (breaks[-1], high.held, 0.0, 0.0, 0.0, 0.0),
+        ]
+        self._breaks, self._pieces = tuple(breaks), tuple(pieces)
+        self._tables = (np.array(breaks), np.array(pieces).T)
 
     def reference(self, x: float) -> tuple[float, float, float]:
         """r in m, dr/dx in m/m and d²r/dx² in 1/m at x in m; NaN for NaN."""
-        origin, c0, c1, c2, c3, c4 = self._pieces[bisect_right(self._breaks, x)]
-        t = x - origin
-        return (
-            c0 + t * (c1 + t * (c2 + t * (c3 + t * c4))),
-            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4))),
-            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4)),
-        )
+        # Without NumPy, whose overhead on single numbers would be the largest part at 2 kHz.
+        return _polynomial(x, *self._pieces[bisect_right(self._breaks, x)])
 
     def deviation(self, x: float) -> float:
-        """δ in m at x in m: what the survey says of the guide."""
-        origin, c0, c1, c2, c3, c4 = self._pieces[bisect_right(self._breaks, x)]
-        t = x - origin
-        return self.offset - (c0 + t * (c1 + t * (c2 + t * (c3 + t * c4))))
+        """δ in m at x in m: the guide's deviation by the survey."""
+        return self.offset - self.reference(x)[0]
 
     def evaluate(self, x: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """:meth:`reference` for an array: three arrays of the shape of ``x``, the same to the last bit."""
         positions = np.asarray(x, dtype=np.float64)
         breaks, pieces = self._tables
-        origin, c0, c1, c2, c3, c4 = pieces[:, np.searchsorted(breaks, positions, side="right")]
-        t = positions - origin
-        # The order of operations of reference(): float64 then gives the same bits.
-        return (
-            c0 + t * (c1 + t * (c2 + t * (c3 + t * c4))),
-            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4))),
-            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4)),
-        )
+        return _polynomial(positions, *pieces[:, np.searchsorted(breaks, positions, side="right")])
 
     def deviations(self, x: ArrayLike) -> NDArray[np.float64]:
         """:meth:`deviation` for an array."""
@@ -148,28 +143,52 @@ def find_survey(name: str) -> Path:
     raise SurveyError(f"survey {name}: there is no such file{beside}")
 
 
-def _end_state(spline: CubicSpline, x: float, outward: float, offset: float) -> tuple[float, float, float]:
-    """Value, slope and curvature of r at an end, the slope counted outward."""
-    return offset - float(spline(x)), -outward * float(spline(x, 1)), -float(spline(x, 2))
+class Runout(NamedTuple):
+    """Polynomial coefficients of the value over t, constant first; the held value; and the value where the slope is
+    zero on the way to it, or again the held value."""
+
+    coefficients: tuple[float, float, float, float, float]
+    held: float
+    turning: float
 
 
-def _pieces(
-    spline: CubicSpline, offset: float, breaks: tuple[float, ...], low: Runout, high: Runout
-) -> tuple[tuple[float, ...], ...]:
-    """For each interval between ``breaks``, and beyond: origin and polynomial coefficients, constant first.
+def runout(value: float, slope: float, curvature: float, length: float) -> Runout:
+    """How the map continues beyond an end of the survey: a smooth run-out to a constant value.
 
-    One more than there are breaks: piece i holds where i breaks are at or below x.
+    Over the length L the slope falls from the end's slope s to zero as a cubic Hermite curve, from the end's curvature
+    c to zero; its integral is the value. With distance t from the end, u = t/L:
+
+        slope(t)  = s (1 − 3u² + 2u³) + c L (u − 2u² + u³)
+        value(t)  = v + s (t − t³/L² + t⁴/(2L³)) + c (t²/2 − 2t³/(3L) + t⁴/(4L²))
+        value(L)  = v + s L/2 + c L²/12
+
+    Value, slope and curvature are continuous at both ends. Of the quintics with these end conditions it is the one
+    without a fifth-degree term, because the held value is free: it is where the guide's slope leads.
+
+    Args:
+        value, slope, curvature: at the end, in m, m/m and 1/m, with respect to t.
+        length: m, > 0.
     """
-    first, last = breaks[1], breaks[-2]
-    mirrored = [c if power % 2 == 0 else -c for power, c in enumerate(low.coefficients)]
-    inner = [
-        (origin, offset - c0, -c1, -c2, -c3, 0.0)
-        for origin, (c3, c2, c1, c0) in zip(breaks[1:-2], spline.c.T.tolist(), strict=True)
-    ]
+    coefficients = (
+        value,
+        slope,
+        curvature / 2.0,
+        -slope / length**2 - 2.0 * curvature / (3.0 * length),
+        slope / (2.0 * length**3) + curvature / (4.0 * length**2),
+    )
+    held = value + slope * length / 2.0 + curvature * length**2 / 12.0
+    # slope(t) = (1 − u)² (s (1 + 2u) + c L u): one zero at most inside.
+    divisor = 2.0 * slope + curvature * length
+    u = -slope / divisor if divisor else 0.0
+    turning = _polynomial(u * length, 0.0, *coefficients)[0] if 0.0 < u < 1.0 else held
+    return Runout(coefficients, held, turning)
+
+
+def _polynomial(x: T, origin: T, c0: T, c1: T, c2: T, c3: T, c4: T) -> tuple[T, T, T]:
+    """Value, slope and curvature; the same operations, and so the same bits, for numbers and for arrays."""
+    t = x - origin
     return (
-        (breaks[0], low.held, 0.0, 0.0, 0.0, 0.0),
-        (first, *mirrored),
-        *inner,
-        (last, *high.coefficients),
-        (breaks[-1], high.held, 0.0, 0.0, 0.0, 0.0),
+        c0 + t * (c1 + t * (c2 + t * (c3 + t * c4))),
+        c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4))),
+        2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4)),
     )

@@ -7,9 +7,10 @@ the median nor that deviation moves with the outliers themselves, as mean and st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 _GAUSSIAN = 1.4826
@@ -17,38 +18,30 @@ FLOOR = 20e-9
 """Distance in m from the median below which nothing is an outlier: runs that agree to a nanometre by chance must not
 condemn one that differs by five."""
 _WHOLE_RUN = 0.25
-"""Part of a run's points from which the run is rejected as a whole: something was knocked, or came loose."""
+"""Fraction of outliers above which a run is rejected as a whole: something was knocked, or came loose."""
 _WIDEST = 3
-"""Neighbouring points beyond which the run is rejected too: what would stand in their place is a guess."""
+"""Most neighbouring outliers in a run; with more it is rejected too, since interpolation would be a guess."""
 _FEWEST = 3
-"""Runs of one direction from which they can be told apart: of two that differ, neither is the wrong one."""
+"""Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
 
 
 def spikes(residual: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
-    """Which samples of a run are outliers; ``residual`` (n,) in m is what is left beside its smooth course."""
+    """Which samples of a run are outliers; ``residual`` (n,) in m is the difference from its smooth course."""
     distance = np.abs(residual - np.median(residual))
     return np.asarray(distance > max(limit * _GAUSSIAN * float(np.median(distance)), FLOOR))
 
 
-@dataclass(frozen=True)
-class Disagreement:
-    """Which of several runs over the same points do not agree with the rest.
-
-    Attributes:
-        runs: (runs,) true for a run that is rejected as a whole.
-        points: (runs, n) true for single points; all false for a rejected run.
-    """
+class Disagreement(NamedTuple):
+    """Which runs are rejected as a whole, (runs,), and which single points of the other runs, (runs, n)."""
 
     runs: NDArray[np.bool_]
     points: NDArray[np.bool_]
 
 
 def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
-    """Compare the runs of one direction.
+    """Compare the runs of one direction by their ``values`` (runs, n) in m on one grid of at least four points.
 
-    Args:
-        values: (runs, n) deviation in m on one grid.
-        limit: in robust standard deviations, which are taken over all points.
+    ``limit`` is in robust standard deviations, which are taken over all points.
     """
     rejected = np.zeros(len(values), np.bool_)
     points = np.zeros(values.shape, np.bool_)
@@ -59,7 +52,8 @@ def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
         others = distance[distance > 0.0]
         spread = float(np.median(others)) if others.size else 0.0
         flagged = distance > max(limit * _GAUSSIAN * spread, FLOOR)
-        unusable = (flagged.mean(axis=1) > _WHOLE_RUN) | (_longest(flagged) > _WIDEST)
+        stretches = sliding_window_view(flagged, _WIDEST + 1, axis=1)
+        unusable = (flagged.mean(axis=1) > _WHOLE_RUN) | np.any(np.all(stretches, axis=2), axis=1)
         if not unusable.any():
             points[~rejected] = flagged
             break
@@ -67,13 +61,3 @@ def disagreement(values: NDArray[np.float64], limit: float) -> Disagreement:
         worst = np.where(unusable, distance.sum(axis=1), -1.0).argmax()
         rejected[np.flatnonzero(~rejected)[worst]] = True
     return Disagreement(rejected, points)
-
-
-def _longest(flagged: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """How many neighbours at most are true, in each row."""
-    longest: NDArray[np.int64] = np.zeros(len(flagged), np.int64)
-    current = longest
-    for column in flagged.T:
-        current = np.where(column, current + 1, 0)
-        longest = np.maximum(longest, current)
-    return longest

@@ -1,10 +1,9 @@
-"""Straightness of a measured line: its deviation from a reference line, and the extent of that.
+"""Straightness of a measured line: the extent of its deviation from a reference line.
 
-ISO 230-1:2012 (test code for machine tools, geometric accuracy), clause 3.4, knows three reference
-lines for the straightness error motion of a linear axis: the mean minimum zone line, the least
-squares line and the end-point line. The deviation is the extent of what is left beside the reference
-line. The minimum zone line gives the smallest figure, by definition; the least squares line is near to
-it, and is what this project reports.
+ISO 230-1:2012 (test code for machine tools, geometric accuracy), clause 3.4, defines three reference lines for the
+straightness error motion of a linear axis: the mean minimum zone line, the least squares line and the end-point line.
+The minimum zone line gives the smallest extent, by definition. The least squares line, whose extent is close to that,
+is the one that this project reports.
 """
 
 from __future__ import annotations
@@ -14,16 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def least_squares_residual(x: ArrayLike, deviation: ArrayLike, weights: ArrayLike | None = None) -> NDArray[np.float64]:
-    """Deviation from the least squares line.
+    """Deviation (n,) in m from the least squares line; its weighted mean and weighted correlation with x are zero.
 
     Args:
-        x: (n,) positions in m.
-        deviation: (n,) in m.
+        x, deviation: (n,) in m.
         weights: (n,) of any unit, not negative. For samples in time, give the speed |ẋ|: each piece of the
             guide then counts by its length, not by the time that the stage spends on it.
-
-    Returns:
-        (n,) in m; its weighted mean and its weighted correlation with x are zero.
 
     Raises:
         ValueError: shapes differ, there are fewer than two points, or all x with weight are the same.
@@ -45,11 +40,8 @@ def least_squares_residual(x: ArrayLike, deviation: ArrayLike, weights: ArrayLik
 
 
 def end_point_residual(x: ArrayLike, deviation: ArrayLike) -> NDArray[np.float64]:
-    """Deviation from the line through the first and the last point, (n,) in m; zero at both.
-
-    Args:
-        x: (n,) positions in m, the ends of the line first and last.
-        deviation: (n,) in m.
+    """Deviation (n,) in m from the line through the first and the last point, at which it is zero; x and deviation (n,)
+    in m.
 
     Raises:
         ValueError: shapes differ, there are fewer than two points, or both ends are at the same x.

@@ -5,9 +5,9 @@ In steady state the gains are those of critical damping, all three poles at θ =
     α = 1 − θ³,   β = (3/2) (1 − θ)² (1 + θ),   γ = (1 − θ)³
 
 with x += α e, v += β e/T, a += γ e/T² (γ is twice the third gain where T²/2 is factored out). A constant
-acceleration is followed without error. After a start the gains are those of the growing-memory filter,
-which is least squares over all samples since, until its α falls to the steady one: velocity is right
-from the third sample on, with no transient.
+acceleration is followed without error. After a start the gains are those of the growing-memory filter, which is
+least squares over all samples since then, until its α falls to the steady one: velocity is right from the third sample
+on, with no transient.
 
 Sources: E. Brookner, Tracking and Kalman Filtering Made Easy, 1998, chapters 1 and 7 (critically damped
 g-h-k filter, expanding- and fading-memory polynomial filters); N. Morrison, Introduction to Sequential
@@ -23,11 +23,8 @@ from straightcomp_ros.model.compiled import compilable
 
 
 class Tracked(NamedTuple):
-    """Estimates of position in m, velocity in m/s and acceleration in m/s².
-
-    Attributes:
-        samples: that the growing memory holds; 0 once the gains are the steady ones.
-    """
+    """Estimates of position in m, velocity in m/s and acceleration in m/s², and the number of samples in the growing
+    memory, 0 once the gains are the steady ones."""
 
     x: float
     v: float
@@ -37,7 +34,7 @@ class Tracked(NamedTuple):
 
 @compilable
 def restarted(x: float) -> Tracked:
-    """All samples forgotten; at rest at ``x`` in m."""
+    """The estimates without earlier samples: at rest at ``x`` in m."""
     return Tracked(x, 0.0, 0.0, 1)
 
 

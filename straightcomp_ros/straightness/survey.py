@@ -5,31 +5,47 @@
     1,forward,0,-3.796
     1,forward,10,-3.12
 
-The unit stands in the column's name: x in m, mm or um, deviation in m, mm, um or nm. Instruments and
-spreadsheets write it otherwise: ``Position (mm)``, ``Straightness [µm]`` and cells separated by semicolon or
-tab, then also with decimal commas, are read as well. ``run`` and
-``direction`` may be left out: then the file is one run, and the trend of x tells its direction. Rows
-belong to one run if run and direction are the same, so that a cycle may count forward and backward
-as one. Other columns are ignored.
+The column's name ends with the unit: x in m, mm or um, deviation in m, mm, um or nm. The names and separators of
+instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or tabs between the
+cells, and then decimal commas. ``run`` and ``direction`` may be left out: then the file is one run, and the trend of x
+tells its direction. Rows with the same run and direction belong to one run, so that a cycle may count forward and
+backward as one. Other columns are ignored.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.csv_rows import metres, rows
-from straightcomp_ros.straightness.survey_columns import DEVIATION, SurveyError, X, find_column, normalised
-from straightcomp_ros.straightness.survey_run import Direction, Run, check_gaps, orient
-from straightcomp_ros.straightness.text import decimal
+from straightcomp_ros.straightness.survey_columns import DEVIATION, X, read_table
+from straightcomp_ros.straightness.text import SurveyError, decimal
 
-__all__ = ["Direction", "Run", "Survey", "SurveyError", "read_survey", "write_survey"]
+__all__ = ["Direction", "Run", "Survey", "SurveyError", "check_gaps", "orient", "read_survey", "write_survey"]
 
+Direction = Literal["forward", "backward"]
 _DIRECTIONS = ("forward", "backward")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run along the guide, x ascending whichever way the stage moved.
+
+    Attributes:
+        name: the run's label in its file.
+        direction: ``forward`` when the stage moved towards larger x.
+        x: (n,) slider position in m, strictly ascending.
+        deviation: (n,) deviation of the guide in m at x.
+    """
+
+    name: str
+    direction: Direction
+    x: NDArray[np.float64]
+    deviation: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -44,60 +60,36 @@ class Survey:
         return tuple(run for run in self.runs if run.direction == direction)
 
 
-@dataclass
-class _Rows:
-    """What was read of one run, in the order of the file."""
-
-    lines: list[int] = field(default_factory=list)
-    x: list[float] = field(default_factory=list)
-    deviation: list[float] = field(default_factory=list)
-
-
 def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05) -> Survey:
-    """Read and check a survey.
-
-    Args:
-        path: the CSV file, UTF-8.
-        min_points: fewest points that a run may have.
-        max_gap: widest distance between neighbouring points in m.
+    """Read and check a survey: at least ``min_points`` in a run, at most ``max_gap`` in m between neighbouring points.
 
     Raises:
-        SurveyError: the file is missing or empty, lacks a column, holds what is no finite number, has too
-            few points, an x that turns back or repeats, a gap, or values that no guide in these units has.
+        SurveyError: the file is missing or empty, lacks a column, has a cell that is no finite number, too few points,
+            an x that turns back or repeats, a gap, or values that no guide in these units has.
     """
     path = Path(path)
-    lines = rows(path)
-    header_line, cells = next(lines, (0, []))
-    if not cells:
-        raise SurveyError(f"survey {path}: is empty; allowed: a header row and at least {min_points} rows")
-    header = [normalised(cell) for cell in cells]
-    where = f"survey {path}, line {header_line}"
-    x_column, deviation_column = find_column(where, header, X), find_column(where, header, DEVIATION)
-
-    groups: dict[tuple[str, Direction | None], _Rows] = {}
-    for line, row in lines:
-        if len(row) != len(header):
-            raise SurveyError(
-                f"survey {path}, line {line}: {len(row)} cells, the header has {len(header)} "
-                "(is there a decimal comma?)"
-            )
-        name = row[header.index("run")].strip() if "run" in header else "1"
-        group = groups.setdefault((name, _direction(path, line, header, row)), _Rows())
-        group.lines.append(line)
-        group.x.append(metres(path, line, row, x_column))
-        group.deviation.append(metres(path, line, row, deviation_column))
+    table = read_table(path)
+    groups: dict[tuple[str, Direction | None], list[tuple[int, float, float]]] = {}
+    for line, row in table.rows:
+        where = f"survey {path}, line {line}"
+        cells = dict(zip(table.header, row, strict=True))
+        direction = cells["direction"].strip().lower() if "direction" in cells else None
+        if direction not in (None, *_DIRECTIONS):
+            raise SurveyError(f"{where}: direction {direction!r}; allowed: {' or '.join(_DIRECTIONS)}")
+        group = groups.setdefault((cells.get("run", "1").strip(), cast(Direction | None, direction)), [])
+        group.append((line, table.x.metres(where, row), table.deviation.metres(where, row)))
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")
 
     runs = []
-    for (name, direction), group in groups.items():
-        where = f"survey {path}, run '{name}'{f' {direction}' if direction else ''}"
-        if len(group.x) < max(min_points, 2):
-            raise SurveyError(f"{where}: {len(group.x)} points; allowed: >= {min_points} (min_points)")
-        run = orient(where, name, direction, group.lines, group.x, group.deviation)
+    for (name, way), points in groups.items():
+        where = f"survey {path}, run '{name}'{f' {way}' if way else ''}"
+        if len(points) < max(min_points, 2):
+            raise SurveyError(f"{where}: {len(points)} points; allowed: >= {min_points} (min_points)")
+        run = orient(where, name, way, points)
         # Units before gaps: x in the wrong unit would else be called a gap of metres.
-        X.check_extent(where, float(run.x[-1] - run.x[0]), x_column.unit)
-        DEVIATION.check_extent(where, float(np.ptp(run.deviation)), deviation_column.unit)
+        X.check_extent(where, float(run.x[-1] - run.x[0]), table.x.unit)
+        DEVIATION.check_extent(where, float(np.ptp(run.deviation)), table.deviation.unit)
         check_gaps(where, run, max_gap)
         runs.append(run)
     return Survey(tuple(runs), str(path))
@@ -106,13 +98,9 @@ def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05
 def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ()) -> None:
     """Write ``survey`` in mm and µm, to 0.1 µm in x and 1 nm in deviation; backward runs as driven, x falling.
 
-    Args:
-        path: the file, replaced if it exists.
-        survey: what to write.
-        comments: lines for the head of the file, without the ``#``.
+    ``path`` is replaced if it exists; ``comments`` are the lines at its head, without the ``#``.
     """
-    lines = [f"# {comment}" for comment in comments]
-    lines.append("run,direction,x_mm,deviation_um")
+    lines = [*(f"# {comment}" for comment in comments), "run,direction,x_mm,deviation_um"]
     for run in survey.runs:
         order = slice(None) if run.direction == "forward" else slice(None, None, -1)
         lines += [
@@ -124,10 +112,50 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
         file.write("\n".join(lines) + "\n")
 
 
-def _direction(path: Path, line: int, header: Sequence[str], row: Sequence[str]) -> Direction | None:
-    if "direction" not in header:
-        return None
-    direction = row[header.index("direction")].strip().lower()
-    if direction not in _DIRECTIONS:
-        raise SurveyError(f"survey {path}, line {line}: direction {direction!r}; allowed: {' or '.join(_DIRECTIONS)}")
-    return cast(Direction, direction)
+def orient(where: str, name: str, direction: Direction | None, points: Sequence[tuple[int, float, float]]) -> Run:
+    """A run from its points in the order of the file; ``where`` begins the messages.
+
+    A backward run may be listed as it was driven or sorted by x. A forward run with falling x contradicts itself and is
+    refused. Without ``direction``, the trend of x tells it.
+
+    Args:
+        points: at least two of (line number, x in m, deviation in m).
+
+    Raises:
+        SurveyError: x does not go one way, or contradicts ``direction``.
+    """
+    lines, x, deviation = zip(*points, strict=True)
+    steps = np.diff(x)
+    rising = x[-1] > x[0] if x[-1] != x[0] else bool(steps[0] > 0.0)
+    wrong = np.flatnonzero(steps <= 0.0 if rising else steps >= 0.0)
+    if wrong.size:
+        at = int(wrong[0]) + 1
+        fault = "repeats" if x[at] == x[at - 1] else "turns back"
+        raise SurveyError(
+            f"{where}, line {lines[at]}: x {fault}: {x[at] * 1e3:.10g} mm after {x[at - 1] * 1e3:.10g} mm "
+            f"(line {lines[at - 1]}); allowed: x that only {'rises' if rising else 'falls'} within a run"
+        )
+    if direction == "forward" and not rising:
+        raise SurveyError(
+            f"{where}, line {lines[1]}: direction is 'forward' but x falls to {x[1] * 1e3:.10g} mm; "
+            "allowed: x that rises, or direction 'backward'"
+        )
+    values = np.array([x, deviation])[:, slice(None) if rising else slice(None, None, -1)]
+    values.setflags(write=False)
+    return Run(name, direction or ("forward" if rising else "backward"), *values)
+
+
+def check_gaps(where: str, run: Run, max_gap: float) -> None:
+    """Refuse a run with neighbouring points farther apart than ``max_gap`` in m.
+
+    Raises:
+        SurveyError: with the position of the widest gap.
+    """
+    steps = np.diff(run.x)
+    widest = int(np.argmax(steps))
+    # A nanometre of grace: 0.05 m steps read from decimal text differ in the last bit.
+    if steps[widest] > max_gap + 1e-9:
+        raise SurveyError(
+            f"{where}: no point between x = {run.x[widest] * 1e3:.10g} mm and {run.x[widest + 1] * 1e3:.10g} mm, "
+            f"a gap of {steps[widest] * 1e3:.6g} mm; allowed: <= {max_gap * 1e3:.6g} mm (max_gap)"
+        )

@@ -1,14 +1,15 @@
-"""The columns of a survey: which lengths they carry, in which unit, and of which size a guide's are."""
+"""The columns of a survey: which lengths they hold, in which unit, and how large those of a guide are."""
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
-
-class SurveyError(ValueError):
-    """A survey cannot be used; the message names the file, the line or the place, the value and what is allowed."""
+from straightcomp_ros.straightness.text import SurveyError, number, numbered_lines
 
 
 @dataclass(frozen=True)
@@ -18,8 +19,8 @@ class Quantity:
     Attributes:
         name: what the column's name begins with.
         per_metre: units that may follow the name, with how many of them make a metre.
-        smallest, largest: allowed extent (largest minus smallest value) in a run, in m. Outside of
-            it the unit is more likely wrong than the machine odd.
+        smallest, largest: allowed extent (largest minus smallest value) of a run in m. An extent outside of it is more
+            likely a wrong unit than an odd machine.
     """
 
     name: str
@@ -27,12 +28,8 @@ class Quantity:
     smallest: float
     largest: float
 
-    def column_names(self) -> str:
-        """The accepted column names in words."""
-        return ", ".join(f"{self.name}_{unit}" for unit in self.per_metre)
-
     def check_extent(self, where: str, extent: float, unit: str = "m") -> None:
-        """Refuse a run whose ``extent`` in m, given in ``unit``, is not that of a guide; ``where`` opens the message.
+        """Refuse a run whose ``extent`` in m, given in ``unit``, is not that of a guide; ``where`` begins the message.
 
         Raises:
             SurveyError: with the unit that would fit, if one does.
@@ -57,15 +54,29 @@ DEVIATION = Quantity("deviation", {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9}, s
 
 @dataclass(frozen=True)
 class Column:
-    """Where a quantity stands in the rows of a file, and in which unit."""
+    """The column of ``quantity`` in ``unit``, and its index in a row."""
 
     quantity: Quantity
     unit: str
     index: int
 
-    def metres(self, number: float) -> float:
-        """``number`` in this column's unit as m; divides, so that a decimal number stays the nearest float."""
-        return number / self.quantity.per_metre[self.unit]
+    def metres(self, where: str, row: Sequence[str]) -> float:
+        """The cell of ``row`` in m; ``where`` begins the message.
+
+        Raises:
+            SurveyError: the cell is no finite number.
+        """
+        value = number(where, f"{self.quantity.name}_{self.unit}", row[self.index].strip())
+        return value / self.quantity.per_metre[self.unit]  # a decimal number stays the nearest float
+
+
+class Table(NamedTuple):
+    """A CSV file of a survey: normalised header, the columns of x and deviation, line number and cells of each row."""
+
+    header: list[str]
+    x: Column
+    deviation: Column
+    rows: list[tuple[int, list[str]]]
 
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
@@ -73,8 +84,38 @@ _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
 _NAME_AND_UNIT = re.compile(r"([a-z]+)[\s_]*[\[(]?\s*(m|mm|um|nm)\s*[\])]?")
 
 
-def normalised(cell: str) -> str:
-    """A header cell as it is compared: ``x_mm`` for ``X [mm]``, ``position (mm)``; either micro sign as ``u``."""
+def read_table(path: Path) -> Table:
+    """Read the header and the rows of a CSV file.
+
+    Raises:
+        SurveyError: the file cannot be read or is empty, lacks a column, or has a row of another length.
+    """
+    rows = list(_csv_rows(path))
+    if not rows:
+        raise SurveyError(f"survey {path}: is empty; allowed: a header row, and a row for each point")
+    header_line, cells = rows.pop(0)
+    header = [_normalised(cell) for cell in cells]
+    x, deviation = (_find_column(f"survey {path}, line {header_line}", header, name) for name in (X, DEVIATION))
+    for line, row in rows:
+        if len(row) != len(header):
+            raise SurveyError(
+                f"survey {path}, line {line}: {len(row)} cells, the header has {len(header)} "
+                "(is there a decimal comma?)"
+            )
+    return Table(header, x, deviation, rows)
+
+
+def _csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    delimiter = ""
+    for line, text in numbered_lines(path, r"^\s*#.*"):
+        delimiter = delimiter or next((mark for mark in "\t;" if mark in text), ",")
+        cells = next(csv.reader([text], delimiter=delimiter))
+        # Where the comma does not separate cells it is a decimal point, as spreadsheets of many countries write it.
+        yield line, cells if delimiter == "," else [cell.replace(",", ".") for cell in cells]
+
+
+def _normalised(cell: str) -> str:
+    """A header cell as it is compared: ``x_mm`` for ``X [mm]`` or ``position (mm)``; either micro sign as ``u``."""
     name = cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
     found = _NAME_AND_UNIT.fullmatch(name)
     # Without a sign between them "xm" would be x in m; such a name is left as it is.
@@ -83,24 +124,15 @@ def normalised(cell: str) -> str:
     return f"{_SYNONYMS.get(found[1], found[1])}_{found[2]}"
 
 
-def find_column(where: str, header: Sequence[str], quantity: Quantity) -> Column:
-    """The one column that holds ``quantity``; ``header`` is normalised, ``where`` opens the message.
-
-    Raises:
-        SurveyError: no such column, or more than one.
-    """
-    found = [
-        Column(quantity, unit, header.index(f"{quantity.name}_{unit}"))
-        for unit in quantity.per_metre
-        if f"{quantity.name}_{unit}" in header
-    ]
+def _find_column(where: str, header: Sequence[str], quantity: Quantity) -> Column:
+    units = {f"{quantity.name}_{unit}": unit for unit in quantity.per_metre}
+    found = [name for name in units if name in header]
     if len(found) == 1:
-        return found[0]
+        return Column(quantity, units[found[0]], header.index(found[0]))
     if found:
-        names = " and ".join(f"{quantity.name}_{column.unit}" for column in found)
-        raise SurveyError(f"{where}: {quantity.name} is given twice, as {names}; keep one")
+        raise SurveyError(f"{where}: {quantity.name} is given twice, as {' and '.join(found)}; keep one")
     hint = f" (column '{quantity.name}' carries no unit)" if quantity.name in header else ""
     raise SurveyError(
         f"{where}: no column for {quantity.name}{hint}; found: {', '.join(header)}; "
-        f"allowed: one of {quantity.column_names()}, separated by commas"
+        f"allowed: one of {', '.join(units)}, separated by commas"
     )

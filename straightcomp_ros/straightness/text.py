@@ -1,29 +1,38 @@
-"""Reading the text files of a survey, with errors that name the file, the line and the value."""
+"""The text files of a survey: lines, cells and numbers, with errors that name the file, the line and the value."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
-from straightcomp_ros.straightness.survey_columns import SurveyError
+
+class SurveyError(ValueError):
+    """A survey cannot be used; the message names the file, the line or the position, the value and what is allowed."""
 
 
-def read_text(path: Path) -> str:
-    """The whole file, UTF-8 with or without byte order mark.
+def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str]]:
+    """Number and text of the lines of a UTF-8 file without comments, which the pattern ``comment`` matches, and without
+    the lines that are then blank.
 
     Raises:
-        SurveyError: the file cannot be read.
+        SurveyError: the file cannot be read, or is not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")  # spreadsheets put a byte order mark in front
+        text = path.read_text(encoding="utf-8-sig")  # spreadsheets put a byte order mark in front
     except OSError as error:
         raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise SurveyError(f"survey {path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from error
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = re.sub(comment, "", raw)
+        if line.strip():
+            yield number, line
 
 
 def number(where: str, name: str, cell: str) -> float:
-    """``cell`` as a finite number; ``where`` opens the message, ``name`` says what the cell is.
+    """``cell`` as a finite number; ``where`` begins the message, ``name`` says what the cell is.
 
     Raises:
         SurveyError: it is none.
@@ -38,8 +47,6 @@ def number(where: str, name: str, cell: str) -> float:
 
 
 def decimal(value: float, places: int) -> str:
-    """Fixed point without trailing zeros: ``10``, ``-0.482``; never ``-0``."""
-    text = f"{value:.{places}f}"
-    if "." in text:
-        text = text.rstrip("0").rstrip(".")
+    """Fixed point, ``places`` > 0, without trailing zeros: ``10``, ``-0.482``; never ``-0``."""
+    text = f"{value:.{places}f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text

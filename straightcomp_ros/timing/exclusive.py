@@ -1,9 +1,9 @@
 """Keeps other programs off the CPUs of a node, as far as its user may move them, for as long as the node lives.
 
-A kernel that finishes its own work first lets no thread of whatever priority in while it writes another program's data:
-only another CPU for that program helps. This file also runs as a process of its own, which needs nothing but Python and
-ends when its standard input does: a killed node leaves nothing behind either. Where that process is killed with the
-node (a service or a container that is killed whole), its note of what was before stays, and the next one goes by it.
+A kernel that finishes its own work first lets in no thread of any priority while it writes another program's data: only
+another CPU for that program helps. This file also runs as a process of its own. It needs nothing but Python and ends
+when its standard input does, so that a killed node leaves nothing behind. Where it is killed together with the node (a
+service or a container that is killed whole), its note of the state before remains, and the next process restores that.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 
 _NAME = "straightcomp_ros/exclusive/"
-"""Of an abstract socket for each CPU that is kept free: it is gone with the process that has it."""
+"""Of an abstract socket for each CPU that is kept free; the socket disappears with its process."""
 _NOTES = Path(tempfile.gettempdir())
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _PROCESSES = Path("/proc")
@@ -30,27 +30,20 @@ _WORK_QUEUES = Path("/sys/devices/virtual/workqueue/cpumask")
 _KEPT = "kept"
 _TURN_S, _WAIT_S = 1.0, 0.01
 _REAL_TIME = (os.SCHED_FIFO, os.SCHED_RR, 6)
-"""With SCHED_DEADLINE, which Python has no name for."""
+"""With SCHED_DEADLINE, for which Python has no name."""
 
 _held: list[subprocess.Popen[str]] = []
 
 
 def keep_others_off(cpus: set[int]) -> str:
-    """Let no other program run on these CPUs while this process lives, but one that may run nowhere else.
+    """While this process lives, let no other program run on these CPUs unless it may run nowhere else.
 
-    Returns:
-        What was done, in words.
-
-    Raises:
-        OSError: not possible; the message says why.
+    Returns what was done, in words; raises OSError with the reason if it is not possible.
     """
     # A session of its own: an interrupt from the terminal is for the nodes.
+    command = [sys.executable, "-I", "-S", __file__, *map(str, sorted(cpus))]
     process = subprocess.Popen(
-        [sys.executable, "-I", "-S", __file__, *map(str, sorted(cpus))],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
     )
     assert process.stdout is not None
     said = process.stdout.readline().strip()
@@ -61,20 +54,19 @@ def keep_others_off(cpus: set[int]) -> str:
 
 
 def kept_free() -> set[int]:
-    """The CPUs that are kept free now. Who starts meanwhile does not inherit them, and may use them all the same."""
-    try:
+    """The CPUs that are kept free now. A node that starts meanwhile does not inherit them, but may use them."""
+    with suppress(OSError):
         names = [line.rpartition(" ")[2] for line in _SOCKETS.read_text().splitlines()]
-    except OSError:
-        return set()
-    return {int(name.rpartition("/")[2]) for name in names if name.startswith("@" + _NAME)}
+        return {int(name.rpartition("/")[2]) for name in names if name.startswith("@" + _NAME)}
+    return set()
 
 
 def left_behind() -> set[int]:
-    """The CPUs from which other programs were kept off by a process that was killed, and still are. The next node of
-    the same user with :func:`keep_others_off` for them gives them back when it ends."""
+    """The CPUs that other programs still avoid because the process that kept them off was killed. The next node of the
+    same user with :func:`keep_others_off` for them releases them when it ends."""
     noted: set[int] = set()
     for note in _NOTES.glob(_note_name("*", "*")):
-        # Others may write in that folder too.
+        # Other users may write in that folder too.
         with suppress(OSError, ValueError):
             if note.lstat().st_uid in (0, os.getuid()):
                 noted |= set(map(int, note.stem.rpartition("_")[2].split("-")))
@@ -90,7 +82,7 @@ def _note_name(user: object, cpus: str) -> str:
 
 
 class _Note:
-    """What was before others were kept off these CPUs, in a file of this user that outlasts a kill."""
+    """The state before others were kept off these CPUs, in a file of this user that outlasts a kill."""
 
     def __init__(self, cpus: set[int]) -> None:
         self._file = _NOTES / _note_name(os.getuid(), "-".join(map(str, sorted(cpus))))
@@ -105,65 +97,57 @@ class _Note:
 
     def write(self, threads: Collection[int], queues: str) -> None:
         """Keep both until :meth:`remove`."""
-        with suppress(OSError):
-            self.remove()
-            with open(self._file, "x", opener=lambda path, flags: os.open(path, flags, 0o600)) as file:
-                json.dump([sorted(threads), queues], file)
+        self.remove()
+        with suppress(OSError), open(self._file, "x", opener=lambda path, flags: os.open(path, flags, 0o600)) as file:
+            json.dump([sorted(threads), queues], file)
 
     def remove(self) -> None:
-        """All is as it was."""
+        """Delete the file."""
         with suppress(OSError):
             self._file.unlink()
 
 
-def _serve(cpus: set[int]) -> str:
-    """Keep others off until standard input ends; returns why that is not possible, or nothing."""
-    # The node that started this may use no other; the system leaves out what is not there or not permitted.
+def _serve(cpus: set[int]) -> None:
+    """Keep others off until standard input ends; OSError if that is not possible."""
+    # The node that started this may use no other CPU; the system ignores CPUs that are missing or not permitted.
     os.sched_setaffinity(0, range(os.cpu_count() or 1))
     rest = os.sched_getaffinity(0) - cpus
     if not rest:
-        return "there is no other CPU"
+        raise OSError("there is no other CPU")
     os.sched_setaffinity(0, rest)
     claims = [_claim(cpu) for cpu in sorted(cpus)]
     if not all(claims):
-        return "another node has them to itself"
+        raise OSError("another node has them to itself")
     note = _Note(cpus)
-    kept_before, queues = note.read() or (
-        {thread for thread, affinity in _others() if not affinity & cpus},
-        _queues(),
-    )
-    note.write(kept_before, queues)
+    elsewhere, queues = note.read() or ({thread for thread, allowed in _others() if not allowed & cpus}, _queues())
+    note.write(elsewhere, queues)
     _keep_queues_off(cpus)
     moved, refused = _move(lambda affinity: affinity - cpus)
     names = ", ".join(map(str, sorted(cpus)))
     left = f"; {refused} threads belong to other users and stay" if refused else ""
     print(f"{_KEPT} {moved} threads of other programs off CPU {names}{left}", flush=True)
-    # Started with the node's priority, which was for this only.
+    # The node's priority, which this process inherited, was needed up to here only.
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with suppress(KeyboardInterrupt):
         while os.read(sys.stdin.fileno(), 1):
             pass
     with suppress(OSError):
         _WORK_QUEUES.write_text(queues)
-    # Those that began meanwhile have inherited it.
-    _move(lambda affinity: affinity | cpus, without=kept_before)
+    # Threads that began meanwhile have inherited the smaller set.
+    _move(lambda affinity: affinity | cpus, without=elsewhere)
     note.remove()
-    return ""
 
 
 def _claim(cpu: int) -> socket.socket | None:
-    """Be the one that keeps this CPU free; none if another process is, for longer than one of a killed node takes."""
+    """Claim this CPU; None if another process holds it for longer than that of a killed node takes to end."""
     claim = socket.socket(socket.AF_UNIX)
     deadline = time.monotonic() + _TURN_S
-    while True:
-        try:
+    while time.monotonic() <= deadline:
+        with suppress(OSError):
             claim.bind(f"\0{_NAME}{cpu}")
-        except OSError:
-            if time.monotonic() > deadline:
-                return None
-            time.sleep(_WAIT_S)
-        else:
             return claim
+        time.sleep(_WAIT_S)
+    return None
 
 
 def _others() -> Iterator[tuple[int, set[int]]]:
@@ -177,40 +161,37 @@ def _others() -> Iterator[tuple[int, set[int]]]:
 
 
 def _move(to: Callable[[set[int]], set[int]], without: Collection[int] = ()) -> tuple[int, int]:
-    """Set affinities, where it leaves a CPU; again, until none began meanwhile with that of its parent.
+    """Set the affinity of each thread that keeps a CPU; repeat until no thread began meanwhile with its parent's.
 
-    Returns:
-        Number of threads moved, and of those that this user may not move.
+    Returns the numbers of threads moved and of threads that this user may not move.
     """
     moved: set[int] = set()
     refused: set[int] = set()
-    while True:
+    before = -1
+    while len(moved) > before:
         before = len(moved)
         for thread, affinity in _others():
             wanted = to(affinity)
             if wanted and wanted != affinity and thread not in without and thread not in refused:
-                try:
-                    os.sched_setaffinity(thread, wanted)
-                    moved.add(thread)
-                except PermissionError:
-                    refused.add(thread)
-                except OSError:
-                    # A thread of the kernel that serves one CPU, or one that has ended.
-                    pass
-        if len(moved) == before:
-            return len(moved), len(refused)
+                # Other errors: a thread of the kernel that serves one CPU, or one that has ended.
+                with suppress(OSError):
+                    try:
+                        os.sched_setaffinity(thread, wanted)
+                        moved.add(thread)
+                    except PermissionError:
+                        refused.add(thread)
+    return len(moved), len(refused)
 
 
 def _queues() -> str:
     """The mask of the CPUs for the kernel's own work; empty where it cannot be read."""
-    try:
+    with suppress(OSError):
         return _WORK_QUEUES.read_text().strip()
-    except OSError:
-        return ""
+    return ""
 
 
 def _keep_queues_off(cpus: set[int]) -> None:
-    """Let the kernel do its own writing on the other CPUs, if this user may say so."""
+    """Let the kernel do its own writing on the other CPUs, if this user may do so."""
     with suppress(OSError, ValueError):
         mask = int(_queues().replace(",", ""), 16) & ~sum(1 << cpu for cpu in cpus)
         if mask:
@@ -219,10 +200,12 @@ def _keep_queues_off(cpus: set[int]) -> None:
 
 def _main(words: list[str]) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    refusal = _serve({int(cpu) for cpu in words})
-    if refusal:
+    try:
+        _serve({int(cpu) for cpu in words})
+    except OSError as refusal:
         print(refusal)
-    return 1 if refusal else 0
+        return 1
+    return 0
 
 
 if __name__ == "__main__":

@@ -21,24 +21,14 @@ _BINS = ((40 - _SUB_BITS - 1) << _SUB_BITS) + _EXACT
 
 @dataclass(frozen=True)
 class Distribution:
-    """Durations that were recorded.
-
-    Attributes:
-        counts: how many fell into each bin that is not empty, by the bin's number, ascending.
-        largest_ns: the longest of them, exactly, in ns.
-    """
+    """Recorded durations: their number in each bin that is not empty, bins ascending, and the longest one in ns."""
 
     counts: Mapping[int, int]
     largest_ns: int
 
-    @property
-    def total(self) -> int:
-        """How many there are."""
-        return sum(self.counts.values())
-
     def percentiles_us(self, percents: Sequence[float]) -> list[float]:
-        """For each of ``percents``, ascending: the duration in µs that so many do not exceed; NaN without any."""
-        total = self.total
+        """For each of ``percents``, ascending: the percentile of the durations in µs; NaN without any."""
+        total = sum(self.counts.values())
         found: list[float] = []
         below = 0
         for place, count in self.counts.items():
@@ -59,16 +49,12 @@ class Distribution:
         return Distribution(dict(sorted(counts.items())), max(self.largest_ns, other.largest_ns))
 
     def to_text(self) -> str:
-        """All of it in one line: the longest in ns, then ``bin:count`` for the bins that are not empty."""
+        """One line: the longest duration in ns, then ``bin:count`` for the bins that are not empty."""
         return " ".join([str(self.largest_ns), *(f"{place}:{count}" for place, count in self.counts.items())])
 
     @staticmethod
     def from_text(text: str) -> Distribution:
-        """The inverse of :meth:`to_text`.
-
-        Raises:
-            ValueError: the text is none of ours.
-        """
+        """The inverse of :meth:`to_text`; ValueError for any other text."""
         largest, *pairs = text.split()
         counts = {int(place): int(count) for place, count in (pair.split(":") for pair in pairs)}
         if any(not 0 <= place < _BINS or count < 1 for place, count in counts.items()):
@@ -83,7 +69,7 @@ def _edge(place: int) -> int:
 
 
 NOTHING = Distribution({}, 0)
-"""No duration at all: what sums start from."""
+"""No duration at all: the start of sums."""
 
 
 class Histogram:
@@ -105,7 +91,7 @@ class Histogram:
             self._counts[duration_ns if duration_ns > 0 else 0] += 1
 
     def take(self) -> Distribution:
-        """What was counted since the last call."""
+        """The durations since the last call."""
         counts = {place: count for place, count in enumerate(self._counts) if count}
         taken = Distribution(counts, self._largest_ns)
         self._counts[:] = [0] * _BINS

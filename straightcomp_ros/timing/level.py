@@ -1,4 +1,4 @@
-"""Level of a node's diagnostics, with hysteresis: one that changes each second tells nobody anything."""
+"""Level of a node's diagnostics, with hysteresis, so that it does not change each second."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _OVERRUN_SHARE = 0.01
 
 
 class Level(enum.IntEnum):
-    """As diagnostic_msgs/DiagnosticStatus has them."""
+    """The levels of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -19,8 +19,8 @@ class Level(enum.IntEnum):
 class Levels:
     """The level of each report of one node.
 
-    A report with lost samples, or with overruns in more than 1 % of the samples, is a warning, and so are those after
-    it, until five in a row had neither. An error is one as long as it lasts, and leaves a warning behind for as long.
+    A report with lost samples, or with overruns in more than 1 % of the samples, is a warning; so are the next ones
+    until five in a row had neither. An error is reported as long as it lasts, and followed by warnings in the same way.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class Levels:
         self._clean = _CLEAN_REPORTS
 
     def next(self, samples: int, lost: int, overruns: int, error: bool) -> tuple[Level, str]:
-        """Level and words for a report, from the node's counters since its start."""
+        """Level and text of a report, from the node's counters since its start."""
         new_lost, new_overruns = lost - self._lost, overruns - self._overruns
         late = new_overruns > _OVERRUN_SHARE * max(samples - self._samples, 1)
         self._samples, self._lost, self._overruns = samples, lost, overruns

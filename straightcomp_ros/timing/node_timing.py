@@ -1,4 +1,5 @@
-"""What a node's diagnostics say of its timing: the names of the values, written by nodes and read from bags."""
+"""The timing of a node in its diagnostics, written by nodes and read from bags: names of the values, and what held a
+node up."""
 
 from __future__ import annotations
 
@@ -7,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
-from typing import Any
+from typing import Any, NamedTuple
 
-from straightcomp_ros.timing.blame import HeldUp
 from straightcomp_ros.timing.histogram import NOTHING, Distribution
 
 SAMPLES = "samples"
@@ -24,6 +24,10 @@ AMPLIFIER = "amplifier"
 CPU_WAIT = "cpu_wait_max_us"
 """The longest time since the report before for which a thread was ready to run and got no CPU."""
 SCHEDULING = "scheduling"
+NORMAL, REFUSED = "normal", "normal, real-time priority refused"
+"""Scheduling of a node without real-time priority: none asked for, or not permitted."""
+_NOTED_US = 5_000.0
+"""Shorter waits than this, ten samples at 2 kHz, happen on every desktop."""
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
 
@@ -33,25 +37,31 @@ def percentiles_us(distribution: Distribution) -> dict[str, float]:
     return {**dict(zip(_PERCENTS, values, strict=True)), "max": distribution.largest_us}
 
 
-def written(name: str, distribution: Distribution) -> dict[str, object]:
+def written(name: str, distribution: Distribution) -> dict[str, str]:
     """Values of the diagnostics for one quantity: its percentiles for people, its histogram for :func:`summarise`."""
-    values: dict[str, object] = {
-        f"{name}_{key}_us": f"{value:.1f}" for key, value in percentiles_us(distribution).items()
-    }
+    values = {f"{name}_{key}_us": f"{value:.1f}" for key, value in percentiles_us(distribution).items()}
     return {**values, f"{name}_histogram": distribution.to_text()}
 
 
-@dataclass(frozen=True)
-class Report:
-    """One node's diagnostics at one time.
-
-    Attributes:
-        time_ns: when they were published, ns since the epoch.
-        values: all values by name, as texts.
-    """
+class Report(NamedTuple):
+    """One node's diagnostics: time of publication in ns since the epoch, and all values by name, as texts."""
 
     time_ns: int
     values: Mapping[str, str]
+
+
+class HeldUp(NamedTuple):
+    """What held a node up, as far as its diagnostics tell.
+
+    Attributes:
+        no_cpu_us: longest time for which a thread of the node was ready to run and got no CPU.
+        late_us: largest lateness of its loop, from any cause.
+        scheduling: "FIFO 40", :data:`NORMAL` or :data:`REFUSED`; empty if unknown.
+    """
+
+    no_cpu_us: float = 0.0
+    late_us: float = 0.0
+    scheduling: str = ""
 
 
 @dataclass(frozen=True)
@@ -87,19 +97,37 @@ class NodeTiming:
 
 
 def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
-    """What held a node up over some of its reports, given by their values.
-
-    Raises:
-        ValueError: a value is no number.
-    """
+    """What held a node up over some of its reports, given by their values; ValueError if a value is no number."""
     late = [float(values.get(f"{TIMER_ERROR}_max_us", "nan")) for values in reports]
     waits = [float(values.get(CPU_WAIT, "nan")) for values in reports]
     scheduling = next((values[SCHEDULING] for values in reversed(reports) if SCHEDULING in values), "")
-    # Many short waits look like a long one. But none was longer than the loop was late then, and where most of that
-    # lateness is missing in the scheduler's count, something else held the loop up.
+    # Many short waits add up to a long one, but none was longer than the lateness of the loop then. Where the scheduler
+    # counted less than half of that lateness, something else held the loop up.
     no_cpu = [min(late_us, wait_us) for late_us, wait_us in zip(late, waits, strict=True) if wait_us >= 0.5 * late_us]
     known = [late_us for late_us in late if not math.isnan(late_us)]
     return HeldUp(max(no_cpu, default=0.0), max(known, default=0.0), scheduling)
+
+
+def blamed(nodes: Mapping[str, HeldUp]) -> str:
+    """Which of the named nodes were held up, for how long and by what, with the remedy; empty if none was for long."""
+    waiting = {
+        name: node.no_cpu_us
+        for name, node in nodes.items()
+        if node.scheduling in (NORMAL, REFUSED) and node.no_cpu_us >= _NOTED_US
+    }
+    if waiting:
+        longest_first = sorted(waiting, key=lambda name: -waiting[name])
+        words = ", ".join(f"the {name} got no CPU for {waiting[name] * 1e-3:.0f} ms" for name in longest_first)
+        if any(nodes[name].scheduling == REFUSED for name in waiting):
+            return f"{words}; real-time priority is not permitted; remedy: straightcomp doctor"
+        return f"{words}; real-time priority was not asked for; remedy: the parameter realtime.priority"
+    name, latest = max(nodes.items(), key=lambda node: node[1].late_us, default=("", HeldUp()))
+    if latest.late_us < _NOTED_US:
+        return ""
+    return (
+        f"the {name} was late by {latest.late_us * 1e-3:.0f} ms, and no other program had its CPU: "
+        "the kernel, the disk or the hypervisor held it up; remedy: straightcomp doctor"
+    )
 
 
 def amplifier_on(driver: Sequence[Report]) -> tuple[int, int]:
@@ -109,13 +137,10 @@ def amplifier_on(driver: Sequence[Report]) -> tuple[int, int]:
 
 
 def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63) -> NodeTiming:
-    """A node from its first report in [begin_ns, end_ns] to its last.
+    """A node from its first report in [begin_ns, end_ns] to its last, times in ns since the epoch.
 
-    The first report says what was before it: it counts as the beginning only.
-
-    Args:
-        reports: of one node, in the order of their times.
-        begin_ns, end_ns: ns since the epoch.
+    The first report tells of the time before it: it counts as the beginning only. ``reports`` are those of one node, in
+    the order of their times.
 
     Raises:
         ValueError: a value is no number or no histogram of ours.

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey
 
 STROKE, PERIOD, QUANTUM = 1.76, 5e-4, 0.1e-6
 REST = 0.25  # s before, between and after the strokes

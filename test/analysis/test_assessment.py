@@ -11,14 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.assessment import assess, displayed_error
+from straightcomp_ros.analysis.assessment import LimitsError, assess, displayed_error, judged, read_limits
+from straightcomp_ros.analysis.error_detail import error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.html_report import report_html
-from straightcomp_ros.analysis.limits import LimitsError, judged, read_limits
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.recorded_reference import RecordedReference
-from straightcomp_ros.analysis.spectrum import error_spectrum
-from straightcomp_ros.analysis.stick_slip import stick_slips
+from straightcomp_ros.analysis.record import RecordedReference
 
 NAN = float("nan")
 

@@ -13,9 +13,9 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from straightcomp_ros.analysis import map_plot
-from straightcomp_ros.analysis import run_plot as plot
-from straightcomp_ros.analysis.assessment import Interval, assess
+from straightcomp_ros.analysis import pictures as plot
+from straightcomp_ros.analysis.assessment import Interval, Limit, Verdict, assess, judged, read_limits
+from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.html_report import (
     _BINS,
@@ -29,14 +29,10 @@ from straightcomp_ros.analysis.html_report import (
     _table,
     _timing,
 )
-from straightcomp_ros.analysis.limits import Limit, Verdict, judged, read_limits
 from straightcomp_ros.analysis.map_building import Choices, build
-from straightcomp_ros.analysis.metrics import evaluate, true_error
+from straightcomp_ros.analysis.metrics import evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, check_finite, find_motion, motion_of
-from straightcomp_ros.analysis.stick_slip import SLIP, StickSlip, stick_slips
-from straightcomp_ros.analysis.strokes import stroke_figures
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey
 
 
 def evaluation_of(record):
@@ -244,7 +240,7 @@ def test_the_picture_of_a_survey_shows_runs_mean_and_the_band_of_two_s(drawn):
         for name, way, shift in (("1", "forward", 1e-7), ("2", "forward", -1e-7), ("1", "backward", 3e-7))
     )
     built = build(Survey(runs, "made up"), Path(__file__), Choices(step=10e-3, limit=6.0, level=False))
-    map_plot.plot_map(built, Path("map.png"))
+    plot.plot_map(built, Path("map.png"))
     upper, lower = drawn[0].axes
     *shown, mean = lines(upper)
     for (x_mm, um), run in zip(shown, built.survey.runs, strict=True):

@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
-from straightcomp_ros.analysis.survey_runs import _course, recognise
-from straightcomp_ros.analysis.survey_series import Sensor, Series, series_of_bag
+from straightcomp_ros.analysis.survey_series import Sensor, Series, _course, recognise, series_of_bag
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.outliers import disagreement, spikes
 from straightcomp_ros.straightness.repeatability import repeatability
-from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey
 
 CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 SAMPLE = Path(__file__).resolve().parents[2] / "bags" / "survey"

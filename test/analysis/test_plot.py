@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord
-from straightcomp_ros.analysis.run_plot import plot_run
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 RecordMaker = Callable[..., StrokeRecord]

@@ -6,7 +6,7 @@ import pytest
 from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
-from straightcomp_ros.straightness.survey_columns import SurveyError
+from straightcomp_ros.straightness.survey import SurveyError
 
 START_NS = 1_700_000_000_000_000_000
 SPEED = 0.2

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Reader
 from scripts import make_sample_bags
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.recorded_reference import RecordedReference
+from straightcomp_ros.analysis.record import RecordedReference
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STREAMS

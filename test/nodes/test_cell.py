@@ -10,8 +10,7 @@ from waiting import wait_for_line
 
 from straightcomp_ros.contract import TRIP
 from straightcomp_ros.nodes import cell_node
-from straightcomp_ros.timing.blame import REFUSED
-from straightcomp_ros.timing.node_timing import CPU_WAIT, SCHEDULING
+from straightcomp_ros.timing.node_timing import CPU_WAIT, REFUSED, SCHEDULING
 
 pytestmark = pytest.mark.keeps_time
 

@@ -11,9 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from straightcomp_ros import contract
+
 PACKAGE = "straightcomp_ros"
 SOURCE = Path(__file__).resolve().parents[2] / PACKAGE
 ARCHITECTURE = (SOURCE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+ROOMS, _, PATH_OF_A_SAMPLE = ARCHITECTURE.partition("## The path of one sample")
 WITH_ROS = ("runtime", "nodes", "trials")
 ROS_MODULES = ("rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_runtime_py")
 ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
@@ -66,15 +69,60 @@ def imports_of(path: Path, *, only_at_start: bool = False) -> tuple[str, ...]:
 @cache
 def rows() -> list[list[str]]:
     """Names in each row of the picture, from the top."""
-    drawn = ARCHITECTURE.partition("## Rooms")[2].split("```")[1].removeprefix("text\n")
+    drawn = ROOMS.partition("## Rooms")[2].split("```")[1].removeprefix("text\n")
     return [re.findall(r"\w+", row) for row in re.split(r"\n *│ *\n", drawn)]
 
 
 def test_the_picture_and_the_table_name_every_room_once() -> None:
     drawn = list(itertools.chain(*rows()))
-    told = re.findall(r"^\| `(\w+)/?` \|", ARCHITECTURE, re.MULTILINE)
+    told = re.findall(r"^\| `(\w+)/?` \|", ROOMS, re.MULTILINE)
     assert len(drawn) == len(set(drawn)) and len(told) == len(set(told))
     assert set(drawn) == set(told) == {room_of(path) for path in modules()}
+
+
+def modules_in(text: str) -> list[str]:
+    """Modules of ours that a text names by room and file."""
+    return re.findall(rf"(?<![\w/])((?:{'|'.join(itertools.chain(*rows()))})/[\w/]+\.py)\b", text)
+
+
+def loaded_by(path: Path) -> set[str]:
+    """A module and all that it imports from this package, directly or not; the parameters know every node."""
+    found, pending = set(), [path]
+    while pending:
+        path = pending.pop()
+        if name_of(path) in found or room_of(path) == "configuration":
+            continue
+        found.add(name_of(path))
+        for name in imports_of(path):
+            pieces = name.split(".")[1:] if name.split(".")[0] == PACKAGE else []
+            places = [SOURCE.joinpath(*pieces[:count]).with_suffix(".py") for count in range(1, len(pieces) + 1)]
+            pending.extend(place for place in places if place.is_file())
+    return found
+
+
+def test_every_module_that_the_page_names_exists() -> None:
+    named = modules_in(ARCHITECTURE)
+    assert len(named) > 30
+    assert [name for name in named if not (SOURCE / name).is_file()] == []
+
+
+def test_each_step_of_a_sample_is_done_by_modules_of_its_process() -> None:
+    steps = re.findall(r"^\| \d+ \| (\w+) \| (.*)", PATH_OF_A_SAMPLE, re.MULTILINE)
+    loaded = {node: loaded_by(SOURCE / "nodes" / f"{node}_node.py") for node, _ in steps}
+    strangers = [(node, name) for node, text in steps for name in modules_in(text) if name not in loaded[node]]
+    assert len(steps) == 10 and strangers == []
+
+
+def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order() -> None:
+    streams = [stream.topic for stream in contract.STREAMS]
+    assert re.findall(r"^\| `(\w+)` \| \w+(?:,[^|]*)? \| [\w, ]+ \| ", PATH_OF_A_SAMPLE, re.MULTILINE) == streams
+    drawn = re.findall(r"── (\w+) ──", PATH_OF_A_SAMPLE.split("```")[1])
+    assert drawn == [
+        contract.ENCODER.topic,
+        contract.ENCODER.burst_topic,
+        contract.REFERENCE.burst_topic,
+        contract.COMMAND.topic,
+    ]
 
 
 @pytest.mark.parametrize("path", modules(), ids=name_of)

@@ -31,7 +31,7 @@ class Inner:
 class Outer:
     count: int = parameter(3, "Count", minimum=1)
     on: bool = parameter(False, "On")
-    inner: Inner = group(Inner, gain=5.0)
+    inner: Inner = group(Inner, "Coil", gain=5.0)
 
 
 def test_groups_are_addressed_with_a_dot_and_may_have_defaults_of_their_own():
@@ -43,6 +43,11 @@ def test_groups_are_addressed_with_a_dot_and_may_have_defaults_of_their_own():
     ]
     assert from_mapping(Outer, {}) == Outer()
     assert from_mapping(Outer, {"inner.gain": 4}).inner.gain == 4.0
+
+
+def test_a_description_in_a_group_says_of_what_it_is():
+    """`ros2 param describe` shows one parameter alone."""
+    assert [d.description for d in declarations(Outer)] == ["Count", "On", "Coil: Gain", "Coil: Name"]
 
 
 def test_a_set_and_its_mapping_are_inverse():
@@ -79,6 +84,8 @@ def test_every_default_is_allowed_and_every_parameter_is_described(node):
     for declaration in declarations(NODE_PARAMETERS[node]):
         assert declaration.check(declaration.default) == declaration.default
         assert declaration.description
+    descriptions = [declaration.description for declaration in declarations(NODE_PARAMETERS[node])]
+    assert len(descriptions) == len(set(descriptions))
 
 
 def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script_writes():

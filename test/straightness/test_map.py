@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.settings.declaration import declarations
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, find_survey, load_map
-from straightcomp_ros.straightness.survey import Survey, SurveyError, write_survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
 
 X = np.linspace(0.0, 1.76, 177)
 
@@ -132,7 +131,7 @@ def test_a_steep_end_that_runs_out_beyond_the_travel_is_refused() -> None:
 def test_the_installed_survey_and_guide_make_maps_that_agree() -> None:
     survey, guide = load_map(), load_map(MapParameters(file="config/guide_synthetic.csv"))
     between = np.linspace(0.0, 1.76, 20_001)
-    assert survey.report.points == 177
+    assert len(survey.report.x) == 177
     assert np.ptp(survey.deviations(between) - guide.deviations(between)) < 0.08e-6
 
 
@@ -142,9 +141,9 @@ def test_a_relative_name_is_looked_up_in_the_working_directory_first(
     (tmp_path / "config").mkdir()
     write_survey(tmp_path / "config/survey_synthetic.csv", Survey((Run("1", "forward", X, 1e-5 * np.sin(X)),)))
     monkeypatch.chdir(tmp_path)
-    assert load_map().report.forward_runs == 1
+    assert load_map().report.forward.runs == 1
     (tmp_path / "config/survey_synthetic.csv").unlink()
-    assert load_map().report.forward_runs == 3
+    assert load_map().report.forward.runs == 3
 
 
 def test_a_survey_that_is_nowhere_is_refused(tmp_path: Path) -> None:

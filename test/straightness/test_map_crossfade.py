@@ -9,9 +9,8 @@ import pytest
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.straightness.feedforward import Feedforward
+from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward, weight
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.map_crossfade import FADE_TIME, weight
 
 T = 500_000
 DT = T * 1e-9

@@ -7,11 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from straightcomp_ros.straightness.map_crossfade import blended, weight
+from straightcomp_ros.straightness.feedforward import blended, weight
 from straightcomp_ros.straightness.outliers import FLOOR, disagreement, spikes
 from straightcomp_ros.straightness.repeatability import repeatability
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey
 
 X = np.arange(4) * 0.01
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from straightcomp_ros.straightness.runout import runout
+from straightcomp_ros.straightness.guide_map import runout
 
 values = st.floats(-1e-4, 1e-4)
 slopes = st.floats(-1e-3, 1e-3)

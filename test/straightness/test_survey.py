@@ -9,8 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey, write_survey
-from straightcomp_ros.straightness.survey_run import Run, orient
+from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, orient, read_survey, write_survey
 
 POSITIONS_MM = [10 * k for k in range(30)]
 
@@ -75,7 +74,7 @@ def test_without_run_and_direction_the_trend_of_x_tells_the_direction(tmp_path: 
 def test_two_points_are_enough_to_tell_a_direction() -> None:
     deviation = [1e-6, 2e-6]
     for x, direction in (([0.1, 0.2], "forward"), ([0.2, 0.1], "backward")):
-        run = orient("survey made up", "1", None, [2, 3], x, deviation)
+        run = orient("survey made up", "1", None, list(zip([2, 3], x, deviation, strict=True)))
         assert run.direction == direction and run.x.tolist() == [0.1, 0.2]
         assert run.deviation.tolist() == (deviation if direction == "forward" else deviation[::-1])
 

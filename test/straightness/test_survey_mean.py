@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.mean import SurveyReport, mean_of_directions, on_common_grid, report
-from straightcomp_ros.straightness.survey import Survey, SurveyError
-from straightcomp_ros.straightness.survey_run import Direction, Run
+from straightcomp_ros.straightness.common_grid import on_common_grid
+from straightcomp_ros.straightness.repeatability import Directed, Repeatability, repeatability
+from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
 
 X = np.linspace(0.0, 1.0, 101)
 
@@ -47,35 +47,42 @@ def test_the_grid_keeps_to_what_all_runs_cover() -> None:
 
 
 def test_directions_weigh_the_same_whatever_the_number_of_their_runs() -> None:
-    _, values, survey = _grid(_run("forward", 0.0), _run("forward", 0.0), _run("forward", 0.0), _run("backward", 4e-8))
-    np.testing.assert_allclose(mean_of_directions(survey, values), _bow(X) + 2e-8, rtol=1e-12)
+    x, values, survey = _grid(_run("forward", 0.0), _run("forward", 0.0), _run("forward", 0.0), _run("backward", 4e-8))
+    np.testing.assert_allclose(repeatability(survey, x, values).mean, _bow(X) + 2e-8, rtol=1e-12)
 
 
 def test_repeatability_and_hysteresis_are_those_of_their_definition() -> None:
     # Two runs 2d apart: sample standard deviation d √2.
-    _, values, survey = _grid(
+    x, values, survey = _grid(
         _run("forward", -1e-8), _run("forward", 1e-8), _run("backward", 3e-8), _run("backward", 9e-8)
     )
-    figures = report(survey, values)
-    assert (figures.forward_runs, figures.backward_runs, figures.points) == (2, 2, 101)
-    assert figures.repeatability_max == pytest.approx(3e-8 * np.sqrt(2.0))
-    assert figures.repeatability_rms == pytest.approx(np.sqrt(np.mean([2e-16, 18e-16])))
-    assert figures.hysteresis == pytest.approx(6e-8)
-    assert figures.peak_to_peak == pytest.approx(np.ptp(_bow(X)))
+    found = repeatability(survey, x, values)
+    assert found.forward is not None and found.backward is not None
+    assert (found.forward.runs, found.backward.runs, len(found.x)) == (2, 2, 101)
+    np.testing.assert_allclose(found.forward.s, 1e-8 * np.sqrt(2.0))
+    np.testing.assert_allclose(found.backward.s, 3e-8 * np.sqrt(2.0))
+    np.testing.assert_allclose(found.reversal, -6e-8)
+    assert np.ptp(found.mean) == pytest.approx(np.ptp(_bow(X)))
+    assert str(found) == (
+        "101 points, 2 forward and 2 backward runs, 10.00 µm peak to peak, standard deviation at most 0.042 µm, "
+        "hysteresis 0.060 µm"
+    )
 
 
 def test_one_run_has_neither_repeatability_nor_hysteresis() -> None:
-    _, values, survey = _grid(_run("forward"))
-    figures = report(survey, values)
-    assert figures.repeatability_max is figures.repeatability_rms is figures.hysteresis is None
-    assert str(figures) == "101 points, 1 forward and 0 backward runs, 10.00 µm peak to peak"
-    assert figures.to_display()["hysteresis_um"] is None
+    x, values, survey = _grid(_run("forward"))
+    found = repeatability(survey, x, values)
+    assert found.forward is not None and found.forward.s is found.reversal is None
+    assert str(found) == "101 points, 1 forward and 0 backward runs, 10.00 µm peak to peak"
+    assert found.to_display()["reversal_max_um"] is None
 
 
-def test_a_report_reads_as_text_and_in_micrometres() -> None:
-    figures = SurveyReport(177, 3, 3, 22.4e-6, 6e-8, 2.5e-8, 7e-8)
-    assert str(figures).endswith("22.40 µm peak to peak, standard deviation at most 0.060 µm, hysteresis 0.070 µm")
-    assert figures.to_display()["peak_to_peak_um"] == pytest.approx(22.4)
+def test_a_report_reads_as_text_with_the_largest_figure_of_either_direction() -> None:
+    mean = np.array([0.0, 22.4e-6])
+    forward, backward = Directed(3, mean, np.array([1e-8, 6e-8])), Directed(3, mean - 7e-8, np.array([5e-8, 2e-8]))
+    for both in ((forward, backward), (backward, forward)):
+        text = str(Repeatability(np.array([0.0, 0.1]), *both))
+        assert text.endswith("22.40 µm peak to peak, standard deviation at most 0.060 µm, hysteresis 0.070 µm")
 
 
 def test_a_run_that_was_broken_off_is_refused() -> None:

@@ -6,9 +6,8 @@ import sys
 
 import pytest
 
-from straightcomp_ros.timing.blame import NORMAL, REFUSED, HeldUp, blamed
 from straightcomp_ros.timing.cpu_wait import CpuWait
-from straightcomp_ros.timing.node_timing import CPU_WAIT, SCHEDULING, held_up
+from straightcomp_ros.timing.node_timing import CPU_WAIT, NORMAL, REFUSED, SCHEDULING, HeldUp, blamed, held_up
 
 
 class Scheduler:
@@ -40,7 +39,8 @@ def cpu_wait(scheduler):
     cpu_wait = CpuWait(scheduler.folder)
     assert cpu_wait.take_us() == 0.0
     yield cpu_wait
-    cpu_wait.close()
+    for file in cpu_wait._files.values():
+        file.close()
 
 
 def test_the_longest_wait_of_any_thread_from_look_to_look_counts(scheduler, cpu_wait):

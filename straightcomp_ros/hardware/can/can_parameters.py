@@ -18,13 +18,9 @@ class CanParameters:
     interface: str = parameter("socketcan", "Interface of python-can, e.g. socketcan, pcan, kvaser")
     channel: str = parameter("can0", "Channel of the interface, as python-can names it")
     bitrate: int = parameter(
-        1_000_000,
-        "Bit rate; socketcan takes it from the system instead",
-        unit="bit/s",
-        minimum=10_000,
-        maximum=1_000_000,
+        1_000_000, "Bit rate; socketcan uses the system's", unit="bit/s", minimum=10_000, maximum=1_000_000
     )
-    fd: bool = parameter(True, "Frames of CAN FD: one encoder frame carries the coil current too")
+    fd: bool = parameter(True, "Use frames of CAN FD, in which the encoder frame has the coil current too")
     data_bitrate: int = parameter(
         5_000_000, "Bit rate of the data phase of CAN FD", unit="bit/s", minimum=10_000, maximum=8_000_000
     )
@@ -34,22 +30,19 @@ class CanParameters:
         DEFAULT_RATE, "Samples per second that the board takes", unit="Hz", minimum=10, maximum=20_000
     )
     command_timeout: float = parameter(
-        0.005, "Age of a command from which it is not sent any more, as in the board", unit="s", above=0.0, maximum=1.0
+        0.005, "Age of a command from which it is not sent any more", unit="s", above=0.0, maximum=1.0
     )
     sample_timeout: float = parameter(
-        0.005, "Silence of the board that latches a fault while the amplifier is on", unit="s", above=0.0, maximum=1.0
+        0.005, "Time without a sample that latches a fault while the amplifier is on", unit="s", above=0.0, maximum=1.0
     )
     heartbeat_timeout: float = parameter(
-        0.15, "Silence of the board's heartbeat that counts as its loss", unit="s", above=0.0, maximum=10.0
+        0.15, "Time without the board's heartbeat that latches a fault", unit="s", above=0.0, maximum=10.0
     )
     answer_timeout: float = parameter(
         0.1, "Longest wait for the board to switch on or to clear a fault", unit="s", above=0.0, maximum=10.0
     )
     strike_limit: int = parameter(
-        16,
-        "A frame that fails its check adds 4, a good one takes 1 off; reaching this latches a fault",
-        minimum=4,
-        maximum=1000,
+        16, "Error counter that latches a fault: a bad frame adds 4, a good one subtracts 1", minimum=4, maximum=1000
     )
     x_speed: float = parameter(
         2.0, "A change of x faster than this is a wrong frame", unit="m/s", above=0.0, maximum=100.0
@@ -57,13 +50,12 @@ class CanParameters:
     y_speed: float = parameter(
         0.5, "A change of y faster than this is a wrong frame", unit="m/s", above=0.0, maximum=100.0
     )
-    sample_memory: int = parameter(256, "Samples that wait for a late driver", minimum=1, maximum=100_000)
+    sample_memory: int = parameter(256, "Samples kept for a late driver", minimum=1, maximum=100_000)
     simulated_stage: bool = parameter(
-        False,
-        "The board is the emulator: send it stage trajectories, and on CAN FD take the simulation's truth from it",
+        False, "The board is the emulator: send it stage trajectories, take the simulation's truth on CAN FD"
     )
     log: str = parameter(
-        "", "File for all frames that come in and go out: candump's .log or .blf, by its ending; empty for none"
+        "", "File for all frames received and sent, a candump .log or a .blf by its ending; empty: none"
     )
 
     def __post_init__(self) -> None:

@@ -12,8 +12,7 @@ import numpy as np
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
-from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.recorded_reference import RecordedReference
+from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, parameter
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_run import Run
+from straightcomp_ros.straightness.survey import Run, Survey
 
 
 @dataclass(frozen=True)

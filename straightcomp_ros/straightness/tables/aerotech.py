@@ -20,9 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from straightcomp_ros.straightness.survey_columns import SurveyError
 from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions, ErrorTable, error_table
-from straightcomp_ros.straightness.text import decimal, number, read_text
+from straightcomp_ros.straightness.text import SurveyError, decimal, number, numbered_lines
 
 _HEAD = ("RowAxis", "ColumnAxis", "OutputAxis1", "OutputAxis2", "SampDistRow", "SampDistCol", "NumCols")
 _KEYWORD = re.compile(r"([A-Z0-9]+)\s*=\s*(\S+)")
@@ -37,16 +36,16 @@ def read(path: Path, conventions: Conventions) -> ErrorTable:
         SurveyError: no such table, a head or value that is not understood, or a correction that also depends on
             the row axis.
     """
-    outputs: list[int] = []
+    found: set[int] = set()
     for start, head, values in _tables(path):
         where = f"survey {path}, line {start}"
         numbers = [number(where, name, cell) for name, cell in zip(_HEAD, _positions(where, head), strict=True)]
-        keywords = {key: value for line in head for key, value in _KEYWORD.findall(line.upper())}
-        axes = [int(numbers[2]), int(numbers[3]), *([int(keywords["OUTAXIS3"])] if "OUTAXIS3" in keywords else [])]
-        outputs += axes
+        keywords = {key: value for line in head for key, value in _KEYWORD.findall(line)}
+        axes = [int(axis) for axis in (*numbers[2:4], keywords.get("OUTAXIS3")) if axis is not None]
+        found.update(axes)
         if conventions.platform_axis not in axes:
             continue
-        columns = int(numbers[6])
+        distance, columns = numbers[5], int(numbers[6])
         if not values or columns < 2 or len(values) % (columns * len(axes)):
             raise SurveyError(
                 f"{where}: {len(values)} values; allowed: rows of NumCols × outputs = {columns} × {len(axes)}"
@@ -55,28 +54,21 @@ def read(path: Path, conventions: Conventions) -> ErrorTable:
         grid = grid / _per_metre(where, keywords.get("CORUNIT", "PRIMARY"), conventions)
         if float(np.ptp(grid, axis=0).max()) > _SAME:
             raise SurveyError(f"{where}: the correction depends on the row axis too; allowed: rows that are the same")
-        if numbers[5] <= 0.0:
-            raise SurveyError(
-                f"{where}: SampDistCol {numbers[5]:g}; allowed: > 0; write the columns in the other order"
-            )
+        if distance <= 0.0:
+            raise SurveyError(f"{where}: SampDistCol {distance:g}; allowed: > 0; write the columns in the other order")
         offset = number(where, "OFFSETCOL", keywords.get("OFFSETCOL", "0"))
         units = _per_metre(where, keywords.get("POSUNIT", "PRIMARY"), conventions)
-        sign = 1.0 if any("NEGCOR" in line.upper() for line in head) else -1.0
-        return error_table(
-            where,
-            [
-                ((index * numbers[5] - offset) / units, sign * value, None)
-                for index, value in enumerate(grid[0].tolist())
-            ],
-        )
-    found = ", ".join(str(axis) for axis in sorted(set(outputs))) or "none"
+        x = (np.arange(columns) * distance - offset) / units
+        sign = 1.0 if any("NEGCOR" in line for line in head) else -1.0
+        return error_table(where, np.column_stack([x, sign * grid[0]]).tolist())
     raise SurveyError(
-        f"survey {path}: no :START2D table corrects axis {conventions.platform_axis} (platform axis); found: {found}"
+        f"survey {path}: no :START2D table corrects axis {conventions.platform_axis} (platform axis); "
+        f"found: {', '.join(map(str, sorted(found))) or 'none'}"
     )
 
 
 def write(table: ErrorTable, conventions: Conventions) -> str:
-    """A file with one table; the mean where both directions are known, since these tables have but one value.
+    """A file with one table, which holds the mean of both directions.
 
     Raises:
         SurveyError: the positions are not equally spaced.
@@ -85,38 +77,32 @@ def write(table: ErrorTable, conventions: Conventions) -> str:
     spacing = float(steps.mean())
     if float(np.abs(steps - spacing).max()) > 1e-6 * spacing:
         raise SurveyError("the positions are not equally spaced; allowed for Aerotech: one distance for all")
-    correction = -(table.forward if table.backward is None else 0.5 * (table.forward + table.backward))
     per_metre = conventions.per_metre
     stage, platform = conventions.stage_axis, conventions.platform_axis
     offset = decimal(-float(table.x[0]) * per_metre, 9)
-    row = "  ".join(f"{decimal(value * per_metre * 1e3, 5)} 0" for value in correction.tolist())
-    return "\n".join(
-        [
-            f"; Correction of axis {platform} over axis {stage}, the same for every position of axis {platform}.",
-            f"; {' '.join(_HEAD)}",
-            f":START2D {platform} {stage} {platform} {stage} 1 {decimal(spacing * per_metre, 9)} {len(table.x)}",
-            f":START2D POSUNIT=PRIMARY CORUNIT=PRIMARY/1000 OFFSETROW=0 OFFSETCOL={offset}",
-            row,
-            row,
-            ":END\n",
-        ]
-    )
+    row = "  ".join(f"{decimal(value * per_metre * 1e3, 5)} 0" for value in (-table.mean).tolist())
+    return f"""; Correction of axis {platform} over axis {stage}, the same for every position of axis {platform}.
+; {" ".join(_HEAD)}
+:START2D {platform} {stage} {platform} {stage} 1 {decimal(spacing * per_metre, 9)} {len(table.x)}
+:START2D POSUNIT=PRIMARY CORUNIT=PRIMARY/1000 OFFSETROW=0 OFFSETCOL={offset}
+{row}
+{row}
+:END
+"""
 
 
 def _tables(path: Path) -> list[tuple[int, list[str], list[float]]]:
-    """Line number of the start, head lines and values of each table."""
+    """Line number of the start, head lines in capitals and values of each table."""
     tables: list[tuple[int, list[str], list[float]]] = []
     inside = False
-    for line, raw in enumerate(read_text(path).splitlines(), start=1):
-        text = re.split(r"[;']", raw, maxsplit=1)[0].strip()
-        upper = text.upper()
-        if not text or text.startswith("*"):
-            continue
+    for line, raw in numbered_lines(path, r"[;'].*|^\s*\*.*"):
         where = f"survey {path}, line {line}"
+        text = raw.strip()
+        upper = text.upper()
         if upper.startswith(":START2D"):
             if not inside or tables[-1][2]:
                 tables.append((line, [], []))
-            tables[-1][1].append(text[len(":START2D") :])
+            tables[-1][1].append(upper[len(":START2D") :])
             inside = True
         elif upper.startswith(":START"):
             raise SurveyError(f"{where}: a :START table corrects an axis along itself; allowed: :START2D")
@@ -132,7 +118,7 @@ def _tables(path: Path) -> list[tuple[int, list[str], list[float]]]:
 def _positions(where: str, head: list[str]) -> list[str]:
     """The seven numbers of the head, which stand on the line without keywords."""
     for line in head:
-        cells = _KEYWORD.sub("", line.upper()).replace("NEGCOR", "").split()
+        cells = _KEYWORD.sub("", line).replace("NEGCOR", "").split()
         if len(cells) == len(_HEAD):
             return cells
     raise SurveyError(f"{where}: no line with {len(_HEAD)} numbers; allowed: {' '.join(_HEAD)}")

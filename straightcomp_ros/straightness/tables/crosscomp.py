@@ -18,13 +18,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from straightcomp_ros.straightness.survey_columns import SurveyError
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table
-from straightcomp_ros.straightness.text import decimal, number, read_text
+from straightcomp_ros.straightness.text import SurveyError, decimal, number, numbered_lines
 
 _PER_METRE = 1e7
-_ENTRY = re.compile(r"kw\.crosscomp\.table\[\s*(\d+)\s*\]\.(setpoint|correction)")
-MOST_POINTS = 1001
+_INDEX = re.compile(r"\[\s*0*(\d+)\s*\]")
 
 
 def read(path: Path, conventions: Conventions) -> ErrorTable:
@@ -33,46 +31,39 @@ def read(path: Path, conventions: Conventions) -> ErrorTable:
     Raises:
         SurveyError: the unit is encoder increments, or an entry is missing or no number.
     """
-    plain: dict[str, float] = {}
-    entries: dict[str, dict[int, float]] = {"setpoint": {}, "correction": {}}
-    for line, raw in enumerate(read_text(path).splitlines(), start=1):
-        cells = re.sub(r"/\*.*?\*/|#.*", "", raw).rsplit(maxsplit=1)
-        if len(cells) != 2 or not cells[0].startswith("kw.crosscomp."):
-            continue
-        key, where = cells[0].strip(), f"survey {path}, line {line}"
-        found = _ENTRY.fullmatch(key)
-        if found:
-            entries[found[2]][int(found[1])] = number(where, key, cells[1])
-        else:
-            plain[key.removeprefix("kw.crosscomp.")] = number(where, key, cells[1])
-    where = f"survey {path}"
-    if plain.get("unit") != 1.0:
-        raise SurveyError(f"{where}: kw.crosscomp.unit {plain.get('unit', 0.0):g}; allowed: 1 (metric, in 0.1 µm)")
-    points: list[tuple[float, float, float | None]] = []
-    for index in range(int(plain.get("last_index", -1.0)) + 1):
-        for column, values in entries.items():
-            if index not in values:
-                raise SurveyError(f"{where}: kw.crosscomp.table[{index}].{column} is missing; allowed: one for each")
-        points.append((entries["setpoint"][index] / _PER_METRE, -entries["correction"][index] / _PER_METRE, None))
+    where, prefix = f"survey {path}", "kw.crosscomp."
+    entries: dict[str, float] = {}
+    for line, text in numbered_lines(path, r"/\*.*?\*/|#.*"):
+        cells = text.strip().rsplit(maxsplit=1)
+        if len(cells) == 2 and cells[0].startswith(prefix):
+            key = _INDEX.sub(r"[\1]", cells[0])
+            entries[key.removeprefix(prefix)] = number(f"{where}, line {line}", key, cells[1])
+    if entries.get("unit") != 1.0:
+        raise SurveyError(f"{where}: kw.crosscomp.unit {entries.get('unit', 0.0):g}; allowed: 1 (metric, in 0.1 µm)")
+    points = []
+    for index in range(int(entries.get("last_index", -1.0)) + 1):
+        names = [f"table[{index}].{column}" for column in ("setpoint", "correction")]
+        for name in names:
+            if name not in entries:
+                raise SurveyError(f"{where}: {prefix}{name} is missing; allowed: one for each")
+        points.append([entries[names[0]] / _PER_METRE, -entries[names[1]] / _PER_METRE])
     return error_table(where, points)
 
 
 def write(table: ErrorTable, conventions: Conventions) -> str:
-    """A list for the platform's axis; the mean where both directions are known, since a list has but one value.
+    """A list for the platform's axis, which holds the mean of both directions.
 
     Raises:
         SurveyError: more points than a list holds.
     """
-    if len(table.x) > MOST_POINTS:
-        raise SurveyError(f"{len(table.x)} points; allowed for crosscomp: <= {MOST_POINTS}: take a larger spacing")
-    correction = -(table.forward if table.backward is None else 0.5 * (table.forward + table.backward))
+    table.check_size("crosscomp", 1001)
     lines = [
         f"kopf.achs_nr {conventions.platform_axis}",
         f"kw.crosscomp.last_index {len(table.x) - 1}",
         f"kw.crosscomp.master_ax_nr {conventions.stage_axis}",
         "kw.crosscomp.unit 1 /* metric, in 0.1 um */",
     ]
-    for index, (x, value) in enumerate(zip(table.x.tolist(), correction.tolist(), strict=True)):
+    for index, (x, value) in enumerate(zip(table.x.tolist(), (-table.mean).tolist(), strict=True)):
         lines.append(f"kw.crosscomp.table[{index}].setpoint {decimal(x * _PER_METRE, 3)}")
         lines.append(f"kw.crosscomp.table[{index}].correction {decimal(value * _PER_METRE, 3)}")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""The deviation of a guide at given positions: what all the file formats hold in one way or another."""
+"""The deviation of a guide at given positions, which every file format holds in its own way."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_columns import DEVIATION, SurveyError, X
-from straightcomp_ros.straightness.survey_run import Direction, Run
+from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
+from straightcomp_ros.straightness.survey_columns import DEVIATION, X
 
 UNITS = {"mm": 1e3, "inch": 1.0 / 0.0254, "m": 1.0, "um": 1e6}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""
@@ -52,56 +51,56 @@ class ErrorTable:
     forward: NDArray[np.float64]
     backward: NDArray[np.float64] | None = None
 
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """(n,) mean deviation of both directions in m, for formats with one value for both."""
+        return self.forward if self.backward is None else 0.5 * (self.forward + self.backward)
+
     def negated(self) -> ErrorTable:
-        """The table with the other sign, for a file that counts the other way."""
+        """The table with the other sign, for a controller that counts the other way."""
         return ErrorTable(self.x, -self.forward, None if self.backward is None else -self.backward)
+
+    def check_size(self, controller: str, most: int) -> None:
+        """Raise SurveyError for more than ``most`` points, which ``controller`` cannot hold."""
+        if len(self.x) > most:
+            raise SurveyError(f"{len(self.x)} points; allowed for {controller}: <= {most}: take a larger spacing")
 
     def to_survey(self, source: str) -> Survey:
         """One run for each direction that the table knows; ``source`` is the file's name for messages.
 
         Raises:
-            SurveyError: lengths that no guide has; the unit is wrong then, more likely than the machine odd.
+            SurveyError: lengths that no guide has: more likely a wrong unit than an odd machine.
         """
         where = f"survey {source}"
         X.check_extent(where, float(self.x[-1] - self.x[0]))
-        sides: tuple[tuple[Direction, NDArray[np.float64] | None], ...] = (
-            ("forward", self.forward),
-            ("backward", self.backward),
-        )
-        runs = [Run("1", direction, self.x, deviation) for direction, deviation in sides if deviation is not None]
+        ways: dict[Direction, NDArray[np.float64] | None] = {"forward": self.forward, "backward": self.backward}
+        runs = [Run("1", way, self.x, deviation) for way, deviation in ways.items() if deviation is not None]
         for run in runs:
             DEVIATION.check_extent(where, float(np.ptp(run.deviation)))
         return Survey(tuple(runs), source)
 
 
-def error_table(where: str, points: list[tuple[float, float, float | None]]) -> ErrorTable:
-    """A table from (x, forward, backward or None) in m, sorted by x; ``where`` opens the messages.
+def error_table(where: str, points: list[list[float]]) -> ErrorTable:
+    """A table from points of (x, deviation), or of (x, forward, backward), in m; ``where`` begins the messages.
 
     Raises:
         SurveyError: fewer than two points, or two at one x.
     """
     if len(points) < 2:
         raise SurveyError(f"{where}: {len(points)} points; allowed: >= 2")
-    points = sorted(points, key=lambda point: point[0])
-    x = np.array([point[0] for point in points])
+    x, *deviations = np.array(sorted(points)).T
     same = np.flatnonzero(np.diff(x) <= 0.0)
     if same.size:
         raise SurveyError(f"{where}: x = {x[same[0]] * 1e3:.10g} mm is given twice; allowed: once")
-    backward = [point[2] for point in points if point[2] is not None]
-    return ErrorTable(
-        x, np.array([point[1] for point in points]), np.array(backward) if len(backward) == len(points) else None
-    )
+    return ErrorTable(x, *deviations)
 
 
 def sampled(straightness: StraightnessMap, spacing: float) -> tuple[ErrorTable, float]:
-    """The map at equal distances over its span, the last one rounded down so that both ends are met.
-
-    Args:
-        straightness: the map; the table's correction is its reference, centred as that is.
-        spacing: largest distance of two points in m.
+    """The map at equal distances of at most ``spacing`` in m over its span, both ends included.
 
     Returns:
-        The table, and the largest error in m that a controller makes which interpolates linearly in it.
+        The table, whose correction is the map's reference, and the largest error in m of a controller that
+        interpolates linearly in it.
     """
     first, last = straightness.span
     pieces = max(1, math.ceil((last - first) / spacing - 1e-9))

@@ -10,7 +10,7 @@
 Described in ISG's and Beckhoff's documentation of volumetric compensation, "Etalon Exchange Format" (its variant
 "Vendor") and "Units of measure": one block for each error in ISO 230-1's notation, positions and translational errors
 in mm. EYX is the straightness error in Y of a motion along X, EZX the one in Z. Blocks of one value and of other errors
-are passed over.
+are skipped.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from straightcomp_ros.straightness.survey_columns import SurveyError
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table
-from straightcomp_ros.straightness.text import decimal, number, read_text
+from straightcomp_ros.straightness.text import SurveyError, decimal, number, numbered_lines
 
 _PER_METRE = 1e3
 
@@ -31,10 +30,10 @@ def read(path: Path, conventions: Conventions) -> ErrorTable:
     Raises:
         SurveyError: no such block, or a line in it that is no pair of numbers.
     """
-    blocks: dict[str, list[tuple[float, float, float | None]]] = {}
+    blocks: dict[str, list[list[float]]] = {}
     name, inside = "", False
-    for line, raw in enumerate(read_text(path).splitlines(), start=1):
-        text = raw.split("//", maxsplit=1)[0].strip()
+    for line, raw in numbered_lines(path, "//.*"):
+        text = raw.strip()
         heading = re.fullmatch(r"\[(\w+)\]", text)
         if heading:
             name, inside = heading[1].upper(), False
@@ -47,8 +46,7 @@ def read(path: Path, conventions: Conventions) -> ErrorTable:
             cells = text.split()
             if len(cells) != 2:
                 raise SurveyError(f"{where}: {len(cells)} values; allowed: position and error")
-            x, deviation = (number(where, name, cell) / _PER_METRE for cell in cells)
-            blocks[name].append((x, deviation, None))
+            blocks[name].append([number(where, name, cell) / _PER_METRE for cell in cells])
     if conventions.error not in blocks:
         raise SurveyError(
             f"survey {path}: no Gridpoints of [{conventions.error}]; found: {', '.join(blocks) or 'none'}"
@@ -57,10 +55,9 @@ def read(path: Path, conventions: Conventions) -> ErrorTable:
 
 
 def write(table: ErrorTable, conventions: Conventions) -> str:
-    """A file with one block; the mean where both directions are known, since the format has but one value."""
-    deviation = table.forward if table.backward is None else 0.5 * (table.forward + table.backward)
+    """A file with one block, which holds the mean of both directions."""
     points = [
         f"  {decimal(x * _PER_METRE, 7)} {decimal(value * _PER_METRE, 9)}"
-        for x, value in zip(table.x.tolist(), deviation.tolist(), strict=True)
+        for x, value in zip(table.x.tolist(), table.mean.tolist(), strict=True)
     ]
     return "\n".join([f"[{conventions.error}]", "Gridpoints = {", *points, "}\n"])

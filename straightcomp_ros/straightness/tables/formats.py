@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-from straightcomp_ros.straightness.survey_columns import SurveyError
 from straightcomp_ros.straightness.tables import aerotech, crosscomp, etalon, linuxcnc
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable
+from straightcomp_ros.straightness.text import SurveyError
 
 
-@dataclass(frozen=True)
-class Format:
-    """How a table gets out of a file and into one.
-
-    Attributes:
-        ending: of the file's name, by which the format is recognised.
-        read: the table in a file; raises SurveyError.
-        write: the text of a file; raises SurveyError.
-    """
+class Format(NamedTuple):
+    """The ending of a format's files, by which it is recognised, and its functions; both raise SurveyError."""
 
     ending: str
     read: Callable[[Path, Conventions], ErrorTable]
@@ -35,7 +28,7 @@ FORMATS = {
 
 
 def format_of(path: Path, name: str | None) -> Format:
-    """The format of that name, or without one that of the file's ending.
+    """The format ``name``, or without a name the one with the file's ending.
 
     Raises:
         SurveyError: the ending is of none.

@@ -14,38 +14,31 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from straightcomp_ros.straightness.survey_columns import SurveyError
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table
-from straightcomp_ros.straightness.text import decimal, number, read_text
+from straightcomp_ros.straightness.text import SurveyError, decimal, number, numbered_lines
 
-MOST_POINTS = 256
+_COLUMNS = ("nominal", "forward", "reverse")
 
 
 def read(path: Path, conventions: Conventions) -> ErrorTable:
     """Read a file of either type; positions follow their nominal, trims stay near to zero.
 
     Raises:
-        SurveyError: a line has not three numbers, or there is no point.
+        SurveyError: a line has not three numbers, or there are fewer than two points.
     """
-    rows: list[tuple[float, float, float]] = []
-    for line, text in enumerate(read_text(path).splitlines(), start=1):
-        if not text.strip():
-            continue
+    rows: list[list[float]] = []
+    for line, text in numbered_lines(path):
         where = f"survey {path}, line {line}"
         cells = text.split()
-        if len(cells) < 3:
-            raise SurveyError(f"{where}: {len(cells)} values; allowed: nominal, forward, reverse")
-        nominal, forward, reverse = (
-            number(where, name, cell) / conventions.per_metre
-            for name, cell in zip(("nominal", "forward", "reverse"), cells[:3], strict=True)
-        )
-        rows.append((nominal, forward, reverse))
+        if len(cells) < len(_COLUMNS):
+            raise SurveyError(f"{where}: {len(cells)} values; allowed: {', '.join(_COLUMNS)}")
+        named = zip(_COLUMNS, cells, strict=False)
+        rows.append([number(where, name, cell) / conventions.per_metre for name, cell in named])
     # Trims are small beside the travel, positions stay close to their nominal.
-    if sum(abs(row[1]) for row in rows) < sum(abs(row[1] - row[0]) for row in rows):
-        points = [(nominal, -forward, -reverse) for nominal, forward, reverse in rows]
-    else:
-        points = [(nominal, forward - nominal, reverse - nominal) for nominal, forward, reverse in rows]
-    return error_table(f"survey {path}", [(x, forward, backward) for x, forward, backward in points])
+    trims = sum(abs(row[1]) for row in rows) < sum(abs(row[1] - row[0]) for row in rows)
+    return error_table(
+        f"survey {path}", [[x, *(-value if trims else value - x for value in values)] for x, *values in rows]
+    )
 
 
 def write(table: ErrorTable, conventions: Conventions) -> str:
@@ -54,11 +47,9 @@ def write(table: ErrorTable, conventions: Conventions) -> str:
     Raises:
         SurveyError: more points than a joint holds.
     """
-    if len(table.x) > MOST_POINTS:
-        raise SurveyError(f"{len(table.x)} points; allowed for LinuxCNC: <= {MOST_POINTS}: take a larger spacing")
+    table.check_size("LinuxCNC", 256)
     backward = table.forward if table.backward is None else table.backward
-    lines = [
-        " ".join(decimal(value * conventions.per_metre, 7) for value in (x, -forward, -reverse))
-        for x, forward, reverse in zip(table.x.tolist(), table.forward.tolist(), backward.tolist(), strict=True)
-    ]
-    return "\n".join(lines) + "\n"
+    return "".join(
+        " ".join(decimal(value * conventions.per_metre, 7) for value in row) + "\n"
+        for row in zip(table.x.tolist(), (-table.forward).tolist(), (-backward).tolist(), strict=True)
+    )

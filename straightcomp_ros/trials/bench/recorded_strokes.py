@@ -22,7 +22,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import default_output, recover
 from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.straightness.survey_run import Direction
+from straightcomp_ros.straightness.survey import Direction
 
 _LONGEST = 1.5
 """A recorded stroke that takes longer than so many commanded ones is several that were taken for one."""

@@ -33,6 +33,8 @@ class FaultyDriver(DriverPart):
         self._parameters = parameters
         self._faulty = FaultyHardware(make_hardware(parameters), self._tell)
         super().__init__(node, parameters, self._faulty, lambda: time.time_ns() + self._step_ns)
+        accept = self._commands.accept
+        self._commands.accept = lambda stamp_ns, current, at_ns: accept(stamp_ns, current, at_ns + self._late_ns)
         self._injected = node.create_publisher(DiagnosticStatus, INJECTED, 10)
         node.create_subscription(DiagnosticStatus, INJECT, self._on_inject, 10)
 
@@ -55,9 +57,6 @@ class FaultyDriver(DriverPart):
 
     def _tell(self, kind: str, time_ns: int) -> None:
         self._injected.publish(DiagnosticStatus(name=kind, values=[KeyValue(key="time_ns", value=str(time_ns))]))
-
-    def _accept(self, stamp_ns: int, current: float, arrival_ns: int) -> None:
-        super()._accept(stamp_ns, current, arrival_ns + self._late_ns)
 
 
 def main() -> int:

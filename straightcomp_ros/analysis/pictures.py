@@ -1,0 +1,156 @@
+"""The pictures of a run (straightness, compensation error, control current) and of a survey (runs and their mean)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from straightcomp_ros.analysis.metrics import Metrics, residual_over, true_error
+from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion, group_means
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+
+if TYPE_CHECKING:
+    from straightcomp_ros.analysis.map_building import BuiltMap
+
+# Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
+BLACK, BLUE, VERMILION, GREY = "#000000", "#0072B2", "#D55E00", "#A8A8A8"
+PALE_BLUE, PALE_VERMILION = "#9CCBE6", "#F2BE9A"
+LENGTH_OF_MEAN_MM = 10.0
+
+
+def plot_run(
+    record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, path: str | Path, title: str
+) -> Path:
+    """Draw ``record`` into the PNG ``path``, which is replaced if it exists, and return its path.
+
+    Straightness over x, before and after on one scale and after on its own; then over time the compensation error and
+    the control current, motion shaded by direction. ``straightness`` is the map of the record's reference. MetricsError
+    if the stage does not move in the record.
+    """
+    motion = find_motion(record)
+    figure = Figure(figsize=(10.0, 9.5), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=13)
+    rows = figure.add_gridspec(3, 2)
+    both, after = figure.add_subplot(rows[0, 0]), figure.add_subplot(rows[0, 1])
+    error = figure.add_subplot(rows[1, :])
+    current = figure.add_subplot(rows[2, :], sharex=error)
+
+    _straightness(both, after, record, straightness, metrics, motion)
+    for axes in (error, current):
+        _shade(axes, record, motion)
+    window = motion.window
+    time = record.time[window]
+    label = f"encoder: {metrics.encoder_pp * 1e6:.2f} µm p-p, {metrics.encoder_rms * 1e6:.3f} µm RMS"
+    truth = true_error(record, straightness)
+    colour = BLUE if truth is None else GREY
+    error.plot(time, (record.r - record.y)[window] * 1e6, color=colour, linewidth=0.6, label=label)
+    if truth is not None and metrics.true_pp is not None and metrics.true_rms is not None:
+        label = f"true: {metrics.true_pp * 1e6:.2f} µm p-p, {metrics.true_rms * 1e6:.3f} µm RMS"
+        error.plot(time, truth[window] * 1e6, color=BLUE, linewidth=0.8, label=label)
+    _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
+    label = f"law {record.law}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
+    current.plot(time, record.current[window] * 1e3, color=BLACK, linewidth=0.6, label=label)
+    _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
+    path = Path(path)
+    figure.savefig(path)
+    return path
+
+
+def plot_map(built: BuiltMap, path: Path) -> None:
+    """Draw the map over its runs, and below on their own scale the runs beside the mean, with the band of ± 2 s.
+
+    OSError or ValueError if the picture ``path`` cannot be written, or has an ending that is no picture's.
+    """
+    figure = Figure(figsize=(10.0, 8.0), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    figures, found, mean = built.figures(), built.repeatability, built.mean
+    x_mm = found.x * 1e3
+    for run in built.survey.runs:
+        pale = PALE_BLUE if run.direction == "forward" else PALE_VERMILION
+        upper.plot(run.x * 1e3, run.deviation * 1e6, color=pale, linewidth=0.8)
+        beside = run.deviation - np.interp(run.x, found.x, mean)
+        lower.plot(run.x * 1e3, beside * 1e6, ".", color=pale, markersize=2.0)
+    label = f"mean: {figures['straightness_least_squares_um']:.2f} µm p-p beside its least squares line"
+    upper.plot(x_mm, mean * 1e6, color=BLACK, linewidth=1.2, label=label)
+    ways = ((found.forward, "forward", BLUE, PALE_BLUE), (found.backward, "backward", VERMILION, PALE_VERMILION))
+    for directed, name, colour, pale in ways:
+        if directed is None:
+            continue
+        beside = (directed.mean - mean) * 1e6
+        lower.plot(x_mm, beside, color=colour, linewidth=1.2, label=f"{name}, mean of {directed.runs}")
+        if directed.s is not None:
+            band = 2e6 * directed.s
+            lower.fill_between(x_mm, beside - band, beside + band, color=pale, alpha=0.35, label=f"{name} ± 2 s")
+    for _, x in built.rejected_points:
+        lower.axvline(x * 1e3, color=GREY, linewidth=0.6)
+    r = figures["repeatability_bidirectional_um"]
+    lower.set_title("Runs beside the mean" + ("" if r is None else f"; R = {r:.3f} µm (ISO 230-2)"), fontsize=10)
+    upper.set_title("Survey of the guide", fontsize=10)
+    lower.set_xlabel("slider position x / mm")
+    for axes in (upper, lower):
+        axes.set_ylabel("deviation / µm")
+        _show_grid(axes)
+        axes.legend(fontsize=8, ncols=2)
+    figure.savefig(path)
+
+
+def _straightness(
+    both: Axes, after: Axes, record: StrokeRecord, straightness: StraightnessMap, metrics: Metrics, motion: Motion
+) -> None:
+    x, y, guide, true = record.best_known(straightness)
+    moving = motion.samples()
+    x_mm = x[moving] * 1e3
+    before_um, after_um = (residual_over(x, values, record, motion) * 1e6 for values in (guide, guide + y))
+    forward = np.isin(moving, motion.samples("forward"))
+
+    both.plot(x_mm, before_um, color=BLACK, label=f"before: {metrics.uncompensated_pp * 1e6:.2f} µm p-p")
+    both.plot(x_mm, after_um, color=BLUE, label=f"after: {metrics.residual_pp * 1e6:.2f} µm p-p")
+    for name, mask, colour, pale, style in (
+        ("forward", forward, BLUE, PALE_BLUE, "-"),
+        ("backward", ~forward, VERMILION, PALE_VERMILION, "--"),
+    ):
+        if mask.any():
+            after.plot(x_mm[mask], after_um[mask], ".", color=pale, markersize=1.0, zorder=2)
+            centres, means = group_means(x_mm[mask], after_um[mask], np.floor(x_mm[mask] / LENGTH_OF_MEAN_MM))
+            label = f"{name}: {np.ptp(after_um[mask]):.2f} µm p-p"
+            after.plot(centres, means, color=colour, linestyle=style, linewidth=1.6, zorder=3, label=label)
+    seen = "true" if true else "map + encoder"
+    enlarged = f"After, enlarged ({seen}; lines: mean over {LENGTH_OF_MEAN_MM:g} mm)"
+    for axes, title in ((both, "Straightness before and after"), (after, enlarged)):
+        _finish(axes, title, "slider position x / mm", "deviation / µm", 2)
+
+
+def _shade(axes: Axes, record: StrokeRecord, motion: Motion) -> None:
+    """Mark the strokes, each direction named once."""
+    named: set[str] = set()
+    for stroke in motion.strokes:
+        colour = "#DCEBF5" if stroke.direction == "forward" else "#FBE9DD"
+        label = None if stroke.direction in named else f"{stroke.direction} stroke"
+        begin, end = record.time[stroke.start], record.time[stroke.stop - 1]
+        axes.axvspan(begin, end, color=colour, linewidth=0.0, label=label, zorder=0)
+        named.add(stroke.direction)
+
+
+def _finish(axes: Axes, title: str, x: str, y: str, legend_columns: int) -> None:
+    """Titles, grid, and the legend above the curves, so that it covers none of them."""
+    axes.set_title(title, fontsize=10)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    _show_grid(axes)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.25 * (high - low))
+    axes.legend(loc="upper center", fontsize=8, ncols=legend_columns)
+
+
+def _show_grid(axes: Axes) -> None:
+    """Draw a pale grid behind the curves, which fill the width."""
+    axes.grid(color="#D8D8D8", linewidth=0.5)
+    axes.set_axisbelow(True)
+    axes.margins(x=0.01)
