@@ -1,4 +1,4 @@
-"""Send the board's frames of a recorded bus again, at their recorded distances, to a driver that listens.
+"""Send the frames of a recorded board again, at their recorded intervals, to a driver that listens.
 
 LOG is a candump log, a BLF file, or another format of python-can. The bus and the board's node id are those of the
 node `driver` in the parameter file (can.*). The host's frames in LOG are left out. The driver numbers and dates the
@@ -12,28 +12,25 @@ from pathlib import Path
 
 import can
 
-from straightcomp_ros.cli.output import CommandFailed, check_range, notes, print_json, working
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import CommandFailed, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, of_the_board, play, recorded_frames
 from straightcomp_ros.hardware.can.link import check_interface, opened_bus
-from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.settings.declaration import ParameterError
 
 SUMMARY = "send a recorded board's frames to a driver"
 _SLOWEST, _FASTEST = 0.01, 100.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument("log", metavar="LOG", type=Path, help="recorded frames: .log, .blf, .asc, .trc …")
     add_parameter_options(parser)
     parser.add_argument("--speed", type=float, default=1.0, help="speed of the play (default: as recorded)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Play to the end."""
+def run(options: argparse.Namespace) -> None:
     check_range("--speed", options.speed, _SLOWEST, _FASTEST)
     if not options.log.is_file():
         raise CommandFailed(f"log '{options.log}': No such file; name a recorded bus", exit_code=2)
@@ -47,12 +44,10 @@ def run(options: argparse.Namespace) -> int:
         except DamagedLog as error:
             damage = str(error)
 
+    check_interface(parameters)
     try:
-        check_interface(parameters)
         with opened_bus(parameters) as bus, working("sending"):
             sent = play(of_the_board(frames(), parameters.node), bus, options.speed)
-    except (ParameterError, HardwareError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
     except (can.CanError, OSError) as error:
         place = f"CAN {parameters.interface} {parameters.channel}"
         raise CommandFailed(f"{place}: {error}; straightcomp doctor says what CAN this machine has") from error
@@ -64,4 +59,3 @@ def run(options: argparse.Namespace) -> int:
         print_json({"sent": sent, "damaged": bool(damage)})
     else:
         notes.print(f"{sent} frames sent")
-    return 0

@@ -9,73 +9,12 @@ The script holds all it needs: pressing TAB starts no Python."""
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
 
 SUMMARY = "print a script for completion in bash, zsh or fish"
 
-_PROGRAM = "straightcomp"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("shell", choices=_SCRIPTS, metavar="SHELL", help=f"one of {', '.join(_SCRIPTS)}")
-
-
-def run(options: argparse.Namespace) -> int:
-    """Print the script."""
-    from straightcomp_ros.cli.main import make_parser
-
-    print(_SCRIPTS[options.shell](list(_places("", make_parser(), ""))))
-    return 0
-
-
-@dataclass
-class _Place:
-    """What may follow after the words of ``path``: verbs and options with what they mean, values of options."""
-
-    path: str
-    meaning: str
-    words: dict[str, str] = field(default_factory=dict)
-    values: dict[str, list[str]] = field(default_factory=dict)
-
-
-def _places(path: str, parser: argparse.ArgumentParser, meaning: str) -> Iterator[_Place]:
-    """The place of ``parser`` and, after it, those of all below."""
-    place, below = _Place(path, meaning), []
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            texts = {choice.dest: choice.help or "" for choice in action._choices_actions}
-            place.words.update({name: texts.get(name, "") for name in action.choices})
-            below = [(f"{path} {name}".strip(), one, texts.get(name, "")) for name, one in action.choices.items()]
-            continue
-        text = ((action.help or "") % {**vars(action), "prog": _PROGRAM}).split("\n")[0]
-        place.words.update(dict.fromkeys(action.option_strings, text))
-        if action.choices:
-            values = [str(choice) for choice in action.choices]
-            place.values.update(dict.fromkeys(action.option_strings, values))
-            place.words.update({} if action.option_strings else dict.fromkeys(values, text))
-    yield place
-    for inner in below:
-        yield from _places(*inner)
-
-
-def _bash(places: list[_Place]) -> str:
-    words = [f"  [{_quoted(place.path or '.')}]={_quoted(' '.join(place.words))}" for place in places]
-    values = [
-        f"  [{_quoted(f'{place.path} {option}'.strip())}]={_quoted(' '.join(choices))}"
-        for place in places
-        for option, choices in place.values.items()
-    ]
-    return "\n".join(
-        [
-            "declare -A _straightcomp_words=(",
-            *words,
-            ")",
-            "declare -A _straightcomp_values=(",
-            *values,
-            ")",
-            """_straightcomp() {
+_BASH = """_straightcomp() {
   local current=${COMP_WORDS[COMP_CWORD]} previous=${COMP_WORDS[COMP_CWORD-1]} path="" word key
   for word in "${COMP_WORDS[@]:1:COMP_CWORD-1}"; do
     key="${path:+$path }$word"
@@ -89,32 +28,73 @@ def _bash(places: list[_Place]) -> str:
     COMPREPLY=($(compgen -W "${_straightcomp_words[${path:-.}]}" -- "$current"))
   fi
 }
-complete -o default -F _straightcomp straightcomp""",
-        ]
-    )
+complete -o default -F _straightcomp straightcomp"""
 
 
-def _zsh(places: list[_Place]) -> str:
-    return f"autoload -U +X bashcompinit && bashcompinit\n{_bash(places).replace('declare -A', 'typeset -gA')}"
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("shell", choices=_SCRIPTS, metavar="SHELL", help=f"one of {', '.join(_SCRIPTS)}")
 
 
-def _fish(places: list[_Place]) -> str:
-    lines = [f"complete -c {_PROGRAM} -e"]
-    for place in places:
-        below = [one.path for one in places if one.path.rpartition(" ")[0] == place.path and one.path]
-        inside = " ".join(f"; and __fish_seen_subcommand_from {word}" for word in place.path.split())
-        next_words = " ".join(path.split()[-1] for path in below)
-        outside = f"; and not __fish_seen_subcommand_from {next_words}" if below else ""
-        condition = f"true{inside}{outside}"
-        for word, text in place.words.items():
+def run(options: argparse.Namespace) -> None:
+    from straightcomp_ros.cli.main import make_parser
+
+    print(_SCRIPTS[options.shell](list(_commands("", make_parser()))))
+
+
+class _Command(NamedTuple):
+    """What may follow the words ``path``: verbs, tools, options and values with their meaning; values of an option."""
+
+    path: str
+    words: dict[str, str]
+    values: dict[str, list[str]]
+
+
+def _commands(path: str, parser: argparse.ArgumentParser) -> Iterator[_Command]:
+    """The command of ``parser`` and, after it, all below."""
+    command, below = _Command(path, {}, {}), {}
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            command.words.update({choice.dest: choice.help or "" for choice in action._choices_actions})
+            below = action.choices
+            continue
+        text = ((action.help or "") % {**vars(action), "prog": "straightcomp"}).split("\n")[0]
+        values = [str(choice) for choice in action.choices or ()]
+        command.words.update(dict.fromkeys(action.option_strings or values, text))
+        command.values.update({option: values for option in action.option_strings if values})
+    yield command
+    for name, inner in below.items():
+        yield from _commands(f"{path} {name}".strip(), inner)
+
+
+def _bash(commands: list[_Command]) -> str:
+    words = {one.path or ".": one.words for one in commands}
+    values = {f"{one.path} {option}".strip(): given for one in commands for option, given in one.values.items()}
+    return "\n".join((_array("words", words), _array("values", values), _BASH))
+
+
+def _array(name: str, lists: Mapping[str, Iterable[str]]) -> str:
+    entries = "\n".join(f"  [{_quoted(key)}]={_quoted(' '.join(words))}" for key, words in lists.items())
+    return f"declare -A _straightcomp_{name}=(\n{entries}\n)"
+
+
+def _zsh(commands: list[_Command]) -> str:
+    return f"autoload -U +X bashcompinit && bashcompinit\n{_bash(commands).replace('declare -A', 'typeset -gA')}"
+
+
+def _fish(commands: list[_Command]) -> str:
+    lines = ["complete -c straightcomp -e"]
+    paths = {one.path for one in commands}
+    for path, words, values in commands:
+        below = " ".join(word for word in words if f"{path} {word}".strip() in paths)
+        condition = "true" + "".join(f"; and __fish_seen_subcommand_from {word}" for word in path.split())
+        condition += f"; and not __fish_seen_subcommand_from {below}" if below else ""
+        for word, text in words.items():
             if word.startswith("--"):
-                choices = f" -x -a {_quoted(' '.join(place.values[word]))}" if word in place.values else ""
+                choices = f" -x -a {_quoted(' '.join(values[word]))}" if word in values else ""
                 option = f"-l {word[2:]}{choices}"
-            elif word.startswith("-"):
-                option = f"-s {word[1:]}"
             else:
-                option = f"-f -a {word}"
-            lines.append(f"complete -c {_PROGRAM} -n {_quoted(condition)} {option} -d {_quoted(text)}")
+                option = f"-s {word[1:]}" if word.startswith("-") else f"-f -a {word}"
+            lines.append(f"complete -c straightcomp -n {_quoted(condition)} {option} -d {_quoted(text)}")
     return "\n".join(lines)
 
 

@@ -12,52 +12,33 @@ from datetime import datetime
 from pathlib import Path
 
 from straightcomp_ros.analysis.pictures import plot_run
-from straightcomp_ros.cell.demonstration import DemonstrationFailed, demonstrate, on_hub
+from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cli.law_tables import results_table, timing_table
-from straightcomp_ros.cli.output import (
-    CommandFailed,
-    console,
-    notes,
-    output_folder,
-    print_json,
-    progress_bar,
-    require_ros,
-)
+from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.settings.declaration import ParameterError
-from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "run the node graph for one stroke, record and evaluate it"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_parameter_options(parser)
-    parser.add_argument(
-        "--output", "-o", metavar="DIR", default="demo_output", help="folder for the results (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--keep", action="store_true", help="keep earlier results: write to a new folder in DIR, named by the time"
-    )
-    parser.add_argument(
-        "--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can"
-    )
-    parser.add_argument(
-        "--hardware",
-        choices=("simulated", "can"),
-        help="can: the machine is an emulated board in a process of its own, on a CAN bus between processes",
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--output", "-o", metavar="DIR", default="demo_output", help="folder for the results (default: %(default)s)")
+    add("--keep", action="store_true", help="keep earlier results: write to a new folder in DIR, named by the time")
+    add("--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can")
+    hardware = "can: the machine is an emulated board in a process of its own, on a CAN bus between processes"
+    add("--hardware", choices=("simulated", "can"), help=hardware)
+    add(
         "--opcua",
         action="store_true",
         help="a client of the OPC UA gateway runs the cycle, in place of the cell's node",
     )
-    parser.add_argument("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Run the graph, print the figures, save the plot."""
+def run(options: argparse.Namespace) -> None:
     require_ros()
     if options.opcua and options.lockstep:
         raise CommandFailed("--opcua runs in real time; allowed without --lockstep", exit_code=2)
@@ -72,35 +53,23 @@ def run(options: argparse.Namespace) -> int:
     output = output_folder("--output", options.output)
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
-    try:
-        # A socket's path has room for about a hundred characters: not for any output folder.
-        with tempfile.TemporaryDirectory() as folder, progress_bar() as bar:
-            if options.hardware == "can":
-                values["driver"].update(on_hub(values["driver"], str(Path(folder) / "bus")))
-            elif options.hardware:
-                values["driver"]["hardware"] = options.hardware
-            task = bar.add_task("stage moves", total=1.0)
-            result = demonstrate(
-                values,
-                output,
-                lambda fraction: bar.update(task, completed=fraction),
-                opcua_strokes=values["cell"].get("strokes", 1) if options.opcua else 0,
-            )
-    except (ParameterError, SurveyError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
-    except DemonstrationFailed as error:
-        raise CommandFailed(str(error)) from error
+    # The path of a socket has room for about a hundred characters: too few for some output folders.
+    with tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
+        if options.hardware == "can":
+            values["driver"].update(on_hub(values["driver"], str(Path(folder) / "bus")))
+        elif options.hardware:
+            values["driver"]["hardware"] = options.hardware
+        opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0
+        result = demonstrate(values, output, advance, opcua_strokes)
     picture = output / "run.png"
     figures = result.figures()
-    plot_run(
-        result.evaluation.record, result.map, result.metrics, picture, title=f"Recorded stroke, law '{figures['law']}'"
-    )
+    title = f"Recorded stroke, law '{figures['law']}'"
+    plot_run(result.evaluation.record, result.map, result.metrics, picture, title=title)
     if options.json:
         print_json(figures)
-    else:
-        console.print(results_table(figures))
-        console.print(timing_table(figures["timing"]))
-        if result.held_up:
-            console.print(f"Less accurate than it could be: {result.held_up}", soft_wrap=True)
-        notes.print(f"bag: {result.bag}\nplot: {picture}")
-    return 0
+        return
+    console.print(results_table(figures))
+    console.print(timing_table(figures["timing"]))
+    if result.held_up:
+        console.print(f"Less accurate than it could be: {result.held_up}", soft_wrap=True)
+    notes.print(f"bag: {result.bag}\nplot: {picture}")

@@ -7,30 +7,26 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 
-from straightcomp_ros.cli.output import CommandFailed, check_range
+from straightcomp_ros.cli import main as command_line
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import check_interface
-from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.settings.declaration import ParameterError
-from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "emulate the DSP board on a CAN bus"
 _MOST_DRIFT_PPM = 1000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_parameter_options(parser)
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "--drift-ppm", type=float, default=0.0, metavar="PPM", help="error of the board's quartz (default: %(default)s)"
     )
-    parser.add_argument(
-        "--hub", action="store_true", help="be the hub of interface straightcomp_hub too, at the socket can.channel"
-    )
+    add("--hub", action="store_true", help="be the hub of interface straightcomp_hub too, at the socket can.channel")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,27 +35,13 @@ def run(options: argparse.Namespace) -> int:
 
     parameters = node_parameters("driver", chosen_parameters(options)["driver"])
     check_range("--drift-ppm", options.drift_ppm, -_MOST_DRIFT_PPM, _MOST_DRIFT_PPM, "ppm")
-    try:
-        check_interface(parameters.can)
-        if options.hub and parameters.can.interface != INTERFACE:
-            raise CommandFailed(
-                f"--hub with can.interface '{parameters.can.interface}': allowed: {INTERFACE}", exit_code=2
-            )
-        return emulate(parameters, options.drift_ppm * 1e-6, own_hub=options.hub)
-    except (ParameterError, SurveyError, HardwareError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
+    check_interface(parameters.can)
+    interface = parameters.can.interface
+    if options.hub and interface != INTERFACE:
+        raise CommandFailed(f"--hub with can.interface '{interface}': allowed: {INTERFACE}", exit_code=2)
+    return emulate(parameters, options.drift_ppm * 1e-6, own_hub=options.hub)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of `dsp_emulator`."""
-    parser = argparse.ArgumentParser(prog="dsp_emulator", description=__doc__)
-    add_arguments(parser)
-    try:
-        return run(parser.parse_args(arguments))
-    except CommandFailed as failure:
-        print(f"dsp_emulator: {failure}", file=sys.stderr)
-        return failure.exit_code
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def main() -> int:
+    """Entry point of the executable `dsp_emulator`."""
+    return command_line.main(["dsp", *sys.argv[1:]])

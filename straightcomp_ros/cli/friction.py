@@ -1,8 +1,8 @@
 """Estimate friction, mass and stiffness of the plant from a bag, with 95 % confidence intervals.
 
-Takes the streams `encoder` and `command` only, never `truth`. Position and current tell all forces only up to a common
-factor: mass or coil turns must be known (--known), and are taken from the parameters. A stroke along a good guide says
-little of mass and viscous friction; --excitation writes a map whose reference does:
+Uses the streams `encoder` and `command` only, never `truth`. Position and current determine all forces only up to a
+common factor: mass or coil turns must be known (--known), and are taken from the parameters. A stroke along a good
+guide says little about mass and viscous friction; --excitation writes a map whose reference excites them:
 
   straightcomp friction --excitation excitation.csv
   straightcomp simulate --set feedforward.map.file=excitation.csv --bag BAG     (or run it on the machine)
@@ -17,68 +17,52 @@ import math
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
-from straightcomp_ros.bags import BagError
-from straightcomp_ros.cli.output import CommandFailed, console, notes, output_file, print_json, progress_bar
+from straightcomp_ros.cli.law_tables import titled_table
+from straightcomp_ros.cli.options import add_repeatable, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.contract import STROKE
-from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag
 from straightcomp_ros.identification.excitation import excitation_survey
 from straightcomp_ros.identification.plant_file import parameter_file
 from straightcomp_ros.straightness.survey import write_survey
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
+_DEFAULT_KNOWN = "actuator.turns"
+_EXCITATION_COMMENTS = (
+    "Made up, not measured: a map for feedforward.map.file that excites friction, mass and stiffness.",
+    "Written by straightcomp friction --excitation. The platform moves up to 57 um to each side.",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument("bag", nargs="?", metavar="BAG", help="rosbag2 folder or MCAP file")
     add_parameter_options(parser)
-    parser.add_argument(
-        "--known",
-        action="append",
-        metavar="NAME",
-        help="hold this parameter at its value, e.g. mass; may be repeated (default: actuator.turns)",
-    )
+    known = f"hold this parameter at its value, e.g. mass (default: {_DEFAULT_KNOWN})"
+    add_repeatable(parser, "--known", "NAME", known)
     parser.add_argument("--output", "-o", metavar="FILE", help="write the parameters as a ROS 2 parameter file")
     parser.add_argument("--excitation", metavar="FILE", help="write a map (CSV) that excites all parameters, and stop")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Estimate and print, or write the map for the excitation."""
     if (options.bag is None) == (options.excitation is None):
         raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
     if options.excitation is not None:
         write_survey(output_file("--excitation", options.excitation), excitation_survey(STROKE), _EXCITATION_COMMENTS)
-        return 0
+        return
     output = output_file("--output", options.output) if options.output else None
-    try:
-        start = node_parameters("driver", chosen_parameters(options)["driver"]).simulated.plant
-        known = options.known or ["actuator.turns"]
-        with progress_bar() as bar:
-            task = bar.add_task("estimating", total=1.0)
-            estimate = estimate_from_bag(
-                Path(options.bag), start, known, lambda fraction: bar.update(task, completed=fraction)
-            )
-        if output is not None:
-            output.write_text(parameter_file(estimate), encoding="utf-8")
-    except (BagError, IdentificationError) as error:
-        raise CommandFailed(str(error)) from error
+    start = node_parameters("driver", chosen_parameters(options)["driver"]).simulated.plant
+    with working("estimating") as advance:
+        estimate = estimate_from_bag(Path(options.bag), start, options.known or [_DEFAULT_KNOWN], advance)
+    if output is not None:
+        output.write_text(parameter_file(estimate), encoding="utf-8")
     if options.json:
         print_json(_figures(estimate))
     else:
         _print(estimate)
-    return 0
-
-
-_EXCITATION_COMMENTS = (
-    "Made up, not measured: a map for feedforward.map.file that excites friction, mass and stiffness.",
-    "Written by straightcomp friction --excitation. The platform moves up to 57 um to each side.",
-)
 
 
 def _figures(estimate: Estimate) -> dict[str, Any]:
@@ -107,12 +91,10 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
 
 
 def _print(estimate: Estimate) -> None:
-    table = Table(title="Plant parameters", title_justify="left")
-    table.add_column("parameter", no_wrap=True)
-    for heading in ("value", "95 % from", "to"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    table.add_column("remark")
+    headings = ("parameter", "value", "95 % from", "to", "unit", "remark")
+    table = titled_table("Plant parameters", *headings, left=("unit", "remark"))
+    for column in table.columns[:-1]:
+        column.no_wrap = True
     for name, found in estimate.parameters.items():
         bounds = ("", "") if found.known else (f"{found.low:.4g}", f"{found.high:.4g}")
         table.add_row(name, f"{found.value:.4g}", *bounds, UNITS[name], _remark(found))

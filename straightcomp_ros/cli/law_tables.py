@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
@@ -31,24 +31,23 @@ _ROWS = (
 )
 
 
-def titled_table(title: str, first: str, *others: str) -> Table:
-    """An empty table: names stand left in its first column, numbers right in the others."""
+def titled_table(
+    title: str, first: str, *others: str, left: Collection[str] = (), rows: Iterable[Sequence[object]] = ()
+) -> Table:
+    """A table; its first column and those named in ``left`` are left-aligned, the others right-aligned."""
     table = Table(title=title, title_justify="left")
     table.add_column(first, no_wrap=True)
     for heading in others:
         # Rich takes [ms] for markup.
-        table.add_column(escape(heading), justify="right")
+        table.add_column(escape(heading), justify="left" if heading in left else "right")
+    for row in rows:
+        table.add_row(*map(str, row))
     return table
 
 
 def figures_table(title: str, figures: Mapping[str, Any]) -> Table:
     """Figures by name."""
-    table = Table(title=title, title_justify="left")
-    table.add_column("figure", no_wrap=True)
-    table.add_column("value", justify="right")
-    for name, value in figures.items():
-        table.add_row(name, shown(value))
-    return table
+    return titled_table(title, "figure", "value", rows=((name, shown(value)) for name, value in figures.items()))
 
 
 def shown(value: Any) -> str:
@@ -59,17 +58,13 @@ def shown(value: Any) -> str:
 
 
 def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] | None = None) -> Table:
-    """A table of those figures that are there; the paper's figure beside the p-p error.
+    """Those figures that are there, and the paper's beside the true p-p error.
 
-    A figure of ``over_starts`` is shown in the place of that of one run, as median (min to max).
+    A figure of ``over_starts``, median (min to max), takes the place of that of one run.
     """
-    over_starts = over_starts or {}
-    law = figures["law"]
-    table = Table(title=f"Straightness compensation, law '{law}'", title_justify="left")
-    table.add_column("figure")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
-    table.add_column("paper", justify="right")
+    over_starts, law = over_starts or {}, figures["law"]
+    headings = ("figure", "value", "unit", "paper")
+    table = titled_table(f"Straightness compensation, law '{law}'", *headings, left=("unit",))
     for key, words, unit, digits in _ROWS:
         if figures.get(key) is not None:
             paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
@@ -79,21 +74,13 @@ def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] 
 
 
 def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Each node's rate, how late its loop woke up, and the longest time for which it got no CPU.
-
-    ``timing`` as in the figures of a demonstration."""
+    """Each node's rate, lateness and longest time without a CPU; ``timing`` as in the figures of a demonstration."""
     columns = ("rate [Hz]", "overruns", "lost", "late p50 [µs]", "p99", "max", "no CPU [ms]")
     table = titled_table("Timing of the nodes, from their diagnostics", "node", *columns)
     for node, values in timing.items():
-        late = values["timer_error_us"]
-        table.add_row(
-            node,
-            rounded(values["rate_hz"]),
-            str(values["overruns"]),
-            str(values["lost_samples"]),
-            *(rounded(late[key]) for key in ("p50", "p99", "max")),
-            rounded(values["no_cpu_us"] * 1e-3, 1),
-        )
+        late = [values["timer_error_us"][key] for key in ("p50", "p99", "max")]
+        numbers = (values["rate_hz"], values["overruns"], values["lost_samples"], *late)
+        table.add_row(node, *map(rounded, numbers), rounded(values["no_cpu_us"] * 1e-3, 1))
     return table
 
 
@@ -103,30 +90,26 @@ def rounded(value: float | None, digits: int = 0) -> str:
 
 
 def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
-    """True error of one cycle after the other, figures as of :func:`results_table`."""
-    table = Table(title=f"True compensation error from cycle to cycle, law '{law}'", title_justify="left")
-    for heading in ("cycle", "p-p / µm", "RMS / µm"):
-        table.add_column(heading, justify="right")
-    for number, figures in enumerate(cycles, 1):
-        table.add_row(str(number), f"{figures['true_pp_um']:.3f}", f"{figures['true_rms_um']:.4f}")
-    return table
+    """True error of each cycle, figures as of :func:`results_table`."""
+    title = f"True compensation error from cycle to cycle, law '{law}'"
+    rows = ((n, f"{each['true_pp_um']:.3f}", f"{each['true_rms_um']:.4f}") for n, each in enumerate(cycles, 1))
+    return titled_table(title, "cycle", "p-p / µm", "RMS / µm", rows=rows)
 
 
 def can_tables(figures: Mapping[str, Any]) -> list[Table]:
     """Costs and times, faults, and the closed loop under faults; ``figures`` as `straightcomp bench can --json`."""
     costs = titled_table("CAN path", "part", "µs")
     for name, cost in figures["codec"].items():
-        costs.add_row(f"pack {name}", f"{cost['pack_us']:.2f}")
-        costs.add_row(f"unpack {name}", f"{cost['unpack_us']:.2f}")
-    costs.add_row("send a frame to the hub", f"{figures['send_us']:.1f}")
-    costs.add_row("receive a frame from the hub", f"{figures['receive_us']:.1f}")
+        costs.add_row(f"pack {name}", rounded(cost["pack_us"], 2))
+        costs.add_row(f"unpack {name}", rounded(cost["unpack_us"], 2))
+    costs.add_row("send a frame to the hub", rounded(figures["send_us"], 1))
+    costs.add_row("receive a frame from the hub", rounded(figures["receive_us"], 1))
     for key in ("p50", "p99", "max"):
-        costs.add_row(f"round trip {key}", f"{figures['round_trip_us'][key]:.0f}")
+        costs.add_row(f"round trip {key}", rounded(figures["round_trip_us"][key]))
     title = f"Faults, {figures['frames']} frames of each kind on each kind of bus"
-    faults = titled_table(title, "kind", "injected", "detected")
-    for kind, count in figures["faults"].items():
-        faults.add_row(kind, str(count["injected"]), str(count["detected"]))
-    faults.add_row("wrong samples used unflagged", "", str(figures["unflagged_wrong"]))
+    found = [(kind, count["injected"], count["detected"]) for kind, count in figures["faults"].items()]
+    found.append(("wrong samples used unflagged", "", figures["unflagged_wrong"]))
+    faults = titled_table(title, "kind", "injected", "detected", rows=found)
     columns = ("faults", "latched", "servo on", "on beyond a fault")
     loops = titled_table("Closed loop under all faults together", "bus", *columns)
     for bus, loop in figures["closed_loop"].items():

@@ -3,38 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import ast
 import importlib
 import os
+import re
 import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 from xml.etree import ElementTree
 
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.settings.share import share_path
 
-_VERBS = {
-    "bench": "trials.verbs.bench",
-    "can": "cli.can",
-    "completion": "cli.completion",
-    "demo": "cli.demo",
-    "doctor": "cli.doctor",
-    "dsp": "cli.dsp",
-    "evaluate": "cli.evaluate",
-    "faults": "trials.verbs.inject_faults",
-    "friction": "cli.friction",
-    "map": "cli.map",
-    "opcua": "cli.opcua",
-    "recover": "cli.recover",
-    "replay": "cli.replay",
-    "reproduce": "cli.reproduce",
-    "robustness": "cli.robustness",
-    "simulate": "cli.simulate",
-    "soak": "trials.verbs.soak",
-    "view": "cli.view",
-}
+_TRIALS = {"bench": "trials.verbs.bench", "faults": "trials.verbs.inject_faults", "soak": "trials.verbs.soak"}
+_NAMES = (
+    "bench can completion demo doctor dsp evaluate faults friction map opcua recover replay reproduce robustness "
+    "simulate soak view"
+)
+_VERBS = {name: _TRIALS.get(name, f"cli.{name}") for name in _NAMES.split()}
 """The module of each verb."""
 _FIRST_STEPS = """\
 first steps:
@@ -43,18 +29,19 @@ first steps:
   straightcomp simulate --law linear    the same without a graph
   straightcomp COMMAND --help           what a command takes
 """
+_WRONG_USE = {"HardwareError", "LimitsError", "ParameterError", "SurveyError", "UsersError"}
+"""Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141
-"""What a shell says of a program that SIGPIPE ended."""
+"""Exit code that a shell gives a program that SIGPIPE ended."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong use."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     # A verb that is named is imported alone: all of them together take seconds.
-    named = [name for name in given[:1] if name in _VERBS]
-    options = make_parser(named).parse_args(given)
+    options = make_parser(given[:1]).parse_args(given)
     try:
-        code = int(options.run(options))
+        code = int(options.run(options) or 0)
         sys.stdout.flush()
         return code
     except CommandFailed as failure:
@@ -66,9 +53,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _CLOSED_PIPE
     except OSError as error:
-        # A file or folder that changed while it was worked with, or a full disk: no verb foresees all of these.
+        # A file or folder that changed during the work, or a full disk: no verb foresees all of these.
         name = f"{error.filename}: " if error.filename else ""
         return _ended(options, f"{name}{error.strerror or error}", 1)
+    except Exception as error:
+        # The message of an error of the package is for the user; any other error is a bug and shows its traceback.
+        if not type(error).__module__.startswith("straightcomp_ros."):
+            raise
+        return _ended(options, str(error), 2 if _WRONG_USE & {kind.__name__ for kind in type(error).__mro__} else 1)
 
 
 def _ended(options: argparse.Namespace, sentence: str, exit_code: int) -> int:
@@ -89,13 +81,23 @@ def make_parser(complete: Collection[str] = _VERBS.keys()) -> argparse.ArgumentP
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
     for name, source in _VERBS.items():
         if name in complete:
-            module = importlib.import_module(f"straightcomp_ros.{source}")
-            verb = verbs.add_parser(name, help=module.SUMMARY, description=module.__doc__, formatter_class=_Help)
-            module.add_arguments(verb)
-            verb.set_defaults(run=module.run)
+            _add_command(verbs, name, source)
         else:
             verbs.add_parser(name, help=_summary(source))
     return parser
+
+
+def _add_command(commands: Any, name: str, source: str) -> None:
+    """Add the parser of a verb or tool, from its module, with those of all its tools."""
+    module = importlib.import_module(f"straightcomp_ros.{source}")
+    parser = commands.add_parser(name, help=module.SUMMARY, description=module.__doc__, formatter_class=_Help)
+    if not hasattr(module, "TOOLS"):
+        module.add_arguments(parser)
+        parser.set_defaults(run=module.run)
+        return
+    tools = parser.add_subparsers(dest="tool", metavar=getattr(module, "TOOL", "TOOL"), required=True)
+    for tool in module.TOOLS:
+        _add_command(tools, tool, f"{source}_{tool}")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -130,12 +132,7 @@ class _Version(argparse.Action):
 def _summary(source: str) -> str:
     """SUMMARY of a verb, read without importing it."""
     path = Path(__file__).parents[1].joinpath(*source.split(".")).with_suffix(".py")
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return next(
-        str(ast.literal_eval(node.value))
-        for node in tree.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "SUMMARY"
-    )
+    return str(re.findall(r'^SUMMARY = "(.*)"$', path.read_text(encoding="utf-8"), re.MULTILINE)[0])
 
 
 if __name__ == "__main__":

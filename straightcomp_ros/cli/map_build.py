@@ -1,67 +1,48 @@
 """Make a map from a survey: a bag (stage X and a displacement sensor), a CSV recording over time, or a survey file.
 
-Runs and their directions are recognised, spikes and runs that do not agree are rejected, repeatability is reported in
-the way of ISO 230-2, and the map is written with its provenance. `feedforward` takes the file as `map.file`."""
+Recognises runs and their directions, rejects spikes and runs that do not agree, reports repeatability in the way of
+ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `map.file`."""
 
 from __future__ import annotations
 
 import argparse
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli.law_tables import figures_table
-from straightcomp_ros.cli.output import PICTURES, CommandFailed, check_range, console, notes, output_file, print_json
+from straightcomp_ros.cli.options import PICTURES, check_range, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 
 if TYPE_CHECKING:
-    from straightcomp_ros.analysis.map_building import BuiltMap, Choices
+    from straightcomp_ros.analysis.map_building import BuiltMap
 
 SUMMARY = "map from a bag of survey runs, or from CSV"
-_UNITS = ("m", "mm", "um", "nm")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("source", metavar="SOURCE", help="bag, or CSV file")
-    parser.add_argument("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
-    parser.add_argument("--force", action="store_true", help="replace FILE if it exists")
-    group = parser.add_argument_group("what to read from a bag")
-    group.add_argument(
-        "--stage",
-        metavar="TOPIC[:FIELD]",
-        default=ENCODER.topic,
-        help=f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}])",
-    )
-    group.add_argument(
-        "--sensor",
-        metavar="TOPIC[:FIELD]",
-        default=DISPLACEMENT.topic,
-        help="reading of the displacement sensor, e.g. /probe:range or /probe:point.y "
-        f"(default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])",
-    )
-    group.add_argument("--unit", choices=_UNITS, default="m", help="of the readings (default: %(default)s)")
-    group.add_argument("--invert", action="store_true", help="the reading falls when the slider moves towards +y")
-    group.add_argument(
-        "--delay", type=float, default=0.0, metavar="MS", help="age of a reading at its stamp (default: %(default)g)"
-    )
-    group.add_argument(
-        "--on-platform", action="store_true", help="the sensor rides on the platform: its y is taken off the reading"
-    )
-    parser.add_argument(
-        "--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)"
-    )
-    parser.add_argument(
-        "--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)"
-    )
-    parser.add_argument("--level", action="store_true", help="take the least squares line out, not only the mean")
-    parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    add("source", metavar="SOURCE", help="bag, or CSV file")
+    add("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
+    add("--force", action="store_true", help="replace FILE if it exists")
+    add("--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)")
+    add("--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)")
+    add("--level", action="store_true", help="take the least squares line out, not only the mean")
+    add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument_group("what to read from a bag").add_argument
+    stage = f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}])"
+    add("--stage", metavar="TOPIC[:FIELD]", default=ENCODER.topic, help=stage)
+    sensor = "reading of the displacement sensor, e.g. /probe:range or /probe:point.y"
+    sensor += f" (default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])"
+    add("--sensor", metavar="TOPIC[:FIELD]", default=DISPLACEMENT.topic, help=sensor)
+    add("--unit", choices=("m", "mm", "um", "nm"), default="m", help="of the readings (default: %(default)s)")
+    add("--invert", action="store_true", help="the reading falls when the slider moves towards +y")
+    add("--delay", type=float, default=0.0, metavar="MS", help="age of a reading at its stamp (default: %(default)g)")
+    add("--on-platform", action="store_true", help="the sensor rides on the platform: its y is taken off the reading")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Build, write and print."""
-    from straightcomp_ros.bags import BagError
+def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.straightness.survey import SurveyError
 
     for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
@@ -70,15 +51,12 @@ def run(options: argparse.Namespace) -> int:
     plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
     if output is not None and output.exists() and not options.force:
         raise CommandFailed(f"map {options.output} is there already; name another file, or give --force")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with noted_warnings(UserWarning) as texts:
         try:
             built = _built(options)
-        except (BagError, SurveyError) as error:
+        except SurveyError as error:
+            # The survey is this tool's work, no option: exit code 1.
             raise CommandFailed(str(error)) from error
-    said = tuple(dict.fromkeys(str(warning.message) for warning in caught if warning.category is UserWarning))
-    for text in said:
-        notes.print(f"warning: {text}", style="yellow", soft_wrap=True)
     if output is not None:
         built.write(output)
     if plot is not None:
@@ -86,15 +64,15 @@ def run(options: argparse.Namespace) -> int:
 
         plot_map(built, plot)
     if options.json:
-        print_json({**_as_json(built), "output": options.output, "warnings": list(said)})
+        print_json({**_as_json(built), "output": options.output, "warnings": texts})
     else:
         _print(built, options.output)
-    return 0
 
 
 def _built(options: argparse.Namespace) -> BuiltMap:
     from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
-    from straightcomp_ros.analysis.survey_series import is_series, series_of_csv
+    from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
+    from straightcomp_ros.bags.fields import Field
     from straightcomp_ros.straightness.survey import SurveyError, read_survey
 
     choices = Choices(step=options.step * 1e-3, limit=options.outliers, level=options.level)
@@ -102,7 +80,13 @@ def _built(options: argparse.Namespace) -> BuiltMap:
     if not source.exists():
         raise SurveyError(f"survey {source} does not exist; give a bag or a CSV file")
     if source.is_dir() or source.suffix in (".mcap", ".db3"):
-        return _from_bag(options, source, choices)
+        try:
+            stage = Field.parsed(options.stage, f"position[{STAGE}]")
+            readings = Field.parsed(options.sensor, Sensor().readings.path)
+        except ValueError as error:
+            raise CommandFailed(f"--stage or --sensor: {error}", exit_code=2) from error
+        sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
+        return build_from_series(series_of_bag(source, stage, sensor), source, choices)
     if is_series(source):
         return build_from_series(series_of_csv(source), source, choices)
     parameters = choices.parameters
@@ -110,23 +94,8 @@ def _built(options: argparse.Namespace) -> BuiltMap:
     return build(survey, source, choices)
 
 
-def _from_bag(options: argparse.Namespace, source: Path, choices: Choices) -> BuiltMap:
-    from straightcomp_ros.analysis.map_building import build_from_series
-    from straightcomp_ros.analysis.survey_series import Sensor, series_of_bag
-    from straightcomp_ros.bags.fields import Field
-
-    try:
-        stage = Field.parsed(options.stage, f"position[{STAGE}]")
-        readings = Field.parsed(options.sensor, Sensor().readings.path)
-    except ValueError as error:
-        raise CommandFailed(f"--stage or --sensor: {error}", exit_code=2) from error
-    sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
-    return build_from_series(series_of_bag(source, stage, sensor), source, choices)
-
-
 def _as_json(built: BuiltMap) -> dict[str, Any]:
     found = built.repeatability
-    reversal = found.reversal
 
     def um(values: Any) -> list[float] | None:
         return None if values is None else (values * 1e6).tolist()
@@ -154,7 +123,7 @@ def _as_json(built: BuiltMap) -> dict[str, Any]:
         "mean_um": um(built.mean),
         "forward_s_um": um(found.forward.s if found.forward else None),
         "backward_s_um": um(found.backward.s if found.backward else None),
-        "reversal_um": um(reversal),
+        "reversal_um": um(found.reversal),
     }
 
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import argparse
 
-from straightcomp_ros.cli.output import CommandFailed, check_range, console, output_file, print_json
-from straightcomp_ros.cli.table_options import add_table_options, chosen_conventions
+from straightcomp_ros.cli.map_convert import add_table_options, chosen_conventions
+from straightcomp_ros.cli.options import check_range, output_file
+from straightcomp_ros.cli.output import console, print_json
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.straightness.tables.error_table import sampled
 from straightcomp_ros.straightness.tables.formats import format_of
 
@@ -19,30 +19,22 @@ _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM = 0.1, 1000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("--output", "-o", required=True, metavar="FILE", help="error table to write")
-    parser.add_argument(
-        "--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)"
-    )
+    add = parser.add_argument
+    add("--output", "-o", required=True, metavar="FILE", help="error table to write")
+    add("--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)")
+    add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
     add_table_options(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> None:
     """Export and print how well the table stands for the map."""
     conventions = chosen_conventions(options)
     check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
     output = output_file("--output", options.output)
-    try:
-        straightness = load_map(MapParameters(file=options.survey))
-        table, error = sampled(straightness, options.spacing * 1e-3)
-        written = format_of(output, options.format).write(table.negated() if options.negate else table, conventions)
-        output.write_text(written, encoding="utf-8")
-    except SurveyError as failure:
-        raise CommandFailed(str(failure), exit_code=2) from failure
+    table, error = sampled(load_map(MapParameters(file=options.survey)), options.spacing * 1e-3)
+    written = format_of(output, options.format).write(table.negated() if options.negate else table, conventions)
+    output.write_text(written, encoding="utf-8")
     figures = {
         "output": str(output),
         "points": len(table.x),
@@ -56,4 +48,3 @@ def run(options: argparse.Namespace) -> int:
             f"{output}: {len(table.x)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
             f"linearly is at most {figures['interpolation_error_um']:.3f} µm beside the map"
         )
-    return 0

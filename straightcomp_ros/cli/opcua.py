@@ -13,48 +13,38 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
-from straightcomp_ros.opcua.users import OPERATOR, ROLES, UsersError, add_user
+from straightcomp_ros.opcua.users import OPERATOR, ROLES, add_user
 
 SUMMARY = "users of the OPC UA gateway; a cycle run through it"
 PASSWORD = "STRAIGHTCOMP_OPCUA_PASSWORD"
+_PASSWORD_SOURCE = f"the password is asked for, or taken from ${PASSWORD}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the tools."""
     tools = parser.add_subparsers(dest="tool", metavar="TOOL", required=True)
-    user = tools.add_parser("user", help=f"add a user; the password is asked for, or taken from ${PASSWORD}")
-    user.add_argument("file", type=Path, metavar="FILE", help="file of users, made if need be")
-    user.add_argument("name", metavar="NAME", help="of the user")
-    user.add_argument(
-        "--role", choices=ROLES, default=OPERATOR, help="viewers read, operators also command (default: %(default)s)"
-    )
-    cycle = tools.add_parser("cycle", help=f"run strokes; the password is asked for, or taken from ${PASSWORD}")
-    cycle.add_argument("--url", default=OpcuaParameters().endpoint, help="endpoint (default: %(default)s)")
-    cycle.add_argument("--user", required=True, metavar="NAME", help="one who may command")
-    cycle.add_argument("--strokes", type=int, default=1, help="strokes forward and back (default: %(default)s)")
-    cycle.add_argument("--progress", action="store_true", help="print lines 'progress FRACTION'")
-    cycle.add_argument(
-        "--certificates", type=Path, metavar="DIR", help="folder of this client's certificate.der and key.pem: encrypt"
-    )
-    cycle.add_argument(
-        "--server-certificate", type=Path, metavar="FILE", help="the gateway's certificate.der, with --certificates"
-    )
-    cycle.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = tools.add_parser("user", help=f"add a user; {_PASSWORD_SOURCE}").add_argument
+    add("file", type=Path, metavar="FILE", help="file of users, made if need be")
+    add("name", metavar="NAME", help="of the user")
+    add("--role", choices=ROLES, default=OPERATOR, help="viewers read, operators also command (default: %(default)s)")
+    add = tools.add_parser("cycle", help=f"run strokes; {_PASSWORD_SOURCE}").add_argument
+    add("--url", default=OpcuaParameters().endpoint, help="endpoint (default: %(default)s)")
+    add("--user", required=True, metavar="NAME", help="one who may command")
+    add("--strokes", type=int, default=1, help="strokes forward and back (default: %(default)s)")
+    add("--progress", action="store_true", help="print lines 'progress FRACTION'")
+    add("--certificates", type=Path, metavar="DIR", help="folder of this client's certificate.der and key.pem: encrypt")
+    add("--server-certificate", type=Path, metavar="FILE", help="the gateway's certificate.der, with --certificates")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Run one tool."""
+def run(options: argparse.Namespace) -> None:
     if options.tool == "user":
-        try:
-            add_user(options.file, options.name, _password(options.name), options.role)
-        except UsersError as error:
-            raise CommandFailed(str(error), exit_code=2) from error
+        add_user(options.file, options.name, _password(options.name), options.role)
         notes.print(f"user '{options.name}', {options.role}: {options.file}", markup=False)
-        return 0
-    if options.strokes < 1:
-        raise CommandFailed(f"--strokes {options.strokes}: allowed: 1 and more", exit_code=2)
+        return
+    check_range("--strokes", options.strokes, 1)
     if (options.certificates is None) != (options.server_certificate is None):
         raise CommandFailed("--certificates and --server-certificate need each other", exit_code=2)
     figures = _run_cycle(options)
@@ -64,16 +54,14 @@ def run(options: argparse.Namespace) -> int:
         error = figures["error_pp_um"]
         shown = "unknown" if error is None else f"{error:.3f} µm p-p"
         print(f"{figures['strokes']} strokes done; error of the last movement: {shown}")
-    return 0
 
 
 def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:
     try:
-        from straightcomp_ros.opcua.client import CycleFailed, connected, run_cycle
+        from straightcomp_ros.opcua.client import connected, run_cycle
     except ImportError as error:
-        raise CommandFailed(
-            f"{error.name} is not there; remedy: pip install 'straightcomp_ros[opcua]'", exit_code=2
-        ) from error
+        remedy = "pip install 'straightcomp_ros[opcua]'"
+        raise CommandFailed(f"{error.name} is not there; remedy: {remedy}", exit_code=2) from error
 
     def progress(done: float) -> None:
         if options.progress and not options.json:
@@ -97,16 +85,13 @@ def _run_cycle(options: argparse.Namespace) -> dict[str, Any]:
 
     try:
         return asyncio.run(cycle())
-    except CycleFailed as error:
-        raise CommandFailed(str(error)) from error
     except OSError as error:
         raise CommandFailed(f"the connection broke: {error}") from error
 
 
 def _password(user: str) -> str:
-    given = os.environ.get(PASSWORD)
-    if given is not None:
-        return given
+    if PASSWORD in os.environ:
+        return os.environ[PASSWORD]
     if not sys.stdin.isatty():
         raise CommandFailed(f"no password for user '{user}': set {PASSWORD}, or run on a terminal", exit_code=2)
     return getpass.getpass(f"Password of {user}: ")

@@ -1,14 +1,12 @@
-"""What all verbs share on the terminal: errors, progress, JSON."""
+"""What all verbs share on the terminal: errors, progress, warnings, JSON."""
 
 from __future__ import annotations
 
 import json
-import math
-import os
 import sys
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -33,70 +31,16 @@ class CommandFailed(Exception):
 
 
 def require_ros() -> None:
-    """Refuse to go on where rclpy is not there.
-
-    Raises:
-        CommandFailed: so it is.
-    """
+    """Raise CommandFailed with exit code 2 where rclpy is missing."""
     from straightcomp_ros.cell.launcher import ros_available
 
     if not ros_available():
-        raise CommandFailed(
-            "rclpy is not there; source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'",
-            exit_code=2,
-        )
-
-
-def check_range(option: str, value: float, least: float, most: float = math.inf, unit: str = "") -> None:
-    """Refuse what an option was given beyond ``least`` and ``most``, NaN too.
-
-    Raises:
-        CommandFailed: so it is; exit code 2.
-    """
-    if not least <= value <= most:
-        allowed = f">= {least:.4g}" if most == math.inf else f"{least:.4g} to {most:.7g}"
-        raise CommandFailed(f"{option} {value:g}; allowed: {allowed}{unit and ' '}{unit}", exit_code=2)
-
-
-PICTURES = (".png", ".svg", ".pdf")
-"""Endings of the files that plots are saved to."""
-
-
-def output_file(option: str, name: str, endings: tuple[str, ...] = ()) -> Path:
-    """The file that an option names; asked before the work is done that the file is for.
-
-    Raises:
-        CommandFailed: it cannot be written, or has another ending than those that are allowed; exit code 2.
-    """
-    path = Path(name)
-    if endings and path.suffix.lower() not in endings:
-        raise CommandFailed(f"{option} {name}; allowed: a file name that ends with {', '.join(endings)}", exit_code=2)
-    if path.is_dir():
-        raise CommandFailed(f"{option} {name}: is a folder; name a file", exit_code=2)
-    if not path.parent.is_dir():
-        raise CommandFailed(f"{option} {name}: there is no folder {path.parent}; make it first", exit_code=2)
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise CommandFailed(f"{option} {name}: cannot be written; check its permissions", exit_code=2)
-    return path
-
-
-def output_folder(option: str, name: str) -> Path:
-    """The folder that an option names, made if it is not there.
-
-    Raises:
-        CommandFailed: it is none, and cannot be made; exit code 2.
-    """
-    path = Path(name)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        why = "is a file" if path.exists() else f"cannot be made: {error.strerror}"
-        raise CommandFailed(f"{option} {name}: {why}; name another folder", exit_code=2) from error
-    return path
+        remedy = "source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'"
+        raise CommandFailed(f"rclpy is not there; {remedy}", exit_code=2)
 
 
 def progress_bar() -> Progress:
-    """A progress bar on standard error, silent when that is no terminal."""
+    """A progress bar on standard error; none where that is no terminal."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     return Progress(
@@ -111,13 +55,25 @@ def progress_bar() -> Progress:
 
 
 @contextmanager
-def working(description: str) -> Iterator[None]:
-    """The same for work of unknown length: the bar only moves."""
+def working(description: str) -> Iterator[Callable[[float], None]]:
+    """Show a progress bar; yields what sets the fraction that is done. Before its first call the bar only moves."""
     with progress_bar() as bar:
-        bar.add_task(description, total=None)
-        yield
+        task = bar.add_task(description, total=None)
+        yield lambda fraction: bar.update(task, completed=fraction, total=1.0)
+
+
+@contextmanager
+def noted_warnings(category: type[Warning] = Warning) -> Iterator[list[str]]:
+    """Print each different warning of a category once on standard error; at its end the list holds their texts."""
+    texts: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield texts
+    texts += dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, category))
+    for text in texts:
+        notes.print(f"warning: {text}", style="yellow", soft_wrap=True)
 
 
 def print_json(values: Mapping[str, Any]) -> None:
-    """One JSON object on standard output; what is not finite becomes null, which JSON can say."""
+    """Print one JSON object; a number that is not finite becomes null, as JSON has no word for it."""
     print(json.dumps(plain(values)))

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.cli.options import add_repeatable
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.control.laws import LAWS
@@ -20,48 +20,40 @@ DEFAULT_FILE = "config/straightcomp.yaml"
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     """Add --law, --params-file and --set."""
-    parser.add_argument("--law", choices=LAWS, help="control law (default: the parameter file's)")
-    parser.add_argument(
-        "--params-file", metavar="FILE", help=f"ROS 2 parameter file (default: the installed {DEFAULT_FILE})"
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NODE.NAME=VALUE",
-        help="set one parameter, e.g. driver.simulated.plant.mass=3.5; may be repeated",
-    )
+    add = parser.add_argument
+    add("--law", choices=LAWS, help="control law (default: the parameter file's)")
+    add("--params-file", metavar="FILE", help=f"ROS 2 parameter file (default: the installed {DEFAULT_FILE})")
+    add_repeatable(parser, "--set", "NODE.NAME=VALUE", "set one parameter, e.g. driver.simulated.plant.mass=3.5")
 
 
 def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Values by node and dotted name, checked.
-
-    Raises:
-        CommandFailed: a file, name or value is refused; exit code 2.
-    """
-    try:
-        values = read_parameter_file(options.params_file or share_path(DEFAULT_FILE))
-        for assignment in options.set:
-            node, name, value = parsed_assignment(assignment)
-            values[node][name] = value
-        if options.law:
-            values["controller"]["control.law"] = options.law
-        for node in values:
-            node_parameters(node, values[node])
-    except (ParameterError, FileNotFoundError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
+    """Values by node and dotted name, checked; raises ParameterError."""
+    values = read_parameter_file(options.params_file or share_path(DEFAULT_FILE))
+    for node, changes in chosen_changes(options).items():
+        values[node].update(changes)
+    for node in values:
+        node_parameters(node, values[node])
     return values
 
 
-def parsed_assignment(assignment: str) -> tuple[str, str, Any]:
-    """Node, dotted name and value of NODE.NAME=VALUE; raises ParameterError."""
+def chosen_changes(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """What --set and --law change, by node and dotted name; raises ParameterError."""
+    changes: dict[str, dict[str, Any]] = {}
+    for assignment in options.set:
+        node, name, value = _parsed_assignment(assignment)
+        changes.setdefault(node, {})[name] = value
+    if options.law:
+        changes.setdefault("controller", {})["control.law"] = options.law
+    return changes
+
+
+def _parsed_assignment(assignment: str) -> tuple[str, str, Any]:
     target, equals, text = assignment.partition("=")
     node, dot, name = target.partition(".")
     if not (equals and dot) or node not in NODE_PARAMETERS:
-        raise ParameterError(
-            f"--set {assignment!r}: allowed: NODE.NAME=VALUE with NODE one of {', '.join(NODE_PARAMETERS)}"
-        )
-    # YAML 1.1 reads 1e6 as a text; a parameter file has the same trap, but here it can be helped.
+        known = ", ".join(NODE_PARAMETERS)
+        raise ParameterError(f"--set {assignment!r}: allowed: NODE.NAME=VALUE with NODE one of {known}")
+    # YAML 1.1 reads 1e6 as text. A parameter file has the same trap, but here it can be avoided.
     if "e" in text.lower():
         with suppress(ValueError):
             return node, name, float(text)

@@ -9,7 +9,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 
@@ -17,49 +16,41 @@ SUMMARY = "make a finished bag from a cut-off or damaged one"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file")
     parser.add_argument("--output", "-o", metavar="DIR", help="folder of the new bag (default: BAG_recovered)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Recover and print."""
+def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.bags.recovery import default_output, recover
 
-    try:
-        bag = Path(options.bag)
-        with working("recovering"):
-            result = recover(bag, Path(options.output) if options.output else default_output(bag))
-    except BagError as error:
-        raise CommandFailed(str(error)) from error
+    bag = Path(options.bag)
+    with working("recovering"):
+        result = recover(bag, Path(options.output) if options.output else default_output(bag))
     lost = None if result.lost is None else sum(result.lost.values())
+    figures = {
+        "output": str(result.output),
+        "saved": dict(result.saved),
+        "saved_messages": result.saved.total(),
+        "lost_messages": lost,
+        "lost": result.lost,
+        "unfinished": result.unfinished,
+        "gaps": [dict(zip(("file", "offset", "bytes", "reason"), gap, strict=True)) for gap in result.gaps],
+        "not_copied": result.foreign,
+        "duration_s": None if result.last_ns is None else (result.last_ns - result.first_ns) * 1e-9,
+    }
     if options.json:
-        print_json(
-            {
-                "output": str(result.output),
-                "saved": dict(result.saved),
-                "saved_messages": result.saved.total(),
-                "lost_messages": lost,
-                "lost": result.lost,
-                "unfinished": result.unfinished,
-                "gaps": [dict(zip(("file", "offset", "bytes", "reason"), gap, strict=True)) for gap in result.gaps],
-                "not_copied": result.foreign,
-                "duration_s": None if result.last_ns is None else (result.last_ns - result.first_ns) * 1e-9,
-            }
-        )
+        print_json(figures)
     else:
         _print(result, lost)
     if not result.saved:
         raise CommandFailed(f"bag {bag}: no message could be saved; {result.output} has none")
-    return 0
 
 
 def _print(result: Any, lost: int | None) -> None:
-    table = titled_table(f"Saved to {result.output}", "topic", "saved", "lost")
-    for topic in sorted({*result.saved, *(result.lost or {})}):
-        table.add_row(topic, str(result.saved[topic]), "?" if result.lost is None else str(result.lost.get(topic, 0)))
-    console.print(table)
+    topics = sorted({*result.saved, *(result.lost or {})})
+    rows = ((topic, result.saved[topic], "?" if lost is None else result.lost.get(topic, 0)) for topic in topics)
+    console.print(titled_table(f"Saved to {result.output}", "topic", "saved", "lost", rows=rows))
     for name in result.unfinished:
         notes.print(f"{name} was not finished: what was not in it yet when the recording ended is lost")
     for name, offset, length, reason in result.gaps:

@@ -9,54 +9,36 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
-from straightcomp_ros.cli.law_tables import shown
-from straightcomp_ros.cli.output import CommandFailed, console, notes, output_folder, print_json, require_ros, working
+from straightcomp_ros.cli.law_tables import shown, titled_table
+from straightcomp_ros.cli.options import add_repeatable, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file, finished or not")
-    parser.add_argument("--law", help="what if this law had run")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NODE.NAME=VALUE",
-        help="what if this parameter had been so, e.g. controller.control.smc_observer.bandwidth=300; may be repeated",
-    )
-    parser.add_argument("--graph", action="store_true", help="play the samples to feedforward, controller and logger")
-    parser.add_argument(
-        "--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)"
-    )
+    add = parser.add_argument
+    add("bag", metavar="BAG", help="rosbag2 folder or MCAP file, finished or not")
+    add("--law", help="what if this law had run")
+    changed = "what if this parameter had been so, e.g. controller.control.smc_observer.bandwidth=300"
+    add_repeatable(parser, "--set", "NODE.NAME=VALUE", changed)
+    add("--graph", action="store_true", help="play the samples to feedforward, controller and logger")
+    add("--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)")
     add_remap_option(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Audit, or simulate, or play."""
-    from straightcomp_ros.analysis.record import MetricsError
-    from straightcomp_ros.bags import BagError
-    from straightcomp_ros.settings.declaration import ParameterError
-    from straightcomp_ros.straightness.survey import SurveyError
-
+def run(options: argparse.Namespace) -> None:
     changes = bool(options.law or options.set)
     if options.graph and changes:
         raise CommandFailed("allowed: either --graph, or --law and --set", exit_code=2)
     action = _graph if options.graph else _what_if if changes else _audit
-    try:
-        return action(options, Path(options.bag), parsed_remap(options.remap))
-    except (BagError, MetricsError) as error:
-        raise CommandFailed(str(error)) from error
-    except (ParameterError, SurveyError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
+    action(options, Path(options.bag), parsed_remap(options.remap))
 
 
-def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
+def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
     from straightcomp_ros.offline.replay.audit import audit
 
     with working("computing the commands again"):
@@ -64,17 +46,11 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int
     if options.json:
         print_json(dataclasses.asdict(found))
     else:
-        console.print(
-            f"law '{found.law}': {found.commands} commands computed again, {found.different} different, "
-            f"{found.unverified} not verifiable",
-            soft_wrap=True,
-        )
+        counts = f"{found.different} different, {found.unverified} not verifiable"
+        console.print(f"law '{found.law}': {found.commands} commands computed again, {counts}", soft_wrap=True)
     if found.missing:
-        notes.print(
-            f"{found.missing} samples, references or states are not in the bag: commands after them cannot be computed "
-            "until the law starts anew",
-            soft_wrap=True,
-        )
+        missing = f"{found.missing} samples, references or states are not in the bag"
+        notes.print(f"{missing}: commands after them cannot be computed until the law starts anew", soft_wrap=True)
     if found.began_running:
         notes.print("the recording began while the law was running: it is verified from the law's next start")
     if found.first:
@@ -86,39 +62,26 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int
         )
     if not found.passed:
         raise CommandFailed(f"bag {bag}: no command can be verified")
-    return 0
 
 
-def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
-    from rich.table import Table
-
-    from straightcomp_ros.cli.parameter_options import parsed_assignment
+def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
+    from straightcomp_ros.cli.parameter_options import chosen_changes
     from straightcomp_ros.offline.replay.what_if import what_if
 
-    changes: dict[str, dict[str, Any]] = {}
-    for assignment in options.set:
-        node, name, value = parsed_assignment(assignment)
-        changes.setdefault(node, {})[name] = value
-    if options.law:
-        changes.setdefault("controller", {})["control.law"] = options.law
     with working("simulating"):
-        result = what_if(bag, changes, remap)
+        result = what_if(bag, chosen_changes(options), remap)
     columns = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
     if options.json:
         names = ("recorded", "simulated_as_recorded", "what_if")
         print_json({name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)})
-        return 0
-    table = Table(title=f"What if: {bag}", title_justify="left")
-    table.add_column("figure", no_wrap=True)
-    for heading, law in zip(("recorded", "simulated\nas recorded", "what if"), result.laws, strict=False):
-        table.add_column(f"{heading}\n{law}", justify="right")
-    for name in columns[0]:
-        table.add_row(name, *(shown(one[name]) for one in columns))
-    console.print(table)
-    return 0
+        return
+    words = ("recorded", "simulated\nas recorded", "what if")
+    headings = [f"{word}\n{law}" for word, law in zip(words, result.laws, strict=False)]
+    rows = ([name, *(shown(one[name]) for one in columns)] for name in columns[0])
+    console.print(titled_table(f"What if: {bag}", "figure", *headings, rows=rows))
 
 
-def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int:
+def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
     from straightcomp_ros.cell.launcher import LaunchError
     from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
 
@@ -130,12 +93,9 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> int
     except LaunchError as error:
         raise CommandFailed(f"{error} (logs in {output}/logs)") from error
     if options.json:
-        print_json({"bag": str(found.bag), **{key: value for key, value in vars(found).items() if key != "bag"}})
+        print_json({**vars(found), "bag": str(found.bag)})
     else:
-        console.print(
-            f"{found.samples} samples played; {found.commands} commands came back: "
-            f"{found.equal} as recorded to the bit, {found.different} otherwise",
-            soft_wrap=True,
-        )
+        counts = f"{found.equal} as recorded to the bit, {found.different} otherwise"
+        played = f"{found.samples} samples played; {found.commands} commands came back"
+        console.print(f"{played}: {counts}", soft_wrap=True)
         notes.print(f"bag: {found.bag}")
-    return 0

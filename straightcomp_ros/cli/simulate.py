@@ -4,94 +4,73 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.law_tables import cycles_table, results_table
-from straightcomp_ros.cli.output import (
-    PICTURES,
-    CommandFailed,
-    check_range,
-    console,
-    output_file,
-    print_json,
-    progress_bar,
-)
+from straightcomp_ros.cli.options import PICTURES, check_range, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
 from straightcomp_ros.offline.sweep.starts import Spread, metrics_of_starts, spreads
 from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "run strokes forward and back offline"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
     add_parameter_options(parser)
-    parser.add_argument(
-        "--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)"
-    )
-    parser.add_argument("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
-    parser.add_argument(
-        "--starts",
-        type=int,
-        default=1,
-        metavar="N",
-        help="repeat the cycle from N places of the platform around its start, and tell median and range (default: 1)",
-    )
-    parser.add_argument("--learn", action="store_true", help="learn from stroke to stroke")
-    parser.add_argument(
-        "--learned", metavar="FILE", help="as --learn; read what was learned from FILE if it exists, and write it there"
-    )
-    parser.add_argument("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
-    parser.add_argument("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    add("--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)")
+    add("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
+    starts = "repeat the cycle from N places of the platform around its start, and tell median and range (default: 1)"
+    add("--starts", type=int, default=1, metavar="N", help=starts)
+    add("--learn", action="store_true", help="learn from stroke to stroke")
+    learned = "as --learn; read what was learned from FILE if it exists, and write it there"
+    add("--learned", metavar="FILE", help=learned)
+    add("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
+    add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Simulate and print the figures."""
+def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
     if options.delay is not None:
         values["driver"]["lockstep_delay"] = options.delay
     check_range("--strokes", options.strokes, 1)
     check_range("--starts", options.starts, 1)
     if options.starts > 1 and (options.strokes > 1 or options.learn or options.learned or options.bag):
-        raise CommandFailed(
-            "--starts: is of single cycles; leave out --strokes, --learn, --learned and --bag", exit_code=2
-        )
+        excluded = "--strokes, --learn, --learned and --bag"
+        raise CommandFailed(f"--starts: is of single cycles; leave out {excluded}", exit_code=2)
     plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
     if options.learn or options.learned:
         values["controller"]["learning.learn"] = True
     if options.learned:
         values["controller"]["learning.file"] = str(output_file("--learned", options.learned))
+    over_starts: dict[str, Spread] = {}
     try:
-        if options.strokes == 1 and not options.bag and can_run(values):
-            record, straightness = run_stroke(values)
-            cycles = [evaluate(record, straightness)]
-        else:
-            simulation = Simulation(values)
-            straightness = simulation.map
-            record, cycles = _run_cycles(options, values, simulation)
-            simulation.save_learning()
-        over_starts = _over_starts(values, options.starts) if options.starts > 1 else {}
-    except (ParameterError, SurveyError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
-    except (BagError, MetricsError, OSError, ValueError) as error:
+        record, straightness, cycles = _run_cycles(options, values)
+        if options.starts > 1:
+            with working("simulating the starts") as advance:
+                over_starts = spreads(one.to_display() for one in metrics_of_starts(values, options.starts, advance))
+    except (ParameterError, SurveyError):
+        raise
+    except ValueError as error:
+        # Among others: the position or the current became infinite.
         raise CommandFailed(str(error)) from error
-    metrics = cycles[-1]
     if plot is not None:
         # Only here: matplotlib takes longer to import than the cycle to run.
         from straightcomp_ros.analysis.pictures import plot_run
 
-        plot_run(record, straightness, metrics, plot, title=f"Simulated stroke, law '{record.law}'")
+        plot_run(record, straightness, cycles[-1], plot, title=f"Simulated stroke, law '{record.law}'")
     shown = [cycle.to_display() for cycle in cycles]
     delay = node_parameters("driver", values["driver"]).lockstep_delay
     figures = {"law": record.law, "delay_samples": delay, **shown[-1]}
@@ -100,33 +79,27 @@ def run(options: argparse.Namespace) -> int:
             figures["starts"] = {"count": options.starts, **{k: one._asdict() for k, one in over_starts.items()}}
         listed = [{"true_pp_um": c["true_pp_um"], "true_rms_um": c["true_rms_um"]} for c in shown]
         print_json({**figures, "cycles": listed} if options.strokes > 1 else figures)
-        return 0
+        return
     if options.strokes > 1:
         console.print(cycles_table(figures["law"], shown))
     console.print(results_table(figures, over_starts))
-    return 0
-
-
-def _over_starts(values: Mapping[str, Mapping[str, Any]], count: int) -> dict[str, Spread]:
-    """Each figure over ``count`` starts."""
-    with progress_bar() as bar:
-        task = bar.add_task("simulating the starts", total=1.0)
-        found = metrics_of_starts(values, count, lambda fraction: bar.update(task, completed=fraction))
-    return spreads(metrics.to_display() for metrics in found)
 
 
 def _run_cycles(
-    options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]], simulation: Simulation
-) -> tuple[StrokeRecord, list[Metrics]]:
-    """The last cycle, and the figures of all."""
-    cycles = []
-    with ExitStack() as stack:
-        bar = stack.enter_context(progress_bar())
-        task = bar.add_task("simulating", total=float(options.strokes))
-        bag = stack.enter_context(SimulatedRun(Path(options.bag), values, simulation.delay)) if options.bag else None
-        for number in range(options.strokes):
+    options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]]
+) -> tuple[StrokeRecord, StraightnessMap, list[Metrics]]:
+    """The last cycle, the map, and the figures of all cycles."""
+    if options.strokes == 1 and not options.bag and can_run(values):
+        record, straightness = run_stroke(values)
+        return record, straightness, [evaluate(record, straightness)]
+    simulation = Simulation(values)
+    cycles: list[Metrics] = []
+    opened = SimulatedRun(Path(options.bag), values, simulation.delay) if options.bag else nullcontext()
+    with working("simulating") as advance, opened as bag:
+        for _ in range(options.strokes):
             record = simulation.run(
-                lambda fraction, done=number: bar.update(task, completed=done + fraction), bag.add if bag else None
+                lambda fraction: advance((len(cycles) + fraction) / options.strokes), bag.add if bag else None
             )
             cycles.append(evaluate(record, simulation.map))
-    return record, cycles
+    simulation.save_learning()
+    return record, simulation.map, cycles

@@ -9,8 +9,9 @@ import argparse
 import re
 import sys
 
-from straightcomp_ros.cli.output import CommandFailed, check_range, print_json, require_ros
-from straightcomp_ros.settings.declaration import ParameterError, from_mapping
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
+from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 SUMMARY = "live plots of the running graph in a browser"
@@ -19,19 +20,12 @@ _NAMESPACE = r"(/?[A-Za-z_]\w*)*/?"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument(
-        "--port", type=int, default=DEFAULT_PORT, help="port on 127.0.0.1; 0 takes a free one (default: %(default)s)"
-    )
-    parser.add_argument("--namespace", default="", metavar="NAME", help="namespace of the graph")
-    parser.add_argument(
-        "--priority",
-        type=int,
-        default=0,
-        metavar="N",
-        help="SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add = parser.add_argument
+    add("--port", type=int, default=DEFAULT_PORT, help="port on 127.0.0.1; 0 takes a free one (default: %(default)s)")
+    add("--namespace", default="", metavar="NAME", help="namespace of the graph")
+    priority = "SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)"
+    add("--priority", type=int, default=0, metavar="N", help=priority)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,14 +33,9 @@ def run(options: argparse.Namespace) -> int:
     require_ros()
     check_range("--port", options.port, 0, 65535)
     if not re.fullmatch(_NAMESPACE, options.namespace):
-        raise CommandFailed(
-            f"--namespace {options.namespace!r}; allowed: letters, digits and _, e.g. stage_1 or cell/stage_1",
-            exit_code=2,
-        )
-    try:
-        realtime = from_mapping(RealtimeParameters, {"priority": options.priority})
-    except ParameterError as error:
-        raise CommandFailed(str(error), exit_code=2) from error
+        allowed = "letters, digits and _, e.g. stage_1 or cell/stage_1"
+        raise CommandFailed(f"--namespace {options.namespace!r}; allowed: {allowed}", exit_code=2)
+    realtime = from_mapping(RealtimeParameters, {"priority": options.priority})
     from straightcomp_ros.nodes.view_node import view
 
     arguments = ["--ros-args", "-r", f"__ns:=/{options.namespace.strip('/')}"] if options.namespace else []

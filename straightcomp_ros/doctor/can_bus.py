@@ -19,12 +19,8 @@ def kernel_interfaces(folder: Path = Path("/sys/class/net")) -> Finding:
         if (device / "type").is_file() and (device / "type").read_text().strip() == _ARPHRD_CAN
     }
     if not states:
-        return Finding(
-            "CAN interfaces",
-            "warn",
-            "none in the kernel",
-            "Plug the adapter in and run ip link; without one, straightcomp can hub is a bus between processes.",
-        )
+        remedy = "Plug the adapter in and run ip link; without one, straightcomp can hub is a bus between processes."
+        return Finding("CAN interfaces", "warn", "none in the kernel", remedy)
     detail = ", ".join(f"{name} {state}" for name, state in states.items())
     down = [name for name, state in states.items() if state == "down"]
     if down:
@@ -39,10 +35,6 @@ def python_can() -> Finding:
     except ImportError as error:
         return Finding("python-can", "fail", str(error), "Install it: python3 -m pip install 'python-can>=4.2'.")
     if _OUR_INTERFACE not in known:
-        return Finding(
-            "python-can",
-            "warn",
-            f"does not know {_OUR_INTERFACE}",
-            "Install this package, so that its entry points are registered: make setup, or colcon build.",
-        )
+        remedy = "Install this package, so that its entry points are registered: make setup, or colcon build."
+        return Finding("python-can", "warn", f"does not know {_OUR_INTERFACE}", remedy)
     return Finding("python-can", "ok", f"{len(known)} interfaces, {_OUR_INTERFACE} among them")

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from straightcomp_ros.doctor import can_bus, memory, scheduling, software
-from straightcomp_ros.doctor.disk import disk
+from straightcomp_ros.doctor import can_bus, capacity, scheduling, software
 from straightcomp_ros.doctor.finding import Finding
 
-CHECKS: tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...] = (
+Checks = tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...]
+CHECKS: Checks = (
     ("python", software.python),
     ("package files", software.package_files),
     ("rclpy", software.ros),
     ("distribution", software.distribution),
     ("discovery", software.discovery),
-    ("memlock", memory.locked_memory),
+    ("memlock", capacity.locked_memory),
     ("real-time priority", scheduling.priority),
     ("real-time throttling", scheduling.throttling),
     ("CPU wake-up", scheduling.wake_up_latency),
@@ -27,12 +27,12 @@ CHECKS: tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...] = (
     ("timer", scheduling.timer),
     ("CAN interfaces", can_bus.kernel_interfaces),
     ("python-can", can_bus.python_can),
-    ("disk", lambda: disk(Path.cwd())),
+    ("disk", lambda: capacity.disk(Path.cwd())),
 )
 
 
-def examine(checks: tuple[tuple[str, Callable[[], Finding | list[Finding]]], ...] = CHECKS) -> Iterator[Finding]:
-    """Run the checks; one that the system does not let look is a warning, and the others go on."""
+def examine(checks: Checks = CHECKS) -> Iterator[Finding]:
+    """Run the checks; one that the system does not permit is a warning, and the others still run."""
     for name, check in checks:
         try:
             found = check()

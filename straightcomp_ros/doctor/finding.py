@@ -1,4 +1,4 @@
-"""What one look at the machine found."""
+"""What one check of the machine found."""
 
 from __future__ import annotations
 
@@ -10,13 +10,9 @@ State = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True)
 class Finding:
-    """The outcome of a check.
+    """The outcome of a check: ``warn`` means that a run works, but less well or not in every way.
 
-    Attributes:
-        name: what was looked at.
-        state: ``ok``; ``warn``: it runs, but less well or not in every way; ``fail``: it does not run.
-        detail: what was found.
-        remedy: one sentence that says what to do; empty if there is nothing to do.
+    ``remedy`` is one sentence that says what to do, or empty.
     """
 
     name: str

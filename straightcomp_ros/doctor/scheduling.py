@@ -39,12 +39,8 @@ def priority(ask: Callable[[], None] | None = None) -> Finding:
     thread.join()
     if not refused:
         return Finding("real-time priority", "ok", f"SCHED_FIFO {_PRIORITY} is permitted")
-    return Finding(
-        "real-time priority",
-        "warn",
-        f"SCHED_FIFO {_PRIORITY}: {refused[0].strerror}",
-        f"Give this user 'rtprio 98' in {_LIMITS} and log in again; in a container use --cap-add SYS_NICE.",
-    )
+    remedy = f"Give this user 'rtprio 98' in {_LIMITS} and log in again; in a container use --cap-add SYS_NICE."
+    return Finding("real-time priority", "warn", f"SCHED_FIFO {_PRIORITY}: {refused[0].strerror}", remedy)
 
 
 def throttling(file: Path = Path("/proc/sys/kernel/sched_rt_runtime_us")) -> Finding:
@@ -52,9 +48,8 @@ def throttling(file: Path = Path("/proc/sys/kernel/sched_rt_runtime_us")) -> Fin
     runtime = file.read_text().strip() if file.is_file() else "unknown"
     if runtime != "-1":
         return Finding("real-time throttling", "ok", f"{runtime} µs of each period")
-    return Finding(
-        "real-time throttling", "warn", "off", "Set it on again: sudo sysctl kernel.sched_rt_runtime_us=950000."
-    )
+    remedy = "Switch it on again: sudo sysctl kernel.sched_rt_runtime_us=950000."
+    return Finding("real-time throttling", "warn", "off", remedy)
 
 
 def wake_up_latency(file: Path = Path("/dev/cpu_dma_latency")) -> Finding:
@@ -64,12 +59,8 @@ def wake_up_latency(file: Path = Path("/dev/cpu_dma_latency")) -> Finding:
         return Finding(name, "warn", f"{file} is not there", "Choose a kernel with CPU idle governors, or ignore this.")
     if os.access(file, os.W_OK):
         return Finding(name, "ok", f"{file} can be written")
-    return Finding(
-        name,
-        "warn",
-        f"{file} cannot be written",
-        'Add the udev rule KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660" and join that group.',
-    )
+    remedy = 'Add the udev rule KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660" and join that group.'
+    return Finding(name, "warn", f"{file} cannot be written", remedy)
 
 
 def kernel(file: Path = Path("/sys/kernel/realtime"), release: str | None = None) -> Finding:
@@ -77,23 +68,16 @@ def kernel(file: Path = Path("/sys/kernel/realtime"), release: str | None = None
     name = release or os.uname().release
     if file.is_file() and file.read_text().strip() == "1":
         return Finding("kernel", "ok", f"{name}, PREEMPT_RT")
-    return Finding(
-        "kernel",
-        "warn",
-        f"{name}, no PREEMPT_RT",
-        "Install a PREEMPT_RT kernel (Debian: linux-image-rt-amd64) on a machine that is to run for hours.",
-    )
+    remedy = "Install a PREEMPT_RT kernel (Debian: linux-image-rt-amd64) on a machine that is to run for hours."
+    return Finding("kernel", "warn", f"{name}, no PREEMPT_RT", remedy)
 
 
 def preemption(
     folder: Path = Path("/"), release: str | None = None, command_line: Path = Path("/proc/cmdline")
 ) -> Finding:
-    """Whether the kernel lets a real-time thread go before its own work for other programs.
+    """Whether a real-time thread may interrupt the kernel's own work for other programs.
 
-    Args:
-        folder: where proc/config.gz or boot/config-RELEASE is.
-        release: of the kernel; this one's if None.
-        command_line: what the kernel was booted with.
+    ``folder`` holds proc/config.gz or boot/config-RELEASE; ``release`` None is the running kernel's.
     """
     name = "kernel preemption"
     compressed, plain = folder / "proc/config.gz", folder / f"boot/config-{release or os.uname().release}"
@@ -112,12 +96,9 @@ def preemption(
         model = chosen[-1] if chosen else model
     if model == "full":
         return Finding(name, "ok", model)
-    return Finding(
-        name,
-        "warn",
-        f"{model}: a program that writes to the disk can keep the loop from its CPU for tens of ms",
-        "Boot with preempt=full." if "DYNAMIC" in options else "Install a kernel with full preemption.",
-    )
+    detail = f"{model}: a program that writes to the disk can keep the loop from its CPU for tens of ms"
+    remedy = "Boot with preempt=full." if "DYNAMIC" in options else "Install a kernel with full preemption."
+    return Finding(name, "warn", detail, remedy)
 
 
 def cores(count: int | None = None, lost: Collection[int] | None = None) -> Finding:
@@ -125,18 +106,14 @@ def cores(count: int | None = None, lost: Collection[int] | None = None) -> Find
     usable = len(os.sched_getaffinity(0)) if count is None else count
     lost = left_behind() if lost is None else lost
     if lost:
-        return Finding(
-            "cores",
-            "warn",
-            f"{usable}; other programs are kept off CPU {', '.join(map(str, sorted(lost)))} by a driver that was "
-            "killed with all that belonged to it",
-            "Run straightcomp demo once more as the same user: when it ends, all programs may use all CPUs again.",
-        )
+        cpus = ", ".join(map(str, sorted(lost)))
+        detail = f"{usable}; other programs are kept off CPU {cpus} by a driver that was killed with all its processes"
+        remedy = "Run straightcomp demo once more as the same user: when it ends, all programs may use all CPUs again."
+        return Finding("cores", "warn", detail, remedy)
     if usable >= _CORES:
         return Finding("cores", "ok", f"{usable}")
-    return Finding(
-        "cores", "warn", f"{usable}", f"Use {_CORES} or more: driver, feedforward and controller want one each."
-    )
+    remedy = f"Use {_CORES} or more: driver, feedforward and controller want one each."
+    return Finding("cores", "warn", f"{usable}", remedy)
 
 
 def governor(folder: Path = Path("/sys/devices/system/cpu")) -> Finding:
@@ -145,9 +122,8 @@ def governor(folder: Path = Path("/sys/devices/system/cpu")) -> Finding:
     slower = sorted(found - {"performance"})
     if not slower:
         return Finding("frequency governor", "ok", ", ".join(found) or "none: the frequency is not ours to set")
-    return Finding(
-        "frequency governor", "warn", ", ".join(slower), "Run sudo cpupower frequency-set --governor performance."
-    )
+    remedy = "Run sudo cpupower frequency-set --governor performance."
+    return Finding("frequency governor", "warn", ", ".join(slower), remedy)
 
 
 def clock(

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.doctor import can_bus, examination, memory, scheduling, software
-from straightcomp_ros.doctor.disk import disk
+from straightcomp_ros.doctor import can_bus, capacity, examination, scheduling, software
 from straightcomp_ros.doctor.finding import Finding
 
 MIB = 1 << 20
@@ -107,7 +106,7 @@ def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:
 def test_memory_may_be_locked_by_limit_or_by_capability(
     tmp_path: Path, limit: int, capabilities: str, state: str
 ) -> None:
-    assert memory.locked_memory(limit, _file(tmp_path, "status", f"CapEff:\t{capabilities}\n")).state == state
+    assert capacity.locked_memory(limit, _file(tmp_path, "status", f"CapEff:\t{capabilities}\n")).state == state
 
 
 def test_a_refused_priority_is_a_warning_with_the_way_to_get_it() -> None:
@@ -203,4 +202,4 @@ def test_python_can_without_our_interface_is_a_warning(monkeypatch: pytest.Monke
 @pytest.mark.parametrize(("size", "state"), [(1 << 36, "ok"), (1 << 32, "warn"), (1 << 20, "fail")])
 def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, size: int, state: str) -> None:
     _free(monkeypatch, size)
-    assert disk(tmp_path).state == state
+    assert capacity.disk(tmp_path).state == state

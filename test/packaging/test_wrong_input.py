@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.control.learning_file import LearningFileError
+from straightcomp_ros.straightness.survey import SurveyError
 
 BAG = str(Path(__file__).resolve().parents[2] / "bags" / "smc")
 SURVEY = str(Path(__file__).resolve().parents[2] / "bags" / "survey")
@@ -116,8 +120,30 @@ def test_without_rclpy_every_verb_that_needs_it_says_the_same(
 def test_trouble_with_a_file_that_no_verb_foresaw_is_a_sentence_too(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device", "map.csv")
-
-    monkeypatch.setattr("straightcomp_ros.cli.friction.write_survey", full)
+    full = OSError(28, "No space left on device", "map.csv")
+    monkeypatch.setattr("straightcomp_ros.cli.friction.write_survey", _raising(full))
     assert "straightcomp friction: map.csv: No space left on device" in refusal("friction --excitation map.csv", capsys)
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(BagError("cut"), 1), (LearningFileError("cut"), 2), (SurveyError("cut"), 2)]
+)
+def test_an_error_of_the_package_is_a_sentence_with_its_exit_code(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, error: Exception, code: int
+) -> None:
+    monkeypatch.setattr("straightcomp_ros.cli.friction.write_survey", _raising(error))
+    assert main(["friction", "--excitation", "map.csv"]) == code
+    assert capsys.readouterr().err == "straightcomp friction: cut\n"
+
+
+def test_an_error_that_is_not_the_packages_shows_where_it_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("straightcomp_ros.cli.friction.write_survey", _raising(ValueError("a bug")))
+    with pytest.raises(ValueError, match="a bug"):
+        main(["friction", "--excitation", "map.csv"])
+
+
+def _raising(error: Exception) -> Callable[..., None]:
+    def function(*_: object) -> None:
+        raise error
+
+    return function

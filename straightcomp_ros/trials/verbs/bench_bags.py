@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from straightcomp_ros.cli.law_tables import figures_table
-from straightcomp_ros.cli.output import CommandFailed, check_range, console, print_json, progress_bar
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 
 SUMMARY = "recording, reading, evaluation, SIGKILL, audit"
 _MOST_KILL_RUNS = 10_000

@@ -15,16 +15,8 @@ from rich.table import Table
 
 from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cli.law_tables import rounded, titled_table
-from straightcomp_ros.cli.output import (
-    CommandFailed,
-    check_range,
-    console,
-    notes,
-    output_folder,
-    print_json,
-    progress_bar,
-    require_ros,
-)
+from straightcomp_ros.cli.options import check_range, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import DEFAULT_RATE

@@ -9,7 +9,8 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.output import CommandFailed, check_range, console, print_json, working
+from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.settings.declaration import ParameterError

@@ -1,0 +1,54 @@
+"""Options that several verbs have: how they are declared, and how a wrong value is refused."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.cli.output import CommandFailed
+
+
+def check_range(option: str, value: float, least: float, most: float = math.inf, unit: str = "") -> None:
+    """Raise CommandFailed with exit code 2 if an option's value is outside ``least`` to ``most``, or NaN."""
+    if not least <= value <= most:
+        allowed = f">= {least:.4g}" if most == math.inf else f"{least:.4g} to {most:.7g}"
+        raise CommandFailed(f"{option} {value:g}; allowed: {allowed}{unit and ' '}{unit}", exit_code=2)
+
+
+def add_repeatable(
+    parser: argparse._ActionsContainer, option: str, metavar: str | None, text: str, **more: Any
+) -> None:
+    """Declare an option that may be given several times; its values are a list."""
+    parser.add_argument(option, action="append", default=[], metavar=metavar, help=f"{text}; may be repeated", **more)
+
+
+PICTURES = (".png", ".svg", ".pdf")
+"""Endings of the files that plots are saved to."""
+
+
+def output_file(option: str, name: str, endings: tuple[str, ...] = ()) -> Path:
+    """The file that an option names; CommandFailed with exit code 2 if it cannot be written or has another ending."""
+    path = Path(name)
+    if endings and path.suffix.lower() not in endings:
+        raise CommandFailed(f"{option} {name}; allowed: a file name that ends with {', '.join(endings)}", exit_code=2)
+    if path.is_dir():
+        raise CommandFailed(f"{option} {name}: is a folder; name a file", exit_code=2)
+    if not path.parent.is_dir():
+        raise CommandFailed(f"{option} {name}: there is no folder {path.parent}; make it first", exit_code=2)
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise CommandFailed(f"{option} {name}: cannot be written; check its permissions", exit_code=2)
+    return path
+
+
+def output_folder(option: str, name: str) -> Path:
+    """The folder that an option names, made if need be; CommandFailed with exit code 2 if it cannot be made."""
+    path = Path(name)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "is a file" if path.exists() else f"cannot be made: {error.strerror}"
+        raise CommandFailed(f"{option} {name}: {why}; name another folder", exit_code=2) from error
+    return path
