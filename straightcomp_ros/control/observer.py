@@ -5,8 +5,8 @@ lag, and a command that takes effect ``delay`` after its sample. Friction, model
 disturbance d (an acceleration), taken as constant from sample to sample (Han, IEEE Trans. Ind. Electron. 56(3), 2009;
 Gao's bandwidth parameterisation, ACC 2003).
 
-The laws that use it compare the state predicted for the time t + delay, at which the command computed from the sample
-of t acts, with the reference of that time. They answer with an acceleration; the exact inverse of (2) gives the current.
+The command computed from the sample of time t acts at t + delay: the laws compare the state predicted for that moment
+with the reference of that moment. They answer with an acceleration; the exact inverse of (2) gives the current.
 """
 
 from __future__ import annotations
