@@ -19,10 +19,9 @@ from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.output import PICTURES, CommandFailed, console, output_file, print_json, progress_bar
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.offline.sweep.many_trials import SweepError, sweep
+from straightcomp_ros.offline.sweep.many_trials import PERCENTILES, LawSummary, SweepError, summarise, sweep
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
-from straightcomp_ros.offline.sweep.sweep_summary import PERCENTILES, LawSummary, summarise
 from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
 from straightcomp_ros.settings.declaration import ParameterError, declarations, from_mapping
 from straightcomp_ros.straightness.survey import SurveyError
