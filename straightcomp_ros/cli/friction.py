@@ -25,9 +25,8 @@ from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.identification import IdentificationError
-from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag
+from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag, parameter_file
 from straightcomp_ros.identification.excitation import excitation_survey
-from straightcomp_ros.identification.plant_file import parameter_file
 from straightcomp_ros.straightness.survey import write_survey
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
