@@ -10,7 +10,7 @@ import numpy as np
 from straightcomp_ros.analysis.record import StrokeRecord, find_motion
 from straightcomp_ros.contract import DEFAULT_RATE, STROKE
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.model.plant import PlantParameters, PlantState
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.starts import Spread, offsets, spread
@@ -67,7 +67,7 @@ class Stroke:
         """
         late = np.full(self._stamps.size, round(delay * PERIOD * 1e9))
         conditions = Conditions(self._stamps, late, self._reference, np.zeros(self._stamps.size))
-        true_y = run_cycle(law, plant, conditions, start).true_y
+        true_y = run_cycle(law, plant, conditions, PlantState(y=start)).true_y
         return float(np.ptp((self._true_r - true_y)[self._window])) * 1e6
 
     def errors(self, *arguments: Any, **options: Any) -> Spread:

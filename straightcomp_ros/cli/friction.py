@@ -23,9 +23,8 @@ from straightcomp_ros.cli.output import CommandFailed, console, notes, print_jso
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.contract import STROKE
-from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag
+from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag, parameter_file
 from straightcomp_ros.identification.excitation import excitation_survey
-from straightcomp_ros.identification.plant_file import parameter_file
 from straightcomp_ros.straightness.survey import write_survey
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"

@@ -18,10 +18,9 @@ from straightcomp_ros.cli.options import PICTURES, add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.offline.sweep.many_trials import sweep
+from straightcomp_ros.offline.sweep.many_trials import PERCENTILES, LawSummary, summarise, sweep
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
-from straightcomp_ros.offline.sweep.sweep_summary import PERCENTILES, LawSummary, summarise
 from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
 from straightcomp_ros.settings.declaration import ParameterError, declarations, from_mapping
 from straightcomp_ros.straightness.survey import SurveyError

@@ -1,7 +1,7 @@
-"""Design of the sliding surface (8) and of the closed loop that it gives, continuous and sampled.
+"""Design of the sliding surface (8), and the continuous closed loop that it gives.
 
-State x = [−∫e, y, ẏ]ᵀ (6), sliding variable σ = S x with S = [ωn², 2ζωn, 1] (8). On the nominal plant
-(9) without its switching term places the poles at the roots of s² + 2ζωn s + ωn² and at −φ.
+State x = [−∫e, y, ẏ]ᵀ (6), sliding variable σ = S x with S = [ωn², 2ζωn, 1] (8). On the nominal plant (9) without its
+switching term places the poles at the roots of s² + 2ζωn s + ωn² and at −φ.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from straightcomp_ros.settings.declaration import group, parameter
 
 @dataclass(frozen=True)
 class NominalPlant:
-    """What the control law believes of the plant (5)."""
+    """Nominal model of the plant (5)."""
 
     mass: float = parameter(3.0, "Moving mass M of the platform", unit="kg", above=0.0, maximum=1e4)
     friction: float = parameter(
@@ -34,7 +34,7 @@ class NominalPlant:
 
 @dataclass(frozen=True)
 class SlidingDesign:
-    """Sliding surface and reaching law of (8) and (9), for 'smc', and without their switching for 'linear'."""
+    """Sliding surface and reaching law of (8) and (9), for 'smc', and without switching for 'linear'."""
 
     zeta: float = parameter(0.8, "Damping ratio ζ on the sliding surface", above=0.0, maximum=10.0)
     natural_frequency: float = parameter(
@@ -87,9 +87,8 @@ def closed_loop_poles(design: SlidingDesign, nominal: NominalPlant) -> NDArray[n
 def reaching_bound(design: SlidingDesign, nominal: NominalPlant) -> float:
     """Smallest ρ in m/s² that fulfils (11) within the nominal travel, at rest on the reference.
 
-    There SAx + SB_r r = (K̄_y/M) y (x₁ = 0, ẏ = 0, y = r), the matched disturbance is friction over
-    mass and the stiffness error m_y, and |m_i| is largest at full travel with the current that holds
-    position and friction.
+    There SAx + SB_r r = (K̄_y/M) y (x₁ = 0, ẏ = 0, y = r), the matched disturbance is friction over mass and the
+    stiffness error m_y, and |m_i| is largest at full travel with the current that holds position and friction.
     """
     actuator = nominal.actuator
     a = nominal.travel / actuator.air_gap

@@ -17,19 +17,18 @@ def run(k, s, answer, y, r, r_dot, r_ddot, current):
     state, command = step({gains}, {state}, y, r, r_dot, r_ddot, current)
     {stored}
 """
-"""What is compiled of a law's step, with places in arrays for the fields of its tuples."""
+"""Source of a law's compiled step, with elements of arrays for the fields of its tuples."""
 
 
 class Command(NamedTuple):
-    """What a law answers to a sample: the control current, and why.
+    """A law's answer to a sample.
 
     Attributes:
         current: control current i_c in A, within the limit.
         error: r − y in m.
         sliding_variable: σ in m/s.
-        equivalent_current: the part of i_c without switching, in A, before the limit.
-        switching_current: the switching part of i_c in A, before the limit.
-        velocity_estimate: ẏ as the law sees it, m/s.
+        equivalent_current, switching_current: i_c without switching and its switching part, A, before the limit.
+        velocity_estimate: the law's estimate of ẏ, m/s.
         disturbance_estimate: m/s², NaN where the law estimates none.
     """
 
@@ -45,9 +44,9 @@ class Command(NamedTuple):
 class Law:
     """A control law, called once for each sample at a fixed period.
 
-    A law is two functions on tuples of numbers, without side effects. A sweep over thousands of strokes compiles them
-    into its loop; for all others the step is compiled by itself, on arrays of the same numbers. In a loop that finds
-    its code in no cache, that costs a third of the same lines in Python.
+    A law is two functions on tuples of numbers, without side effects. A sweep compiles them into its loop; for all
+    others the step is compiled by itself, on arrays of the same numbers. With a cold cache, as in the graph, that takes
+    a third of the time of the same lines in Python.
 
     Args:
         gains: the law's constants, a NamedTuple of floats.
@@ -55,7 +54,7 @@ class Law:
         step: ``step(gains, state, y, r, r_dot, r_ddot, current)`` gives (next state, Command) for one sample: encoder
             reading y in m, reference r in m with its rate in m/s and acceleration in m/s², measured control
             current of the coils in A (NaN where none is measured).
-        compiled: whether the step is `compilable`; without that, :meth:`step` calls it as it is.
+        compiled: whether the step is `compilable`; otherwise :meth:`step` calls the Python function.
     """
 
     def __init__(
@@ -73,19 +72,18 @@ class Law:
         self._answer = np.zeros(len(Command._fields))
         self.reset(0.0)
         if self._run is not None:
-            # The first call compiles, or reads what was compiled: it must not happen inside a loop, nor for whole
-            # numbers again.
+            # The first call compiles, or reads the cache: never inside a loop, nor again for integers.
             self._run(self._gains, self._state, self._answer, 0.0, 0.0, 0.0, 0.0, math.nan)
             self._run.disable_compile()
             self.reset(0.0)
 
     def reset(self, y: float) -> None:
-        """Start anew at rest at ``y`` (m), with nothing integrated."""
+        """Restart at rest at ``y`` (m), with nothing integrated."""
         state = self.start(y)
         self._state = state if self._run is None else np.array(flat(state))
 
     def step(self, y: float, r: float, r_dot: float, r_ddot: float, current: float = math.nan) -> Command:
-        """Answer one sample; arguments as of the law's step function."""
+        """Answer one sample; arguments as of the law's ``step``."""
         if self._run is None:
             self._state, command = self.function(self.gains, self._state, y, r, r_dot, r_ddot, current)
             return command
@@ -94,15 +92,15 @@ class Law:
 
 
 def flat(numbers: Any) -> list[float]:
-    """All numbers of a tuple that may have tuples in it, in order."""
+    """All numbers of nested tuples, in order."""
     return [inner for number in numbers for inner in (flat(number) if isinstance(number, tuple) else (number,))]
 
 
 @cache
 def _flat_step(step: Callable[..., Any], gains: type, state: type) -> Compiled:
-    """``run(gains, state, answer, y, r, r_dot, r_ddot, current)``: one step on flat numbers.
+    """``run(gains, state, answer, y, r, r_dot, r_ddot, current)``: one step on arrays.
 
-    The state's array is changed in place; ``answer``, (7,), gets the numbers of the Command.
+    It changes ``state`` in place, and fills ``answer``, (7,), with the numbers of the Command.
     """
     names: dict[str, Any] = {"step": step, "__name__": step.__module__}
     stored = [f"s[{n}] = state{path}" for n, path in enumerate(_paths(state))]
@@ -112,13 +110,13 @@ def _flat_step(step: Callable[..., Any], gains: type, state: type) -> Compiled:
         state=_from_array("s", state, itertools.count(), names),
         stored="\n    ".join(stored),
     )
-    # The machine code is kept beside that of the other functions of the law's module: numba asks for a file's name.
+    # numba caches by the name of the source's file: that of the law's module.
     exec(compile(source, step.__code__.co_filename, "exec"), names)
     return Compiled(names["run"])
 
 
 def _from_array(array: str, kind: type, places: Iterator[int], names: dict[str, Any]) -> str:
-    """Source of a call that makes a tuple of ``kind`` from an array; ``names`` gets the names in it."""
+    """Source of a call that makes a tuple of ``kind`` from an array; adds its names to ``names``."""
     parts = [
         _from_array(array, field, places, names) if issubclass(field, tuple) else f"{array}[{next(places)}]"
         for field in get_type_hints(kind).values()
@@ -129,6 +127,6 @@ def _from_array(array: str, kind: type, places: Iterator[int], names: dict[str, 
 
 
 def _paths(kind: type) -> Iterator[str]:
-    """Where the numbers of a tuple of ``kind`` are, in order: ``.prior.y``."""
+    """Attribute paths of the numbers of a tuple of ``kind``, in order, such as ``.prior.y``."""
     for name, field in get_type_hints(kind).items():
         yield from (f".{name}{inner}" for inner in (_paths(field) if issubclass(field, tuple) else ("",)))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from straightcomp_ros.control import error_tracking as tracking
 from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
 from straightcomp_ros.control.law import Law
+from straightcomp_ros.control.observer import Loop, nominal_loop
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 
 LAWS = ("linear", "smc", "super_twisting", "smc_observer")
@@ -46,7 +46,7 @@ class TwistingDesign:
 
 @dataclass(frozen=True)
 class ControlParameters:
-    """Law, design, and what the law believes of the plant."""
+    """Law, its design, and the nominal plant."""
 
     law: str = parameter("smc_observer", "Control law", choices=LAWS)
     current_limit: float = parameter(0.9, "Largest control current |i_c| of a law", unit="A", above=0.0, maximum=100.0)
@@ -66,46 +66,35 @@ class ControlParameters:
 
 
 def prepare_all() -> None:
-    """Make all laws ready to be made without a delay: what is compiled is compiled now, or read."""
+    """Compile the steps of all laws, or read their machine code, so that :func:`make_law` takes no time later."""
     for name in LAWS:
         make_law(ControlParameters(law=name), 1.0)
 
 
 def make_law(parameters: ControlParameters, period: float) -> Law:
     """The law that the parameters name, for a sampling period in s."""
-    design, observer, nominal = parameters.smc, parameters.smc_observer, parameters.nominal
     if parameters.law in ("linear", "smc"):
-        gains = sliding_mode.gains(
+        switching = parameters.law == "smc"
+        design = parameters.smc
+        numbers = sliding_mode.gains(
             design,
-            nominal,
-            switching=parameters.law == "smc",
-            feedforward=parameters.law == "smc" and design.feedforward,
+            parameters.nominal,
+            switching=switching,
+            feedforward=switching and design.feedforward,
             period=period,
             current_limit=parameters.current_limit,
         )
-        return Law(gains, sliding_mode.start, sliding_mode.step, compiled=True)
+        return Law(numbers, sliding_mode.start, sliding_mode.step, compiled=True)
 
-    def loop(delay: float, bandwidth: float, gain_allowance: float) -> tracking.Loop:
-        return tracking.loop(
-            period=period,
-            delay_samples=delay,
-            amplifier_bandwidth=nominal.amplifier_bandwidth,
-            observer_bandwidth=bandwidth,
-            # To a law, magnets that pull more strongly are a lighter platform; where they balance stays the same.
-            mass=nominal.mass / gain_allowance,
-            current_limit=parameters.current_limit,
-            actuator=nominal.actuator,
-        )
+    def loop(**chosen: float) -> Loop:
+        return nominal_loop(parameters.nominal, period=period, current_limit=parameters.current_limit, **chosen)
 
     if parameters.law == "super_twisting":
         twisting = parameters.super_twisting
-        believed = loop(twisting.delay, twisting.bandwidth, 1.0)
-        return Law(
-            super_twisting.gains(twisting.surface, twisting.disturbance_rate, believed),
-            super_twisting.start,
-            super_twisting.step,
-            compiled=True,
-        )
-    believed = loop(observer.delay, observer.bandwidth, observer.gain_allowance)
-    reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, believed)
+        delayed = loop(delay_samples=twisting.delay, bandwidth=twisting.bandwidth)
+        gains = super_twisting.gains(twisting.surface, twisting.disturbance_rate, delayed)
+        return Law(gains, super_twisting.start, super_twisting.step, compiled=True)
+    observer = parameters.smc_observer
+    delayed = loop(delay_samples=observer.delay, bandwidth=observer.bandwidth, gain_allowance=observer.gain_allowance)
+    reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, delayed)
     return Law(reaching, smc_observer.start, smc_observer.step, compiled=True)

@@ -1,13 +1,13 @@
-"""What was learned of one direction of motion: a correction of the reference over x, and how good it proved to be.
+"""The learned correction of the reference over x, for one direction of motion, and the errors with and without it.
 
-The correction is a uniform cubic B-spline: it has two continuous derivatives, so that the law's rates can be
-corrected along with the reference, and a lookup needs four coefficients. The coefficients are averages of what is to be
-corrected at the nodes; a spline through them would only add back the noise between two nodes.
+The correction is a uniform cubic B-spline: it has two continuous derivatives, so that the law's rates can be corrected
+along with the reference, and a lookup needs four coefficients. Each coefficient is the average of the wanted correction
+around its node; interpolating these averages would only add back the noise between two nodes.
 
 For each node the table keeps the mean square error of the best pass, that without a correction, and the stage's speed.
-Comparing node by node lets strokes of different lengths share one table. What was learned at one speed says little of
-another (a lag grows with it, and c'' ẋ² with its square): a correction fades where the speed differs, and where a pass
-was at another speed, the table starts anew.
+Comparing node by node lets strokes of different lengths share one table. A correction learned at one speed says little
+of another (a lag grows with it, and c'' ẋ² with its square): it fades where the speed differs, and nodes that a pass
+crosses at another speed start anew.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _ENDS = 4
-"""Nodes beyond the outermost visited ones: the spline fades out over them."""
+"""Nodes beyond the outermost visited ones, over which the spline fades out."""
 _SAME_SPEED, _OTHER_SPEED = 0.1, 0.3
-"""Parts by which the speed may differ: up to the first the correction is applied in full, from the second on not."""
+"""Relative differences of the speed up to which the correction is applied in full, and from which it is not."""
 _LEAST_COMMON = 100
-"""Samples at nodes seen before, from which on two passes are compared."""
+"""Fewest samples at nodes seen before for which two passes are compared."""
 _MANY = 100
-"""Updates that a table is taken to have seen that was read from a file: it is learned from with the lasting gain."""
+"""Updates assumed of a table that was read from a file, so that it is updated with the final gain."""
+_UNKNOWN = {"coefficients": 0.0, "best": 0.0, "best_square": math.nan, "bare_square": math.nan, "speed": 0.0}
+"""Columns of the table, with their values at a node that was not visited."""
 
 
 class LearnedTable:
@@ -35,7 +37,7 @@ class LearnedTable:
 
     Args:
         spacing: of the nodes, m; node k lies at k times the spacing.
-        margin: part by which the RMS error of two like passes may differ by chance.
+        margin: fraction by which the RMS error of two like passes may differ by chance.
 
     Attributes:
         first: number of the first node.
@@ -43,18 +45,16 @@ class LearnedTable:
         best: (n,) coefficients of the best pass so far, m.
         best_square, bare_square: (n,) mean square of r − y in that pass and without any correction, m²; NaN at nodes
             that were not visited.
-        speed: (n,) of the stage where it was learned, m/s; 0 at nodes that were not visited.
-        updates: times that something was learned.
-        caution: factor of the gain, halved when an update made things worse, doubled up to 1 when one made them better.
-        tried: whether the coefficients are other than those of the best pass.
+        speed: (n,) of the stage when it was learned, m/s; 0 at nodes that were not visited.
+        updates: number of updates.
+        caution: factor of the gain, halved when an update increased the error, doubled up to 1 when one reduced it.
+        tried: whether the coefficients differ from those of the best pass.
     """
 
     def __init__(self, spacing: float, margin: float) -> None:
         self.spacing = spacing
         self._margin = margin
-        self._per_metre = 1.0 / spacing
-        self._half_per_metre = 0.5 / spacing
-        self._per_metre_squared = 1.0 / (spacing * spacing)
+        self._factors = (1.0 / spacing, 0.5 / spacing, 1.0 / (spacing * spacing))
         self.first = 0
         self.clear()
         self._publish()
@@ -62,11 +62,10 @@ class LearnedTable:
     def clear(self) -> None:
         """Forget everything."""
         self.coefficients, self.best, self.best_square, self.bare_square, self.speed = np.zeros((5, 0))
-        self.updates, self.caution = 0, 1.0
-        self.tried = False
+        self.updates, self.caution, self.tried = 0, 1.0, False
 
     def restore(self, first: int, coefficients: Array, best_square: Array, bare_square: Array, speed: Array) -> None:
-        """Take a table that was kept; (n,) each, from node ``first`` on."""
+        """Take the columns of a saved table; (n,) each, from node ``first`` on."""
         self.first = first
         self.coefficients, self.best = coefficients.copy(), coefficients.copy()
         self.best_square, self.bare_square, self.speed = best_square.copy(), bare_square.copy(), speed.copy()
@@ -74,10 +73,11 @@ class LearnedTable:
         self._publish()
 
     def at(self, x: float, speed: float) -> tuple[float, float, float, float]:
-        """Weight by which the correction is to be applied at a speed in m/s, the correction in m, and its first two
-        derivatives by x in m/m and 1/m; no correction outside of the table."""
+        """Weight of the correction at a speed in m/s, the correction in m, and its first two derivatives by x in m/m
+        and 1/m; no correction outside of the table."""
         first, end, plain, plain_speed = self._lookup
-        u = x * self._per_metre - first
+        per_metre, half_per_metre, per_metre_squared = self._factors
+        u = x * per_metre - first
         i = int(u)
         if not 1 <= i < end:
             return 1.0, 0.0, 0.0, 0.0
@@ -93,8 +93,8 @@ class LearnedTable:
         return (
             weight,
             (b0 * ss * s + b1 * (3.0 * tt * (t - 2.0) + 4.0) + b2 * (3.0 * ss * (s - 2.0) + 4.0) + b3 * tt * t) / 6.0,
-            (b1 * t * (3.0 * t - 4.0) - b2 * s * (3.0 * s - 4.0) + b3 * tt - b0 * ss) * self._half_per_metre,
-            (b0 * s + b1 * (3.0 * t - 2.0) + b2 * (3.0 * s - 2.0) + b3 * t) * self._per_metre_squared,
+            (b1 * t * (3.0 * t - 4.0) - b2 * s * (3.0 * s - 4.0) + b3 * tt - b0 * ss) * half_per_metre,
+            (b0 * s + b1 * (3.0 * t - 2.0) + b2 * (3.0 * s - 2.0) + b3 * t) * per_metre_squared,
         )
 
     def learn(
@@ -107,14 +107,14 @@ class LearnedTable:
         gain: float,
         limit: float,
     ) -> None:
-        """Judge a pass, and learn from it if it was not worse than the best one.
+        """Compare a pass with the best one, and update the table if it was not worse.
 
         Args:
             x, error: (n,) of its samples, m; the error is r − y.
-            weight: (n,) part of the correction that was applied.
-            wanted: gives for a gain the correction that the next pass should have, (n,) m at the samples.
+            weight: (n,) of the correction, as applied.
+            wanted: ``wanted(gain)`` is the correction for the next pass, (n,) m at the samples.
             speed: (n,) of the stage, m/s.
-            gain: of the learning, before the table's own caution.
+            gain: of the learning, before ``caution``.
             limit: largest coefficient, m.
         """
         self._cover(x)
@@ -138,16 +138,15 @@ class LearnedTable:
         self._publish()
 
     def _accepted(self, visits: NDArray[np.intp], square: Array) -> bool:
-        """Whether a pass is good enough to learn from; if not, the table is put back."""
+        """Whether a pass is good enough to learn from; if not, the table goes back to the best pass."""
         now, best = _sums(visits, square, self.best_square)
         visited = visits > 0
         if now > best * (1.0 + self._margin) ** 2:
             if self.tried:
-                self.coefficients = self.best.copy()
+                self.coefficients, self.tried = self.best.copy(), False
                 self.caution *= 0.5
-                self.tried = False
                 return False
-            # What was the best is so no more: the machine has changed. It may still be better than nothing.
+            # The machine has changed: the best pass counts no more. The table may still be better than none.
             now, bare = _sums(visits, square, self.bare_square)
             if now > bare:
                 self.clear()
@@ -156,7 +155,7 @@ class LearnedTable:
         elif now <= best:
             if self.tried:
                 self.caution = min(1.0, 2.0 * self.caution)
-            # Only where the stage was: elsewhere the last update is still to be proved.
+            # Only where the stage was: elsewhere the last update is not proved yet.
             proved = slice(*(np.flatnonzero(visited)[[0, -1]] + (0, 1)))
             self.best[proved] = self.coefficients[proved]
             self.tried = not np.array_equal(self.best, self.coefficients)
@@ -167,46 +166,34 @@ class LearnedTable:
         return True
 
     def _forget_other_speeds(self, passed_at: Array) -> None:
-        """Start anew at the nodes that were passed at another speed than before; NaN where they were not passed."""
+        """Reset the nodes passed at another speed than before; ``passed_at`` is NaN where they were not passed."""
         other = np.abs(passed_at - self.speed) > _OTHER_SPEED * self.speed
-        for values, unknown in (
-            (self.coefficients, 0.0),
-            (self.best, 0.0),
-            (self.best_square, math.nan),
-            (self.bare_square, math.nan),
-        ):
-            values[other & (self.speed > 0.0)] = unknown
+        known = other & (self.speed > 0.0)
+        for name, unknown in _UNKNOWN.items():
+            getattr(self, name)[known] = unknown
         self.speed[other] = passed_at[other]
 
     def _cover(self, x: Array) -> None:
-        """Let the table reach over all of ``x``."""
+        """Extend the table over all of ``x``."""
         low = math.floor(float(x.min()) / self.spacing) - _ENDS
         high = math.ceil(float(x.max()) / self.spacing) + _ENDS
         if self.coefficients.size == 0:
             self.first = low
         before = max(0, self.first - low)
         after = max(0, high + 1 - self.first - self.coefficients.size)
-        if before or after:
-            self.coefficients, self.best, self.speed = (
-                np.pad(values, (before, after)) for values in (self.coefficients, self.best, self.speed)
-            )
-            self.best_square, self.bare_square = (
-                np.pad(values, (before, after), constant_values=math.nan)
-                for values in (self.best_square, self.bare_square)
-            )
-            self.first -= before
+        for name, unknown in _UNKNOWN.items():
+            setattr(self, name, np.pad(getattr(self, name), (before, after), constant_values=unknown))
+        self.first -= before
 
     def _publish(self) -> None:
-        """Plain numbers for :meth:`at`: NumPy's overhead on single ones would be most of a lookup.
-
-        They change all at once: another thread may be at a lookup.
-        """
+        """Lists for :meth:`at`, whose time would be mostly NumPy's overhead; replaced at once: it may run in another
+        thread."""
         self._lookup = (self.first, self.coefficients.size - 2, self.coefficients.tolist(), self.speed.tolist())
 
 
 def _sums(visits: NDArray[np.intp], square: Array, other: Array) -> tuple[float, float]:
-    """Sum of squares of a pass and that of another one, each node counted as often as in the first, where both are
-    known; nothing to compare gives zeros."""
+    """Sums of squares of a pass and of another one over the nodes known of both, weighted by the visits of the first;
+    zeros where there is too little to compare."""
     common = (visits > 0) & np.isfinite(other)
     if visits[common].sum() < _LEAST_COMMON:
         return 0.0, 0.0

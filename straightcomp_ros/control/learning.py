@@ -1,25 +1,25 @@
 """Learning from stroke to stroke: iterative learning control over x, one table for each direction of motion.
 
-The stage repeats its strokes, and with them most of what the servo leaves: the reversals of friction where r(x) turns,
-and a law's lag. What a pass left, r − y at the encoder, is added to the reference of the next pass:
+The stage repeats its strokes, and most of the error repeats with them: the reversals of friction where r(x) turns, and
+a law's lag. The error r − y of a pass is added to the reference of the next:
 
     c ← Q[(1 − f) c + γ (r − y)],   law's reference: r + c(x), with rates c' ẋ and c'' ẋ² + c' ẍ
 
-(Bristow, Tharayil, Alleyne, A survey of iterative learning control, IEEE Control Systems 26(3), 2006). Correcting the
-reference and not the current makes the plant of the learning loop the closed servo loop T, which is near 1 below
-its bandwidth whatever the machine's mass, force and friction are: |1 − γ T| < 1 there, and Q, a low-pass without phase,
-is zero where T is not known. γ falls as 1/(k + 2) with the updates k down to `gain`: this averages the noise of
-the passes (Saab, IEEE Trans. Automatic Control 46(6), 2001).
+(Bristow, Tharayil, Alleyne, A survey of iterative learning control, IEEE Control Systems 26(3), 2006). Because it
+corrects the reference and not the current, the plant of the learning loop is the closed servo loop T, near 1 below its
+bandwidth whatever the machine's mass, force and friction: |1 − γ T| < 1 there, and Q, a zero-phase low-pass, is zero
+where T is unknown. γ falls as 1/(k + 2) with the updates k down to `gain`, which averages the noise of the passes
+(Saab, IEEE Trans. Automatic Control 46(6), 2001).
 
-Near rest, where the direction means nothing, the correction fades with the speed squared. No pass is learned from
-in which the amplifier was off, samples were missing, or the beginning was not seen.
+Near rest, where the direction means nothing, the correction fades with the speed squared. A pass is not learned from if
+the amplifier was off, samples were missing, or its beginning was not seen.
 """
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -40,15 +40,13 @@ _REST = 1e-3
 _STAGE_BANDWIDTH = 30.0
 """Hz, of the estimate of ẋ and ẍ."""
 _SETTLED = 100
-"""Samples after a restart until the estimated speed is believed to be that of a stage at rest."""
-_SHORTEST = 200
-"""Samples of a pass that says something."""
-_LONGEST = 1_000_000
-"""Samples of a pass that are kept; a longer one is not learned from."""
+"""Samples after a restart until the estimated speed shows that the stage is at rest."""
+_SHORTEST, _LONGEST = 200, 1_000_000
+"""Samples of a pass that is learned from; a longer one is dropped."""
 _JUMP = 0.01
-"""m from sample to sample that no stage moves."""
+"""m, more than any stage moves from sample to sample."""
 _ORDER = 2
-"""Of the low-pass; forward and backward it counts twice."""
+"""Of the low-pass, which runs forward and backward."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,10 @@ class Learning:
         parameters: how to learn.
         law: the law's name. A law is corrected only by what was learned with it.
         rate: samples per second.
-        run: runs what is to be done at the end of a pass, some 3 ms of work, at once or soon; one job after the other.
+        run: runs the update at the end of a pass, some 3 ms of work, at once or soon; one after the other.
+
+    Attributes:
+        tables: the learned corrections: forward at True, backward at False.
 
     Raises:
         LearningFileError: the file is refused.
@@ -98,33 +99,25 @@ class Learning:
     ) -> None:
         self._run = run
         self._parameters, self._law = parameters, law
-        self._fade_speed = parameters.fade_speed
         if parameters.cutoff > 0.4 * rate:
             raise ParameterError(
                 f"parameter 'learning.cutoff': {parameters.cutoff!r} Hz; allowed: <= {0.4 * rate:g} Hz at this rate"
             )
-        # Only where something is learned: scipy.signal takes a second to import, at the start of every node.
+        # Not at the top of the file: scipy.signal takes a second to import, at the start of every node.
         from scipy.signal import butter
 
         self._low_pass = butter(_ORDER, parameters.cutoff, fs=rate, output="sos")
-        self._tables = {forward: LearnedTable(parameters.spacing, parameters.margin) for forward in (True, False)}
+        self.tables = {forward: LearnedTable(parameters.spacing, parameters.margin) for forward in (True, False)}
         if parameters.file and Path(parameters.file).exists():
-            read_tables(Path(parameters.file), law, self._tables)
+            read_tables(Path(parameters.file), law, self.tables)
         self._tracked = restarted(0.0)
-        self._pass = array("d")
         self._forward = True
         self.interrupt()
 
-    @property
-    def tables(self) -> Mapping[bool, LearnedTable]:
-        """What was learned: forward at True, backward at False."""
-        return self._tables
-
     def interrupt(self) -> None:
-        """Forget the pass that is going on, and correct nothing before the stage has stood still."""
+        """Drop the present pass, and correct nothing until the stage has stood still."""
         self._pass = array("d")
-        self._samples = 0
-        self._stood = False
+        self._samples, self._stood = 0, False
 
     def step(self, stamp_ns: int, x: float, y: float, reference: Reference) -> Reference:
         """The law's reference (m, m/s, m/s²) for a sample: stamp, x and y in m, and the reference asked for."""
@@ -134,8 +127,7 @@ class Learning:
                 self._tracked = restarted(x)
                 self._stamp_ns, self._samples = stamp_ns, 1
             return reference
-        tracked = updated(_STAGE_BANDWIDTH, self._tracked, (stamp_ns - self._stamp_ns) * 1e-9, x)
-        self._tracked = tracked
+        self._tracked = tracked = updated(_STAGE_BANDWIDTH, self._tracked, (stamp_ns - self._stamp_ns) * 1e-9, x)
         self._stamp_ns = stamp_ns
         self._samples += 1
         v = tracked.v
@@ -148,9 +140,9 @@ class Learning:
         if not self._stood:
             return reference
         speed = v if forward else -v
-        weight, correction, slope, curvature = self._tables[forward].at(x, speed)
-        if speed < self._fade_speed:
-            weight *= (speed / self._fade_speed) ** 2
+        weight, correction, slope, curvature = self.tables[forward].at(x, speed)
+        if speed < self._parameters.fade_speed:
+            weight *= (speed / self._parameters.fade_speed) ** 2
         r, r_dot, r_ddot = reference
         if len(self._pass) >= 5 * _LONGEST:
             self.interrupt()
@@ -169,27 +161,23 @@ class Learning:
             OSError: it cannot be written.
         """
         if self._parameters.file:
-            write_tables(Path(self._parameters.file), self._law, self._tables)
+            write_tables(Path(self._parameters.file), self._law, self.tables)
 
     def counters(self) -> dict[str, object]:
         """Figures for the diagnostics."""
-        return {
-            f"learned_{name}": self._tables[forward].updates
-            for name, forward in (("forward", True), ("backward", False))
-        }
+        return {"learned_forward": self.tables[True].updates, "learned_backward": self.tables[False].updates}
 
     def _end_pass(self) -> None:
-        if not self._pass:
-            return
-        record = np.frombuffer(self._pass).reshape(-1, 5)
-        self._pass = array("d")
-        if len(record) >= _SHORTEST:
-            self._run(partial(self._learn, self._tables[self._forward], record))
+        if len(self._pass) >= 5 * _SHORTEST:
+            record = np.frombuffer(self._pass).reshape(-1, 5)
+            self._run(partial(self._learn, self.tables[self._forward], record))
+        if self._pass:
+            self._pass = array("d")
 
     def _learn(self, table: LearnedTable, record: NDArray[np.float64]) -> None:
-        x, error, weight, correction, speed = record.T.copy()
         from scipy.signal import sosfiltfilt
 
+        x, error, weight, correction, speed = record.T.copy()
         chosen = self._parameters
 
         def wanted(gain: float) -> NDArray[np.float64]:

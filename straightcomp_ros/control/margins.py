@@ -1,14 +1,14 @@
 """Stability of a law in the sampled loop: poles, gain range, phase margin, longest delay.
 
-The law's own step function is linearised about rest at the centre (by central differences), and closed over the nominal
-plant, sampled with its command delay and the amplifier's lag. Nothing is written down twice: what is judged here is
-what runs. A law whose slope at rest is infinite (sgn, super-twisting) has no linearisation and is refused.
+The law's own step function, the one that runs, is linearised by central differences about rest at the centre, and
+closed over the sampled nominal plant with its command delay and the amplifier's lag. A law whose slope at rest is
+infinite (sgn, super-twisting) has no linearisation and is refused.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from straightcomp_ros.control.design import NominalPlant
-from straightcomp_ros.control.law import Law
+from straightcomp_ros.control.law import Law, flat
 
 _STEP = 1e-9
-"""Perturbation for the differences, in the state's own SI units: far below a count, far above rounding."""
+"""Perturbation for the differences, in SI units: far below a count, far above rounding."""
 _LINEAR_WITHIN = 1e-3
 
 Matrix = NDArray[np.float64]
@@ -39,8 +39,7 @@ class Margins(NamedTuple):
 
     Attributes:
         poles: of the closed loop, in the z plane.
-        gain_low, gain_high: factors of the loop gain between which it is stable (the plant is unstable by itself, so
-            there is a lower bound too).
+        gain_low, gain_high: factors of the loop gain between which it is stable; the open-loop plant is unstable.
         phase: smallest phase margin over all gain crossovers, degrees.
         longest_delay: command delay in s up to which it is stable.
     """
@@ -58,7 +57,7 @@ def sampled_plant(nominal: NominalPlant, *, period: float, delay: float, amplifi
     Args:
         nominal: the plant.
         period: s.
-        delay: from the sample to the effect of its command, s, zero or more.
+        delay: of a command from its sample, s, zero or more.
         amplifier_bandwidth: Hz.
     """
     actuator = nominal.actuator
@@ -94,24 +93,20 @@ def linearised(law: Law) -> StateSpace:
         ValueError: the law is not linear there.
     """
     rest = law.start(0.0)
-    size = len(list(_numbers(rest)))
-
-    def outputs(state: Any, y: float) -> Matrix:
-        after, command = law.function(law.gains, state, y, 0.0, 0.0, 0.0, math.nan)
-        return np.array([*_numbers(after), command.current])
-
-    def slope(place: int, step: float) -> Matrix:
-        return (disturbed(place, step) - disturbed(place, -step)) / (2.0 * step)
+    size = len(flat(rest))
 
     def disturbed(place: int, step: float) -> Matrix:
-        numbers = [0.0] * size
-        if place < size:
-            numbers[place] = step
-            return outputs(_rebuilt(rest, iter(numbers)), 0.0)
-        return outputs(rest, step)
+        numbers = [0.0] * (size + 1)
+        numbers[place] = step
+        state = _rebuilt(rest, iter(numbers))
+        after, command = law.function(law.gains, state, numbers[size], 0.0, 0.0, 0.0, math.nan)
+        return np.array([*flat(after), command.current])
 
-    columns = np.array([slope(place, _STEP) for place in range(size + 1)]).T
-    coarser = np.array([slope(place, 2.0 * _STEP) for place in range(size + 1)]).T
+    def slopes(step: float) -> Matrix:
+        places = range(size + 1)
+        return np.array([(disturbed(place, step) - disturbed(place, -step)) / (2.0 * step) for place in places]).T
+
+    columns, coarser = slopes(_STEP), slopes(2.0 * _STEP)
     if not np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
         raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
     return StateSpace(columns[:size, :size], columns[:size, size], columns[size, :size], float(columns[size, size]))
@@ -127,31 +122,24 @@ def loop_margins(
     """
     controller = linearised(law)
 
+    def plant(at: float = delay) -> StateSpace:
+        return sampled_plant(nominal, period=period, delay=at, amplifier_bandwidth=amplifier_bandwidth)
+
     def poles(gain: float = 1.0, at: float = delay) -> NDArray[np.complex128]:
-        plant = sampled_plant(nominal, period=period, delay=at, amplifier_bandwidth=amplifier_bandwidth)
-        return np.asarray(np.linalg.eigvals(_closed(plant, controller, gain)), dtype=np.complex128)
+        return np.asarray(np.linalg.eigvals(_closed(plant(at), controller, gain)), dtype=np.complex128)
 
     def stable(gain: float = 1.0, at: float = delay) -> bool:
         return bool(np.abs(poles(gain, at)).max() < 1.0)
 
-    plant = sampled_plant(nominal, period=period, delay=delay, amplifier_bandwidth=amplifier_bandwidth)
     if not stable():
         return Margins(poles(), 1.0, 1.0, 0.0, 0.0)
     return Margins(
         poles(),
-        _last_stable(lambda x: stable(gain=x), 1.0, 0.0),
-        _last_stable(lambda x: stable(gain=x), 1.0, 20.0),
-        _phase_margin(plant, controller, period),
+        _last_stable(stable, 1.0, 0.0),
+        _last_stable(stable, 1.0, 20.0),
+        _phase_margin(plant(), controller, period),
         _last_stable(lambda x: stable(at=x), delay, delay + 10.0 * period),
     )
-
-
-def _numbers(nested: Any) -> Iterator[float]:
-    for value in nested:
-        if isinstance(value, tuple):
-            yield from _numbers(value)
-        else:
-            yield value
 
 
 def _rebuilt(like: Any, numbers: Iterator[float]) -> Any:
@@ -160,24 +148,19 @@ def _rebuilt(like: Any, numbers: Iterator[float]) -> Any:
 
 def _closed(plant: StateSpace, controller: StateSpace, gain: float) -> Matrix:
     b = gain * plant.b
-    return np.block(
-        [
-            [plant.a + controller.d * np.outer(b, plant.c), np.outer(b, controller.c)],
-            [np.outer(controller.b, plant.c), controller.a],
-        ]
-    )
+    top = [plant.a + controller.d * np.outer(b, plant.c), np.outer(b, controller.c)]
+    return np.block([top, [np.outer(controller.b, plant.c), controller.a]])
 
 
-def _last_stable(stable: Any, inside: float, outside: float) -> float:
-    """The value next to the border between ``inside``, which is stable, and ``outside``."""
+def _last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:
+    """The last stable value on the way from ``inside``, which is stable, to ``outside``."""
     # In small steps first: beyond the border there may be another stable stretch.
-    grid = np.linspace(inside, outside, 100)
     last = inside
-    for value in grid[1:]:
+    for value in np.linspace(inside, outside, 100)[1:].tolist():
         if not stable(value):
-            outside = float(value)
+            outside = value
             break
-        last = float(value)
+        last = value
     else:
         return outside
     for _ in range(40):
@@ -197,8 +180,8 @@ def _phase_margin(plant: StateSpace, controller: StateSpace, period: float) -> f
 
 
 def _response(system: StateSpace, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    identity = np.eye(len(system.b))
+    n = len(system.b)
     solved = np.linalg.solve(
-        z[:, None, None] * identity - system.a, np.broadcast_to(system.b[:, None], (len(z), len(system.b), 1))
+        z[:, None, None] * np.eye(n) - system.a, np.broadcast_to(system.b[:, None], (len(z), n, 1))
     )
     return np.asarray((system.c @ solved)[:, 0] + system.d)

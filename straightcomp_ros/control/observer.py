@@ -1,9 +1,12 @@
-"""Extended state observer of the platform: position, velocity, disturbance, through a loop delay that it knows.
+"""Extended state observer of the platform, through a loop delay that it knows; and the errors at the moment of action.
 
-The model between two samples is M v̇ = f_c(y, i) + M d with the magnets' exact force (2), the amplifier's
-first-order lag, and a command that takes effect ``delay`` after its sample. Friction, model errors and everything else
-is the disturbance d (an acceleration), taken as constant from sample to sample (Han, IEEE Trans. Ind. Electron. 56(3),
-2009; Gao's bandwidth parameterisation, ACC 2003).
+The model between two samples is M v̇ = f_c(y, i) + M d with the magnets' exact force (2), the amplifier's first-order
+lag, and a command that takes effect ``delay`` after its sample. Friction, model errors and everything else is the
+disturbance d (an acceleration), taken as constant from sample to sample (Han, IEEE Trans. Ind. Electron. 56(3), 2009;
+Gao's bandwidth parameterisation, ACC 2003).
+
+The command computed from the sample of time t acts at t + delay: the laws compare the state predicted for that moment
+with the reference of that moment. They answer with an acceleration; the exact inverse of (2) gives the current.
 """
 
 from __future__ import annotations
@@ -11,8 +14,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.model.actuator import Actuator, magnetic_force
+from straightcomp_ros.control.design import NominalPlant
+from straightcomp_ros.model.actuator import Actuator, control_current, magnetic_force
 from straightcomp_ros.model.compiled import compilable
+
+_USABLE_GAP = 0.95
+"""Fraction of the air gap within which (2) and its inverse are evaluated: they are singular at the poles."""
 
 
 class Estimate(NamedTuple):
@@ -32,18 +39,103 @@ class ObserverGains(NamedTuple):
     disturbance: float
 
 
-def observer_gains(bandwidth: float, period: float) -> ObserverGains:
-    """Gains that put all three poles of the sampled observer at exp(−2π·bandwidth·period).
+class Interval(NamedTuple):
+    """A time for which the amplifier is commanded one current.
 
-    Args:
-        bandwidth: Hz.
-        period: sampling period in s.
+    Attributes:
+        duration: s.
+        left: remaining fraction, at the end, of the initial difference between the coils' current and the command.
+        mean: mean of that fraction over the interval.
     """
+
+    duration: float
+    left: float
+    mean: float
+
+
+class Loop(NamedTuple):
+    """The nominal model of the loop.
+
+    Attributes:
+        period, delay: s.
+        before_action, after_action: of a period, under the last command and under the new one.
+        mass: kg.
+        current_limit: A.
+        current_gain: acceleration per current at the centre, m/s²/A.
+        current_share: mean over a period of a current step's effect, relative to its effect at the period's end.
+    """
+
+    period: float
+    delay: float
+    before_action: Interval
+    after_action: Interval
+    mass: float
+    current_limit: float
+    current_gain: float
+    current_share: float
+    observer: ObserverGains
+    actuator: Actuator
+
+
+class Moment(NamedTuple):
+    """Estimate for the sample, estimate for the moment of action, and the errors y − r and ẏ − ṙ there."""
+
+    now: Estimate
+    action: Estimate
+    position_error: float
+    rate_error: float
+
+
+def observer_gains(bandwidth: float, period: float) -> ObserverGains:
+    """Gains that put all poles of the sampled observer at exp(−2π bandwidth period); Hz and s."""
     pole = math.exp(-2.0 * math.pi * bandwidth * period)
     return ObserverGains(
         1.0 - pole**3,
         1.5 * (1.0 - pole) ** 2 * (1.0 + pole) / period,
         (1.0 - pole) ** 3 / period**2,
+    )
+
+
+def interval(amplifier_rate: float, duration: float) -> Interval:
+    """An interval of ``duration`` s, zero or more, with an amplifier of first order, rad/s."""
+    left = math.exp(-amplifier_rate * duration)
+    return Interval(duration, left, (1.0 - left) / (amplifier_rate * duration) if duration > 0.0 else 1.0)
+
+
+def nominal_loop(
+    nominal: NominalPlant,
+    *,
+    period: float,
+    delay_samples: float,
+    bandwidth: float,
+    current_limit: float,
+    gain_allowance: float = 1.0,
+) -> Loop:
+    """The loop around the nominal plant.
+
+    Args:
+        nominal: the plant.
+        period: s.
+        delay_samples: delay of a command, in periods, at most 1.
+        bandwidth: of the observer, Hz.
+        current_limit: A.
+        gain_allowance: factor of the stiffnesses K̄_i and K̄_y. It equals dividing M; the equilibrium does not move.
+    """
+    rate = 2.0 * math.pi * nominal.amplifier_bandwidth
+    mass = nominal.mass / gain_allowance
+    acting = (1.0 - delay_samples) * period
+    risen = 1.0 - math.exp(-rate * acting)
+    return Loop(
+        period,
+        delay_samples * period,
+        interval(rate, delay_samples * period),
+        interval(rate, acting),
+        mass,
+        current_limit,
+        nominal.actuator.current_stiffness / mass,
+        (acting - risen / rate) / (period * risen) if risen > 0.0 else 0.0,
+        observer_gains(bandwidth, period),
+        nominal.actuator.constants(),
     )
 
 
@@ -59,39 +151,15 @@ def corrected(gains: ObserverGains, prior: Estimate, reading: float) -> Estimate
     )
 
 
-class Interval(NamedTuple):
-    """A time for which the amplifier is asked for one current, and how the coils follow.
-
-    Attributes:
-        duration: s.
-        left: of the difference between the coils' current and the one asked for, at its end; 1 at its start.
-        mean: of that difference over the interval.
-    """
-
-    duration: float
-    left: float
-    mean: float
-
-
-def interval(amplifier_rate: float, duration: float) -> Interval:
-    """An interval of ``duration`` s, zero or more, with an amplifier of first order, rad/s."""
-    left = math.exp(-amplifier_rate * duration)
-    return Interval(duration, left, (1.0 - left) / (amplifier_rate * duration) if duration > 0.0 else 1.0)
-
-
 @compilable
 def predicted(actuator: Actuator, mass: float, over: Interval, estimate: Estimate, command: float) -> Estimate:
-    """The estimate at the end of ``over``, with the amplifier asked for ``command`` A throughout."""
+    """The estimate at the end of ``over``, with the amplifier commanded ``command`` A throughout."""
     y, velocity, disturbance, current = estimate
     duration, left, mean = over
     behind = current - command
-    halfway = y + 0.5 * duration * velocity
     # The model must not leave the air gap, wherever the estimate strays.
-    limit = 0.95 * actuator.air_gap
-    if halfway > limit:
-        halfway = limit
-    elif halfway < -limit:
-        halfway = -limit
+    limit = _USABLE_GAP * actuator.air_gap
+    halfway = max(-limit, min(limit, y + 0.5 * duration * velocity))
     force = magnetic_force(actuator, halfway, actuator.bias_current, command + behind * mean)
     acceleration = force / mass + disturbance
     return Estimate(
@@ -100,3 +168,53 @@ def predicted(actuator: Actuator, mass: float, over: Interval, estimate: Estimat
         disturbance,
         command + behind * left,
     )
+
+
+@compilable
+def with_measured_current(g: Loop, prior: Estimate, current: float) -> Estimate:
+    """The prediction, corrected by the measured current of the coils (A; NaN: none).
+
+    A late or lost command shows there long before it shows in the position. The difference is assumed to have begun
+    with the command, so that its mean over the period is ``current_share`` of its value at the end.
+    """
+    if math.isnan(current):
+        return prior
+    gained = (current - prior.current) * g.current_share * g.period * g.current_gain
+    return Estimate(prior.y + 0.5 * g.period * gained, prior.velocity + gained, prior.disturbance, current)
+
+
+@compilable
+def moment_of_action(
+    g: Loop, prior: Estimate, command: float, y: float, r: float, r_dot: float, r_ddot: float, current: float
+) -> Moment:
+    """Estimates and errors for a sample: reading y in m, reference r in m with its rates.
+
+    Args:
+        g: the loop.
+        prior: the sample as predicted.
+        command: current in A that the amplifier is commanded until the answer to this sample acts.
+        current: measured in the coils at the sample, A; NaN where it is not measured.
+    """
+    now = corrected(g.observer, with_measured_current(g, prior, current), y)
+    action = predicted(g.actuator, g.mass, g.before_action, now, command)
+    target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
+    return Moment(now, action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
+
+
+@compilable
+def current_for(g: Loop, y: float, acceleration: float) -> float:
+    """Control current in A that accelerates the platform at ``y`` (m) by ``acceleration`` (m/s²)."""
+    limit = _USABLE_GAP * g.actuator.air_gap
+    return control_current(g.actuator, max(-limit, min(limit, y)), g.mass * acceleration)
+
+
+@compilable
+def limited(g: Loop, current: float) -> float:
+    """The current within the limit, A. The observer is given the limited command: nothing can wind up."""
+    return max(-g.current_limit, min(g.current_limit, current))
+
+
+@compilable
+def next_prior(g: Loop, action: Estimate, command: float) -> Estimate:
+    """The next sample as predicted, with ``command`` A acting from the moment of action on."""
+    return predicted(g.actuator, g.mass, g.after_action, action, command)

@@ -1,8 +1,7 @@
 """Gives each sample its reference: that of an earlier sample, extrapolated.
 
-The map is smooth and the stage slow, so the reference of a few milliseconds ago and its two rates give the present one
-to a fraction of a nanometre. The feedforward may therefore run beside the loop instead of in it: no sample waits for
-another process's answer.
+The map is smooth and the stage slow: the reference of a few milliseconds ago and its two rates give the present one to
+a fraction of a nanometre. The feedforward therefore runs beside the loop, and no sample waits for its answer.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from numpy.typing import NDArray
 T = TypeVar("T", float, NDArray[np.float64])
 
 _WAITING = 1000
-"""Samples or references that are kept: half a second."""
+"""Most samples or references that are kept: half a second."""
 _GAP_NS = 20_000_000
-"""Longest gap between samples that are of one run."""
+"""Longest gap between samples of one run."""
 _LONGEST_EXTRAPOLATION_NS = 50_000_000
-"""A feedforward that is held up for longer stops the commands. At 0.3 m/s on the shipped map so long a step errs by
-0.4 µm at most, one of 20 ms by 0.04 µm; without a command the platform errs by micrometres in that time."""
+"""A feedforward that is held up for longer stops the commands. At 0.3 m/s on the shipped map the extrapolation errs by
+0.4 µm at most, over 20 ms by 0.04 µm; without a command the platform errs by micrometres in that time."""
 
 Reference = tuple[float, float, float]
 Paired = tuple[int, Sequence[float], Reference, int]
@@ -34,28 +33,29 @@ def extrapolated(r: T, r_dot: T, r_ddot: T, ahead: T) -> tuple[T, T, T]:
 
 
 class Pairing:
-    """Samples with their references, in the order of their coming.
+    """Samples with their references, in the order of arrival.
 
-    A sample is served by the reference of the sample ``lead_ns`` before it, or of the first sample. Which one that is
-    depends on the stamps alone, not on who was faster: a replay of the same messages gives the same numbers.
+    A sample takes the reference of the sample ``lead_ns`` before it, or of the first sample. That depends on the stamps
+    alone, not on the order of arrival: a replay of the same messages gives the same numbers.
 
     Args:
         lead_ns: how much older than the sample its reference is, in ns.
-        wait: a sample whose reference is late waits for it (lockstep, replay, simulation) instead of being served
-            by the newest one that is there (real time).
+        wait: a sample whose reference is late waits for it (lockstep, replay, simulation), instead of taking the newest
+            available one (real time).
+
+    Attributes:
+        unmatched: samples that were dropped without a reference.
     """
 
     def __init__(self, lead_ns: int, *, wait: bool) -> None:
-        self._lead_ns = lead_ns
-        self._wait = wait
+        self._lead_ns, self._wait = lead_ns, wait
         self._samples: deque[tuple[int, Sequence[float]]] = deque()
-        self._references: deque[tuple[int, Sequence[float]]] = deque()
+        self._references: deque[tuple[int, Sequence[float]]] = deque(maxlen=_WAITING)
         self._first_ns = self._last_ns = -(2**63)
         self.unmatched = 0
-        """Samples that were forgotten without a reference."""
 
     def add_sample(self, stamp_ns: int, sample: Sequence[float]) -> None:
-        """A sample came."""
+        """Add a sample that arrived."""
         if not 0 <= stamp_ns - self._last_ns <= _GAP_NS:
             self._first_ns = stamp_ns
         self._last_ns = stamp_ns
@@ -65,22 +65,20 @@ class Pairing:
             self.unmatched += 1
 
     def add_reference(self, stamp_ns: int, reference: Sequence[float]) -> None:
-        """A reference came: r in m, ṙ in m/s, r̈ in m/s². One that is repeated or overtaken is of no use."""
+        """Add a reference that arrived: r in m, ṙ in m/s, r̈ in m/s². Repeated and overtaken ones are dropped."""
         references = self._references
         if references and stamp_ns <= references[-1][0]:
             if references[-1][0] - stamp_ns <= _GAP_NS:
                 return
             references.clear()  # the machine's clock was set back
         references.append((stamp_ns, reference))
-        if len(references) > _WAITING:
-            references.popleft()
 
     def short(self, ahead_ns: int) -> bool:
-        """Whether a sample ``ahead_ns`` after the last one would be served by an older reference than is meant."""
+        """Whether a sample ``ahead_ns`` after the last one would get an older reference than that of ``lead_ns``."""
         return not self._references or self._references[-1][0] < self._last_ns + ahead_ns - self._lead_ns
 
     def take(self) -> Iterator[Paired]:
-        """Samples that can be served now: (stamp in ns, sample, reference at that stamp, its age in ns)."""
+        """Samples with a reference: (stamp in ns, sample, reference extrapolated to that stamp, its age in ns)."""
         samples, references = self._samples, self._references
         while samples and references:
             stamp_ns, sample = samples[0]

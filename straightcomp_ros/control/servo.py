@@ -1,32 +1,70 @@
-"""One control cycle: what stands between a stream of samples and a law. Live, offline and replayed runs share it."""
+"""One control cycle: from a stream of samples to a law's commands. Live, offline and replayed runs share it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from straightcomp_ros.control.law import Command, Law
-from straightcomp_ros.control.law_crossfade import Crossfade, Stepped
 from straightcomp_ros.control.learning import Learning
 
 AMPLIFIER_OFF = Command(0.0, math.nan, math.nan, 0.0, 0.0, math.nan, math.nan)
+FADE_TIME = 0.1
+"""s, of a crossfade from one law to another."""
+
+
+class Crossfade:
+    """Stands for a law while it is replaced by another, without a bump in the command.
+
+    Both laws answer each sample, and the weight w of the new one grows by 1/n with each of n samples:
+
+        i = (1 − w) i_old + w i_new,   |Δi| ≤ (1 − w) |Δi_old| + w |Δi_new| + |i_new − i_old| / n
+
+    The command changes by no more than the laws' own steps and 1/n of their difference, which is at most twice the
+    limit of the current.
+
+    Args:
+        old: the law to leave, which may be a crossfade itself.
+        new: the law to reach; it starts at the next sample, at rest.
+        samples: n.
+        finished: called at the last of them.
+    """
+
+    def __init__(self, old: Law | Crossfade, new: Law, samples: int, finished: Callable[[Crossfade], None]) -> None:
+        self._old, self.new, self._samples, self._finished = old, new, samples, finished
+        self._done = 0
+
+    def reset(self, y: float) -> None:
+        """Start the new law at rest at ``y`` (m), and end the fade."""
+        self.new.reset(y)
+        self._finished(self)
+
+    def step(self, y: float, *others: float) -> Command:
+        """The new law's answer with the blended current; arguments as of `Law.step`."""
+        if not self._done:
+            self.new.reset(y)
+        self._done += 1
+        weight = self._done / self._samples
+        before, after = self._old.step(y, *others), self.new.step(y, *others)
+        if self._done >= self._samples:
+            self._finished(self)
+        return after._replace(current=before.current + weight * (after.current - before.current))
 
 
 class Servo:
     """Steps a law once for each sample, in the order of the stamps.
 
-    A repeated sample gets the same answer again and changes nothing. While the amplifier is off the law
-    is kept reset, so that nothing is integrated that cannot act. After a gap longer than ``restart_gap_ns``
-    the law starts anew.
+    A repeated sample gets the same answer again and changes nothing. While the amplifier is off the law is kept reset,
+    so that nothing is integrated that cannot act.
 
     Args:
         law: control law.
-        restart_gap_ns: gap between two samples, in ns, after which old values say nothing.
+        restart_gap_ns: gap between two samples, in ns, after which the law starts anew.
         learning: corrects the law's reference by what earlier strokes left; None for none.
     """
 
     def __init__(self, law: Law, restart_gap_ns: int = 20_000_000, learning: Learning | None = None) -> None:
-        self._law: Stepped = law
+        self._law: Law | Crossfade = law
         self._learning = learning
         self._restart_gap_ns = restart_gap_ns
         self._stamp_ns: int | None = None
@@ -34,14 +72,11 @@ class Servo:
         self._running = False
 
     def change(self, law: Law, samples: int) -> None:
-        """Go over to another law within so many samples, without a bump; at once where none is acting."""
-        if self._running:
-            self._law = Crossfade(self._law, law, samples, self._end_fade)
-        else:
-            self._law = law
+        """Replace the law, by a crossfade of ``samples`` while one acts, otherwise at once."""
+        self._law = Crossfade(self._law, law, samples, self._end_fade) if self._running else law
 
     def _end_fade(self, fade: Crossfade) -> None:
-        # Another change may have come meanwhile: this fade is the other one's old law then, and stays it.
+        # After another change this fade is the old law of a newer one, and stays it.
         if self._law is fade:
             self._law = fade.new
 
@@ -65,20 +100,18 @@ class Servo:
             return None
         gap = last is not None and abs(stamp_ns - last) > self._restart_gap_ns
         self._stamp_ns = stamp_ns
-        if math.isnan(coil_current):
-            self._running = False
-            if self._learning is not None:
-                self._learning.interrupt()
+        amplifier_on = not math.isnan(coil_current)
+        if self._learning is not None and (gap or not (self._running and amplifier_on)):
+            self._learning.interrupt()
+        if not amplifier_on:
             self._answer = AMPLIFIER_OFF._replace(error=r - y)
-            return self._answer
-        if not self._running or gap:
-            self._law.reset(y)
-            self._running = True
-            if self._learning is not None:
-                self._learning.interrupt()
-        if self._learning is None:
-            self._answer = self._law.step(y, r, r_dot, r_ddot, coil_current)
         else:
-            r_law, r_dot, r_ddot = self._learning.step(stamp_ns, x, y, reference)
-            self._answer = self._law.step(y, r_law, r_dot, r_ddot, coil_current)._replace(error=r - y)
+            if gap or not self._running:
+                self._law.reset(y)
+            if self._learning is None:
+                self._answer = self._law.step(y, r, r_dot, r_ddot, coil_current)
+            else:
+                r_law, r_dot, r_ddot = self._learning.step(stamp_ns, x, y, reference)
+                self._answer = self._law.step(y, r_law, r_dot, r_ddot, coil_current)._replace(error=r - y)
+        self._running = amplifier_on
         return self._answer

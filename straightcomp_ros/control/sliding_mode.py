@@ -1,4 +1,4 @@
-"""The paper's law (9), sampled: linear control, and sliding-mode control with the switching term."""
+"""Laws `linear` and `smc`: the paper's (9), sampled, without and with its switching term."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from straightcomp_ros.model.compiled import compilable
 
 
 class Gains(NamedTuple):
-    """Numbers of one sampled law: (9) with the current as input, per sample."""
+    """Numbers of (9), sampled, with the current as the input."""
 
     period: float
     smoothing: float
@@ -80,7 +80,7 @@ def gains(
 
 @compilable
 def switching_function(sigma: float, boundary_layer: float) -> float:
-    """sgn σ, or inside a boundary layer of half width ε its continuous replacement σ/ε (Slotine and Sastry, 1983)."""
+    """sgn σ, or σ/ε inside a boundary layer of half width ε (Slotine and Sastry, 1983)."""
     if abs(sigma) < boundary_layer:
         return sigma / boundary_layer
     return math.copysign(1.0, sigma) if sigma != 0.0 else 0.0
@@ -97,23 +97,19 @@ def step(
 ) -> tuple[State, Command]:
     """One sample of (9) on x = [−∫e, y, ẏ]: linear control where the switching gain is zero.
 
-    ẏ is the difference of two readings over the period, smoothed by a first-order filter. While the
-    current is at its limit the integral is held whenever it would push further (anti-windup). The measured
-    current is not used.
+    ẏ is the difference of two readings over the period, smoothed by a first-order filter. While the current is at its
+    limit, the integral is held if it would push further (anti-windup). The measured current is not used.
     """
     velocity = state.velocity + g.smoothing * ((y - state.y) / g.period - state.velocity)
     integral = state.integral
-    sigma = (
-        g.surface_integral * integral
-        + g.surface_position * (y - g.feedforward * r)
-        + (velocity - g.feedforward * r_dot)
-    )
+    sigma = g.surface_integral * integral + g.surface_position * (y - g.feedforward * r)
+    sigma += velocity - g.feedforward * r_dot
     following = g.k_reference * r + g.k_reference_rate * r_dot + g.k_reference_acceleration * r_ddot
     equivalent = following - (g.k_integral * integral + g.k_position * y + g.k_velocity * velocity)
     switching = -g.k_switching * switching_function(sigma, g.boundary_layer)
     asked = equivalent + switching
     command = max(-g.current_limit, min(g.current_limit, asked))
-    # More ∫(y − r) means less current: hold it when that is where the limit already stands.
+    # More ∫(y − r) means less current.
     if command == asked or (y - r) * asked > 0.0:
         integral += g.period * (y - r)
     return State(integral, y, velocity), Command(command, r - y, sigma, equivalent, switching, velocity, math.nan)

@@ -1,19 +1,18 @@
 """Law `smc_observer`: sliding mode on the tracking error, with observer, feedforward and exact inverse.
 
-The sliding variable σ = (ẏ − ṙ) + λ (y − r) is taken at the moment at which the command acts, from an extended state
-observer that knows the loop's delay (`observer.py`, `tracking.py`). The reaching law is the implicit Euler
-discretisation of σ̇ = −ρ sgn σ over a horizon 1/κ (Acary and Brogliato, Systems & Control Letters 59, 2010):
+The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at which the command acts, from an extended state
+observer that knows the loop's delay (`observer.py`). The reaching law is the implicit Euler discretisation of
+σ̇ = −ρ sgn σ over a horizon 1/κ (Acary and Brogliato, Systems & Control Letters 59, 2010):
 
     σ⁺ = σ − ρ sgn(σ⁺)/κ  ⇒  a_s = −proj_[−ρ, ρ](κ σ),
 
-which reaches σ = 0 without overshoot instead of switching about it: chattering of the explicit sgn has no place in it.
-The observer's disturbance estimate (friction, model errors) is subtracted, so that ρ needs to exceed only what the
-estimate still misses. The map's ṙ and r̈ are fed forward, so that a moving reference leaves no lag.
+which reaches σ = 0 without overshoot and without the chattering of the explicit sgn. The observer's disturbance
+estimate (friction, model errors) is subtracted, so that ρ must exceed only its error. The map's ṙ and r̈ are fed
+forward, so that a moving reference leaves no lag.
 
-Tuning: first ``gain_allowance``: the law reckons with a current that accelerates more than it nominally does. Bias and
-negative stiffness stay balanced, but the loop's gain falls where delay and amplifier lag would make it oscillate, and a
-machine with strong magnets, little mass and a late command stays stable; too much, and a weak machine no longer holds
-against the negative stiffness (`margins.py` gives both ends). Then the observer's bandwidth, as high as encoder noise
+Tuning: first ``gain_allowance``, the assumed acceleration per current relative to nominal. More of it lowers the loop's
+gain: machines with strong magnets, little mass or late commands stay stable; too much, and a weak machine does not hold
+against the negative stiffness (`margins.py` gives both limits). Then the observer's bandwidth, as high as encoder noise
 and the jitter of the delay allow; then λ and κ, until the spread over uncertain machines (`straightcomp robustness`)
 grows.
 """
@@ -22,9 +21,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from straightcomp_ros.control.error_tracking import Loop, current_for, limited, moment_of_action, next_prior
 from straightcomp_ros.control.law import Command
-from straightcomp_ros.control.observer import Estimate
+from straightcomp_ros.control.observer import Estimate, Loop, current_for, limited, moment_of_action, next_prior
 from straightcomp_ros.model.compiled import compilable
 
 
@@ -38,7 +36,7 @@ class Gains(NamedTuple):
 
 
 class State(NamedTuple):
-    """The next sample as predicted, and the current in A that is asked of the amplifier."""
+    """The next sample as predicted, and the commanded current in A."""
 
     prior: Estimate
     command: float

@@ -4,9 +4,9 @@
 
 (Levant, Int. J. Control 58(6), 1993; the gains after Shtessel, Edwards, Fridman, Levant, Sliding Mode Control and
 Observation, 2014, ch. 4). L bounds the disturbance's rate |ḋ| in m/s³. σ = (ẏ − ṙ) + λ (y − r) comes from the same
-delay-aware observer as in `smc_observer`, whose disturbance estimate serves the prediction only: w does its work.
+delay-aware observer as in `smc_observer`; its disturbance estimate serves the prediction only, because w replaces it.
 
-Tuning: L as small as friction's reversals allow; a larger L chatters by its own √σ at the encoder's noise.
+Tuning: L as small as the reversals of friction allow; with a larger L, √|σ| amplifies the encoder's noise.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.error_tracking import Loop, current_for, limited, moment_of_action, next_prior
 from straightcomp_ros.control.law import Command
-from straightcomp_ros.control.observer import Estimate
+from straightcomp_ros.control.observer import Estimate, Loop, current_for, limited, moment_of_action, next_prior
 from straightcomp_ros.model.compiled import compilable
 
 
@@ -30,7 +29,7 @@ class Gains(NamedTuple):
 
 
 class State(NamedTuple):
-    """The next sample as predicted, the current asked of the amplifier in A, and w in m/s²."""
+    """The next sample as predicted, the commanded current in A, and w in m/s²."""
 
     prior: Estimate
     command: float

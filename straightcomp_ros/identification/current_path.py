@@ -1,12 +1,12 @@
-"""How the coil current runs between two samples: through the amplifier, with each command where it came in.
+"""The coil current between two samples: through the amplifier, with each command from its arrival on.
 
-A first-order amplifier that is asked for the old command until the new one comes in, a time d after the sample, gives
+A first-order amplifier under the old command until the new one arrives, a time d after the sample, gives
 
     i[k+1] = u_new + (u_old − u_new) exp(−ω (T − d)) + (i[k] − u_old) exp(−ω T)
 
-with bandwidth ω and period T. With ω known the measured currents tell d, sample by sample: a latency jitters, and
-a command that is late comes in after the next sample. ω itself follows, where d hardly changes, from the regression of
-i[k+1] on i[k], u[k−1] and u[k].
+with bandwidth ω and period T. With ω known, the measured currents give d for each sample: latency jitters, and a late
+command arrives after the next sample. If d hardly changes, ω follows from the regression of i[k+1] on i[k], u[k−1] and
+u[k].
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from straightcomp_ros.model.converters import DriveParameters
 Array = NDArray[np.float64]
 
 _EXPLAINED = 0.2
-"""Largest part of the current's steps that an explanation may leave open, to be believed."""
+"""Largest residual of an accepted fit, as a fraction of the current's steps."""
 _INSTANT = 1e9
-"""Amplifier rate in rad/s that follows at once."""
+"""Rate in rad/s of an amplifier without lag."""
 _LATEST = 3
-"""Samples by which a command may come in late."""
+"""Delays of a command that are tried: less than so many samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurrentPath:
-    """What to ask of an amplifier that starts each period from the measured current.
+    """Commands for an amplifier that starts each period from the measured current.
 
     Attributes:
         rate: of the first-order amplifier, rad/s.
-        before, after: (n,) current asked for in A, from each sample and from ``switch_ns`` after it.
+        before, after: (n,) commanded current in A, from each sample and from ``switch_ns`` after it.
         switch_ns: (n,) int64 ns.
         delay: median time from a sample to the arrival of its command, s; NaN where the measured current is
             interpolated, because no amplifier explains it.
@@ -52,12 +52,7 @@ class CurrentPath:
 
 
 def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
-    """The current between the samples of ``recording``.
-
-    Args:
-        recording: with commands as they were asked for.
-        drive: the D/A converter's steps are tried; the bandwidth is taken where the record does not tell it.
-    """
+    """The current between the samples of ``recording``; the bandwidth of ``drive`` holds if the record gives none."""
     period = recording.period_ns * 1e-9
     converted = np.array([drive.converted(value) for value in recording.command.tolist()])
     found = [(*_regression(recording.current, asked, period), asked) for asked in (recording.command, converted)]
@@ -68,23 +63,22 @@ def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
     before, after, switch, late, missed = _arrivals(recording.current, asked, rate, period)
     if float(missed.std()) > _EXPLAINED * float(np.diff(recording.current).std()):
         return _interpolated(recording)
-    # Where nothing changes, the time of the change says nothing.
+    # Small changes say little of their time.
     telling = np.abs(after - before) > 0.5 * np.abs(after - before).mean()
     delay = float(np.median((switch + late * period)[telling])) if telling.any() else math.nan
     return CurrentPath(rate, before, after, np.round(switch * 1e9).astype(np.int64), delay, rate_found)
 
 
 def _interpolated(recording: Recording) -> CurrentPath:
-    """Straight from sample to sample, in two halves."""
+    """Linear from sample to sample, in two steps."""
     current, following = recording.current, np.append(recording.current[1:], recording.current[-1])
+    before, after = 0.75 * current + 0.25 * following, 0.25 * current + 0.75 * following
     halves = np.full(len(current), recording.period_ns // 2)
-    return CurrentPath(
-        _INSTANT, 0.75 * current + 0.25 * following, 0.25 * current + 0.75 * following, halves, math.nan, False
-    )
+    return CurrentPath(_INSTANT, before, after, halves, math.nan, False)
 
 
 def _regression(current: Array, asked: Array, period: float) -> tuple[float, float]:
-    """(open part of the current's steps, rate in rad/s); the open part is inf where it fits no amplifier."""
+    """Residual as a fraction of the current's steps, inf if no amplifier fits, and rate in rad/s."""
     steps = float(np.diff(current).std())
     terms = np.stack([current[1:-1], asked[:-2], asked[1:-1]], axis=1)
     (a, b, c), *_ = np.linalg.lstsq(terms, current[2:], rcond=None)
@@ -96,7 +90,7 @@ def _regression(current: Array, asked: Array, period: float) -> tuple[float, flo
 def _arrivals(
     current: Array, asked: Array, rate: float, period: float
 ) -> tuple[Array, Array, Array, NDArray[np.int64], Array]:
-    """Old and new command in A, time of the change in s, samples by which it is late, current left open in A; (n,)."""
+    """Old and new command in A, time of the change in s, samples by which it is late, residual in A; (n,) each."""
     n = len(current)
     following = np.append(current[1:], current[-1])
     keep = math.exp(-rate * period)

@@ -1,10 +1,10 @@
-"""The answer in words and numbers: values with 95 % intervals, what is poorly determined, and what would help."""
+"""The estimated parameters: values with 95 % intervals, advice for a better record, and a ROS 2 parameter file."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,29 +16,21 @@ from straightcomp_ros.identification.fit import Fit, fit
 from straightcomp_ros.identification.stretch import Recording, read_recording
 from straightcomp_ros.identification.unknowns import NAMES, RATIO, Unknowns, unknowns
 from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.settings.declaration import declarations
 
 POOR = 1.3
-"""Interval bounds further than this factor from the value: poorly determined."""
+"""Factor from the value to the bounds of its interval, beyond which it counts as poorly determined."""
 CORRELATED = 0.95
 _CONFIDENCE = 0.95
 _LEAST = 0.002
-"""Relative standard deviation below which no claim is made: current path and model are not better than that."""
+"""Least relative standard deviation: current path and model are not better than that."""
 _WIDEST = 1e3
-UNITS = {
-    "mass": "kg",
-    "actuator.turns": "",
-    "actuator.air_gap": "m",
-    "actuator.current_stiffness": "N/A",
-    "actuator.position_stiffness": "N/m",
-    "friction.coulomb": "N",
-    "friction.static": "N",
-    "friction.stribeck_velocity": "m/s",
-    "friction.bristle_stiffness": "N/m",
-    "friction.bristle_damping": "N·s/m",
-    "friction.viscous": "N·s/m",
-}
-DERIVED = ("actuator.current_stiffness", "actuator.position_stiffness")
-"""K̄_i and K̄_y: shown, but not parameters of their own."""
+DERIVED = {"actuator.current_stiffness": "N/A", "actuator.position_stiffness": "N/m"}
+"""K̄_i and K̄_y with their units: shown, but not parameters of their own."""
+_DECLARED = {one.name: one.unit for one in declarations(PlantParameters)}
+_SHOWN = [name.replace(RATIO, "friction.static") for name in NAMES]
+UNITS = {**{n: _DECLARED[n] for n in _SHOWN[:3]}, **DERIVED, **{n: _DECLARED[n] for n in _SHOWN[3:]}}
+"""Units of the shown parameters, in their order."""
 HELP = {
     "mass": "quick motion of the platform: force must go into acceleration, not only into friction",
     "actuator.turns": "quick motion of the platform: force must go into acceleration, not only into friction",
@@ -51,12 +43,19 @@ HELP = {
     "friction.viscous": "fast sliding",
 }
 
+PREFIX = "simulated.plant."
+_HEAD = """\
+# Plant parameters estimated from a bag, for `straightcomp simulate --params-file` and for the node `driver`.
+# Only the plant is here: all other parameters, and all other nodes, take the defaults of their declarations.
+# Each value with its 95 % interval; SI units. What the bag determines poorly is left out and marked.
+"""
+
 
 @dataclass(frozen=True)
 class Estimated:
-    """One parameter: SI value with its 95 % interval; ``known`` ones were given, and have no width.
+    """One parameter: SI value with its 95 % interval, of zero width if it was ``known``.
 
-    ``with_others`` names parameters that this record hardly tells apart from it.
+    ``with_others`` names parameters that this record can hardly distinguish from it.
     """
 
     name: str
@@ -78,9 +77,9 @@ class Estimate:
 
     Attributes:
         parameters: by dotted name below ``simulated.plant.``.
-        recording: what was used of the bag.
-        path: of the coil current between the samples.
-        fit: the search's own figures.
+        recording: the used stretch of the bag.
+        path: the coil current between the samples.
+        fit: figures of the search.
     """
 
     parameters: dict[str, Estimated]
@@ -90,7 +89,7 @@ class Estimate:
 
     @property
     def advice(self) -> dict[str, str]:
-        """For each poorly determined parameter, what excitation would help."""
+        """For each poorly determined parameter, the excitation that would help."""
         return {name: HELP[name] for name, found in self.parameters.items() if found.poor and name in HELP}
 
 
@@ -104,7 +103,7 @@ def estimate_from_bag(
 
     Args:
         bag: rosbag2 folder or MCAP file.
-        start: where the search starts; pole area, bias current and encoder resolution are taken from it as they are.
+        start: start of the search; pole area, bias current and encoder resolution are taken as given.
         known: parameters that are held at the values of ``start``.
         progress: called with the fraction that is done.
 
@@ -121,47 +120,39 @@ def estimate_from_bag(
 
 
 def _parameters(found: Fit, searched: Unknowns, blocks: int) -> dict[str, Estimated]:
-    places = {name: place for place, name in enumerate(NAMES)}
     free = list(searched.free)
     total = np.zeros((len(NAMES), len(NAMES)))
-    # The pull that may be left is as large as its last changes, each of which moves all parameters together.
+    # The remaining bias is assumed as large as its last changes, each of which moves all parameters together.
     total[np.ix_(free, free)] = found.covariance + found.pulls.T @ found.pulls
     total[free, free] += _LEAST**2
     quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, max(1, blocks - len(free))))
     logarithm_of: dict[str, dict[str, float]] = {name: {name: 1.0} for name in NAMES if name != RATIO}
     logarithm_of["friction.static"] = {"friction.coulomb": 1.0, RATIO: 1.0}
     # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0
-    logarithm_of[DERIVED[0]] = {"actuator.turns": 2.0, "actuator.air_gap": -2.0}
-    logarithm_of[DERIVED[1]] = {"actuator.turns": 2.0, "actuator.air_gap": -3.0}
-    stiffness = _stiffness(found.vector, searched)
+    logarithm_of["actuator.current_stiffness"] = {"actuator.turns": 2.0, "actuator.air_gap": -2.0}
+    logarithm_of["actuator.position_stiffness"] = {"actuator.turns": 2.0, "actuator.air_gap": -3.0}
+    # (3) at the magnets' constants: μ0 N² A / 4, y0, I0
+    coefficient, gap, bias = searched.constants(found.vector, 1.0)[3:6].tolist()
+    current_stiffness = 4.0 * coefficient * bias / gap**2
+    stiffness = dict(zip(DERIVED, (current_stiffness, current_stiffness * bias / gap), strict=True))
     estimated = {}
     for name in UNITS:
         weights = np.zeros(len(NAMES))
-        for part, weight in logarithm_of[name].items():
-            weights[places[part]] = weight
+        for unknown, weight in logarithm_of[name].items():
+            weights[NAMES.index(unknown)] = weight
         value = stiffness.get(name) or float(np.exp(weights @ found.vector))
         deviation = math.sqrt(max(0.0, float(weights @ total @ weights)))
         factor = math.exp(min(quantile * deviation, math.log(_WIDEST)))
         others = () if name in DERIVED else _alike(name, found.covariance, free)
         estimated[name] = Estimated(name, value, value / factor, value * factor, deviation == 0.0, others)
     static, coulomb = estimated["friction.static"], estimated["friction.coulomb"]
-    low = max(static.low, min(coulomb.low, static.value))
-    estimated["friction.static"] = Estimated(
-        static.name, static.value, low, static.high, static.known, static.with_others
-    )
+    estimated["friction.static"] = replace(static, low=max(static.low, min(coulomb.low, static.value)))
     return estimated
-
-
-def _stiffness(vector: NDArray[np.float64], searched: Unknowns) -> dict[str, float]:
-    actuator = searched.constants(vector, 1.0)[3:6]
-    coefficient, gap, bias = (float(number) for number in actuator)
-    current_stiffness = 4.0 * coefficient * bias / gap**2
-    return {DERIVED[0]: current_stiffness, DERIVED[1]: current_stiffness * bias / gap}
 
 
 def _alike(name: str, covariance: NDArray[np.float64], free: list[int]) -> tuple[str, ...]:
     """Names of the free parameters that are correlated with ``name`` by more than CORRELATED."""
-    shown = [NAMES[place] if NAMES[place] != RATIO else "friction.static" for place in free]
+    shown = [_SHOWN[place] for place in free]
     if name not in shown:
         return ()
     deviations = np.sqrt(np.diag(covariance))
@@ -169,3 +160,34 @@ def _alike(name: str, covariance: NDArray[np.float64], free: list[int]) -> tuple
     return tuple(
         other for other, value in zip(shown, correlation, strict=True) if other != name and abs(value) > CORRELATED
     )
+
+
+def parameter_file(estimate: Estimate) -> str:
+    """Text of a ROS 2 parameter file with the names of the simulated plant."""
+    lines = [_HEAD, "/**/driver:\n  ros__parameters:"]
+    for name, found in estimate.parameters.items():
+        if name not in DERIVED:
+            lines += _entry(found, left_out=found.poor and not _needed(found, estimate))
+    return "\n".join(lines) + "\n"
+
+
+def _needed(found: Estimated, estimate: Estimate) -> bool:
+    """Even a poor F_S is written beside F_C: its default may be below F_C, which would be refused."""
+    return found.name == "friction.static" and not estimate.parameters["friction.coulomb"].poor
+
+
+def _entry(found: Estimated, *, left_out: bool) -> list[str]:
+    unit = f" {UNITS[found.name]}" if UNITS[found.name] else ""
+    if found.known:
+        words = "given, not estimated"
+    else:
+        words = f"{found.low:.4g} to {found.high:.4g}{unit}" + (", poorly determined" if found.poor else "")
+    value = f"{PREFIX}{found.name}: {_number(found.value)}"
+    return [f"    # {words}", f"    # {value}" if left_out else f"    {value}"]
+
+
+def _number(value: float) -> str:
+    # YAML 1.1 takes 2e-05 for a text: a float needs its point.
+    text = f"{value:.6g}"
+    mantissa, exponent, power = text.partition("e")
+    return (mantissa if "." in mantissa else f"{mantissa}.0") + exponent + power

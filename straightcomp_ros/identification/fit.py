@@ -1,10 +1,10 @@
-"""The search for the unknowns: least squares on prediction errors, sharpened step by step.
+"""The search for the unknowns: least squares on prediction errors, with less and less assumed process noise.
 
-How much the model misses from sample to sample is not known. Assuming much makes the search well behaved, but pulls the
-answer: each sample then counts for more than the model, and mass and friction come out too small. Assuming little
-removes the pull, but far from the answer the prediction loses the path. So the search starts with much and goes down,
-as far as the prediction errors stay as small as their own standard deviation says. The last moves of the answer, to it
-and, where the next step failed, from it, tell how much pull may be left, and enter the confidence intervals.
+The process noise, the model's error from sample to sample, is unknown. Assuming much of it makes the search robust but
+biased: samples then outweigh the model, and mass and friction come out too small. Assuming little removes the bias, but
+far from the solution the prediction loses the path. The search therefore starts with much and reduces it while the
+prediction errors agree with their standard deviation. The last moves of the solution, to it and, if the next step
+failed, from it, bound the remaining bias and enter the confidence intervals.
 """
 
 from __future__ import annotations
@@ -14,35 +14,119 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.identification.current_path import CurrentPath
-from straightcomp_ros.identification.search import BURN_IN, PRIOR, Level, Search
+from straightcomp_ros.identification.predictor import Record, filter_gains, prediction_errors
 from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 
 MISSED = (1e-5, 3e-6, 1e-6, 3e-7)
-"""What the model is assumed to miss in velocity from sample to sample, m/s (and a thousandth of it in m)."""
+"""Assumed standard deviations of the process noise in velocity, m/s (and a thousandth of them in m)."""
 EXPLAINED = 1.03
 """RMS of the prediction errors, in their standard deviations, up to which the assumption holds."""
 _LOST = 1.5
-"""The same, from which the search has found nothing."""
+"""The same, from which the search has failed."""
 _BLOCK = 0.25
-"""Length in s of the blocks that count as independent: quantisation errors are alike for up to some 0.1 s."""
+"""Length in s of the blocks that count as independent: quantisation errors are correlated over some 0.1 s."""
+PRIOR = np.log(10.0)
+"""Standard deviation, in logarithms, of a weak prior around the start, for what the record does not determine."""
+BURN_IN = 100
+"""Samples until the first state is found."""
+_STEP = 3e-3
+_ROUNDS = 3
+_SETTLED = 5e-3
+_OUTLIER = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Solution under one assumption: vector, and Jacobian and residuals (in standard deviations) there."""
+
+    vector: Array
+    jacobian: Array
+    residuals: Array
+    missed: float
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+
+class Search:
+    """Least squares on the prediction errors of a record."""
+
+    def __init__(self, recording: Recording, path: CurrentPath, unknowns: Unknowns, resolution: float) -> None:
+        self._unknowns, self._rate = unknowns, path.rate
+        samples = (recording.y, recording.current, path.before, path.after, path.switch_ns)
+        self._record = Record(unknowns.bias_current, *samples, recording.period_ns)
+        self._noise = resolution / np.sqrt(12.0)
+        self._free = list(unknowns.free)
+        self._steps = _STEP * np.eye(len(self._free))
+        self.gains = np.empty((len(recording.y), 4))
+        self.evaluations = 0
+
+    def take_gains(self, vector: Array, missed: float) -> None:
+        """Run the filter at ``vector``, and keep its gains."""
+        errors = np.empty(len(self.gains))
+        deviations = np.array([self._noise, missed, 1e-3 * missed])
+        filter_gains(self._unknowns.constants(vector, self._rate), self._record, deviations, self.gains, errors)
+        self.evaluations += 4
+
+    def residuals(self, vector: Array) -> Array:
+        """Prediction errors (n − burn-in,) in standard deviations, with the present gains."""
+        errors = np.empty(len(self.gains))
+        prediction_errors(self._unknowns.constants(vector, self._rate), self._record, self.gains, errors)
+        self.evaluations += 1
+        # How far a prediction left the path does not matter.
+        return np.clip(np.nan_to_num(errors[BURN_IN:], nan=_OUTLIER), -_OUTLIER, _OUTLIER)
+
+    def solve(self, start: Array, missed: float) -> Level:
+        """Least squares under one assumption; the gains follow the solution."""
+        vector, free = start, self._free
+        origin, low, high = (bound[free] for bound in (self._unknowns.start, self._unknowns.low, self._unknowns.high))
+        for _ in range(_ROUNDS):
+            self.take_gains(vector, missed)
+            found = least_squares(
+                lambda z: np.concatenate([self.residuals(self._whole(z)), (z - origin) / PRIOR]),
+                np.clip(vector[free], low + 1e-6, high - 1e-6),
+                jac=lambda z: np.concatenate([self.jacobian(z), np.eye(len(z)) / PRIOR]),
+                bounds=(low, high),
+                x_scale=0.3,
+                ftol=1e-3,
+                xtol=1e-3,
+                max_nfev=8,
+            )
+            moved = float(np.abs(found.x - vector[free]).max())
+            vector = self._whole(found.x)
+            if moved < _SETTLED:
+                break
+        return Level(vector, found.jac[: -len(free)], found.fun[: -len(free)], missed)
+
+    def jacobian(self, free: Array) -> Array:
+        """Derivatives (n − burn-in, free) of the residuals by the free logarithms, by differences."""
+        here = self.residuals(self._whole(free))
+        return np.stack([(self.residuals(self._whole(free + step)) - here) / _STEP for step in self._steps], axis=1)
+
+    def _whole(self, free: Array) -> Array:
+        vector = self._unknowns.start.copy()
+        vector[self._free] = free
+        return vector
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Answer of the search, in the order of the unknowns' vector.
+    """Solution of the search, in the order of the unknowns' vector.
 
     Attributes:
         vector: (9,) logarithms.
         covariance: (free, free) of the free logarithms by the spread of the prediction errors, block by block.
-        pulls: (1 or 2, free) moves of the answer to this assumption, and to the next one where that failed.
-        missed: that assumption in m/s at the answer.
-        rms_error: prediction errors in their standard deviations; about 1 where the model explains the record.
+        pulls: (1 or 2, free) moves of the solution to this assumption, and to the next one if that failed.
+        missed: that assumption, m/s.
+        rms_error: prediction errors in their standard deviations; about 1 if the model explains the record.
         rms_error_m: prediction errors in m.
         evaluations: predictions of the whole record.
     """
@@ -66,8 +150,8 @@ def fit(
     """Find the unknowns.
 
     Args:
-        recording, path: what was recorded.
-        unknowns: what to look for, and where to start.
+        recording, path: the record, and its current between the samples.
+        unknowns: start and bounds.
         resolution: of the platform's encoder, m.
         progress: called with the fraction that is done.
 
@@ -112,7 +196,7 @@ def fit(
 def _covariance(jacobian: Array, residuals: Array, block: int) -> Array:
     """(free, free): (JᵀJ)⁻¹ (Σ s sᵀ) (JᵀJ)⁻¹ with s = Jᵀr of each block, so that errors may be alike within a block.
 
-    What the record does not tell at all gets a variance of the size of the prior's: the inverse holds it.
+    What the record does not determine gets the variance of the prior.
     """
     information = jacobian.T @ jacobian
     inverse = np.linalg.inv(information + np.eye(len(information)) / PRIOR**2)
@@ -120,5 +204,4 @@ def _covariance(jacobian: Array, residuals: Array, block: int) -> Array:
     used = slice(0, count * block)
     scores = (jacobian[used] * residuals[used, None]).reshape(count, block, -1).sum(axis=1)
     spread = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - len(information))
-    # The prior's own part: near zero where the record tells the parameter.
     return np.asarray(spread + inverse @ inverse / PRIOR**2)

@@ -1,4 +1,4 @@
-"""What identification takes from a bag: position, coil current and command of one unbroken stretch. Never the truth."""
+"""Position, coil current and command of one unbroken stretch of a bag, for identification; never the truth."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from straightcomp_ros.bags.reader import StreamColumns, read_streams
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.identification import IdentificationError
 
-SHORTEST = 2000
-"""Samples that a stretch must have at least: a second at 2 kHz."""
-LONGEST = 60_000
-"""Samples that are used at most: half a minute at 2 kHz; more time would sharpen little and cost much."""
+SHORTEST, LONGEST = 2000, 60_000
+"""Samples of a stretch: from a second to half a minute at 2 kHz; more would cost much and improve little."""
 LEAST_TRAVEL = 2e-6
 """Travel of the platform in m below which it only creeps on its bristles."""
 SWITCH_ON = 10
-"""Samples after the switch-on that are left out: the bias current is still rising."""
+"""Samples after the switch-on that are left out, while the bias current rises."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +26,9 @@ class Recording:
 
     Attributes:
         period_ns: sampling period in ns.
-        x, y: stage and platform as the encoders saw them, m.
+        x, y: encoder readings of stage and platform, m.
         current: measured control current of the coils, A.
-        command: control current asked for in answer to the sample, A.
+        command: commanded control current in answer to the sample, A.
         total: samples in the bag.
     """
 
@@ -95,7 +93,7 @@ def _longest_stretch(stamps: NDArray[np.int64], usable: NDArray[np.bool_], perio
 
 
 def _held(stamps: NDArray[np.int64], stream: StreamColumns) -> NDArray[np.float64]:
-    """The command for each stamp; where there is none, the one before holds, as in the amplifier."""
+    """The command for each stamp; the one before replaces a missing one, as in the amplifier."""
     known, rows = np.unique(stream.stamp, return_index=True)
     commands = stream.columns["control_current"][rows]
     before = np.searchsorted(known, stamps, side="right") - 1

@@ -1,4 +1,4 @@
-"""The parameters that identification looks for, as a vector of logarithms, and what is known of them beforehand."""
+"""The parameters to identify, as a vector of logarithms with its start and bounds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from straightcomp_ros.model.plant import Plant, PlantParameters, as_array
 from straightcomp_ros.settings.declaration import to_mapping
 
 RATIO = "static_ratio"
-"""F_S/F_C stands for F_S in the vector, so that F_S ≥ F_C is a simple bound."""
+"""F_S/F_C replaces F_S in the vector, so that F_S ≥ F_C is a simple bound."""
 NAMES = (
     "mass",
     "actuator.turns",
@@ -31,11 +31,11 @@ NAMES = (
 )
 """Order of the vector; dotted names as below ``simulated.plant.``."""
 FORCE_SCALE = ("mass", "actuator.turns")
-"""Of these at least one must be known: position and current tell all forces only up to a common factor."""
+"""At least one of these must be known: position and current tell all forces only up to a common factor."""
 _STOP = 0.9
-"""The platform stays far from the stop, which must only not be inside the air gap."""
+"""Stop as a fraction of the air gap; the platform stays far from it."""
 _SMALLEST = {"friction.bristle_damping": 1.0, "friction.viscous": 0.1}
-"""Where zero is allowed, start from this: a logarithm has none."""
+"""Start of parameters that may be zero, which has no logarithm."""
 _REACH = math.log(100.0)
 
 
@@ -45,8 +45,8 @@ class Unknowns:
 
     Attributes:
         start, low, high: (9,) natural logarithms of the values of NAMES in SI units.
-        free: places in the vector that are looked for.
-        pole_area, bias_current: of the magnets, m² and A; measured otherwise.
+        free: indices of the unknown elements.
+        pole_area, bias_current: of the magnets, m² and A; taken as given.
     """
 
     start: NDArray[np.float64]
@@ -57,12 +57,7 @@ class Unknowns:
     bias_current: float
 
     def constants(self, vector: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
-        """The plant's constants (12,) for :func:`straightcomp_ros.model.plant.advance`.
-
-        Args:
-            vector: (9,) logarithms.
-            rate: of the amplifier, rad/s.
-        """
+        """The plant's constants (12,) for `plant.advance`, from (9,) logarithms and the amplifier's rate in rad/s."""
         mass, turns, gap, coulomb, ratio, stribeck, stiffness, damping, viscous = np.exp(vector).tolist()
         actuator = Actuator(MU_0 * turns * turns * self.pole_area / 4.0, gap, self.bias_current)
         lugre = LuGre(coulomb, coulomb * ratio, stribeck, stiffness, damping, viscous)

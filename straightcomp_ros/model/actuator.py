@@ -43,7 +43,7 @@ class ActuatorParameters:
         return self.current_stiffness * self.bias_current / self.air_gap
 
     def constants(self) -> Actuator:
-        """The constants that the force functions take."""
+        """The constants of the force functions."""
         return Actuator(MU_0 * self.turns**2 * self.pole_area / 4.0, self.air_gap, self.bias_current)
 
 
@@ -73,9 +73,8 @@ def stiffness_errors(a: float, b: float) -> tuple[float, float]:
 def control_current(actuator: Actuator, y: float, force: float) -> float:
     """Control current in A for which (2) gives ``force`` in N at ``y``, with the bias current I0 on.
 
-    Solves a b² + (1 + a²) b + a − f (1 − a²)² / (K̄_i I0) = 0 for the root that tends to
-    f / (K̄_i I0) − a at small a, written so that nothing cancels as a goes to zero. Beyond the force
-    that the magnets can give with any current the nearest current is returned (the vertex of (2)).
+    Solves a b² + (1 + a²) b + a − f (1 − a²)² / (K̄_i I0) = 0 for the root that tends to f / (K̄_i I0) − a at small a,
+    in a form without cancellation there. Beyond the largest force of the magnets: the vertex of (2), the nearest.
     """
     a = y / actuator.air_gap
     a2 = a * a

@@ -1,7 +1,5 @@
-"""Compiles numerical functions with numba, and keeps the machine code where it cannot go stale.
-
-numba notices a change in the file of the compiled function, but not in the files of the functions
-that it calls. The cache folder therefore carries a digest of all sources that may be compiled.
+"""Compiles numerical functions with numba, and caches the machine code under a digest of all sources that may be
+compiled: numba notices a change in the file of the compiled function, but not in those of the functions that it calls.
 """
 
 from __future__ import annotations
@@ -17,14 +15,14 @@ from typing import Any, TypeVar, cast
 F = TypeVar("F", bound=Callable[..., Any])
 
 _FOLDERS = ("model", "control", "straightness", "hardware", "identification", "offline/sweep")
-"""Of this package: where functions are that may be compiled."""
+"""Folders of this package with functions that may be compiled."""
 _marked: list[Callable[..., Any]] = []
-"""What compiled functions may call, until numba knows of it."""
+"""Functions marked by :func:`compilable` that are not yet registered with numba."""
 
 
 @cache
 def cache_directory() -> Path:
-    """Folder for machine code of exactly these sources: in the user's cache, or in the temporary folder."""
+    """Folder for the machine code of these sources: in the user's cache, or in the temporary folder."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
     for source in sorted(source for folder in _FOLDERS for source in package.glob(f"{folder}/*.py")):
@@ -48,10 +46,10 @@ def compilable(function: F) -> F:
 
 
 class Compiled:
-    """``numba.njit`` with the machine code kept on disk; IEEE arithmetic, nothing reordered.
+    """``numba.njit`` with the machine code cached on disk; IEEE arithmetic, nothing reordered.
 
-    numba is imported by the first call, also one in the code of another compiled function: it takes as much memory as
-    all else that a node imports (60 MB), a quarter of the time, and most nodes compute nothing.
+    The first call imports numba, and not the decorator: most nodes compute nothing, and numba takes 60 MB, as much as
+    all their other imports, and a quarter of the time.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -60,7 +58,7 @@ class Compiled:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """numba's own object. A loop that calls it is spared a call of Python's."""
+        """numba's own object, to call without the overhead of :meth:`__call__`."""
         import numba
         from numba.extending import register_jitable
 
@@ -80,8 +78,7 @@ class Compiled:
 
     @property
     def _numba_type_(self) -> Any:
-        # By this name numba asks an object that it does not know.
-        return self.dispatcher._numba_type_
+        return self.dispatcher._numba_type_  # numba looks up an unknown object's type by this name
 
     def __reduce__(self) -> str:
         return self._function.__qualname__

@@ -1,4 +1,4 @@
-"""Encoder and D/A converter: what the digital controller sees, and what it can say."""
+"""Encoder and D/A converter: how the digital controller's input and output are rounded."""
 
 from __future__ import annotations
 
@@ -13,19 +13,14 @@ from straightcomp_ros.settings.declaration import parameter
 
 @compilable
 def nearest_count(resolution: float, position: float) -> float:
-    """``position`` in m to the nearest count of ``resolution`` in m; ties go upward."""
+    """``position`` in m rounded to the nearest count of ``resolution`` in m; ties go upward."""
     return math.floor(position / resolution + 0.5) * resolution
 
 
 @compilable
 def nearest_step(step: float, half_codes: int, current: float) -> float:
-    """``current`` in A to the nearest of the steps −half_codes to half_codes − 1, of ``step`` in A each."""
-    code = math.floor(current / step + 0.5)
-    if code >= half_codes:
-        code = half_codes - 1
-    elif code < -half_codes:
-        code = -half_codes
-    return code * step
+    """``current`` in A rounded to the nearest code from −half_codes to half_codes − 1, of ``step`` in A each."""
+    return max(-half_codes, min(half_codes - 1, math.floor(current / step + 0.5))) * step
 
 
 @dataclass(frozen=True)
@@ -34,8 +29,7 @@ class EncoderParameters:
 
     resolution: float = parameter(1e-7, "One count of the encoder", unit="m", above=0.0, maximum=1e-3)
 
-    # A partial costs no second Python call at each sample.
-    @cached_property
+    @cached_property  # a partial: no second Python call at each sample
     def reading(self) -> Callable[[float], float]:
         """``reading(position)``: position in m as the encoder reports it, see :func:`nearest_count`."""
         return partial(nearest_count, self.resolution)
@@ -57,7 +51,7 @@ class DriveParameters:
 
     @property
     def current_range(self) -> float:
-        """Largest control current in A that the D/A converter can ask for."""
+        """Largest control current in A that the D/A converter can command."""
         return self.dac_range * self.gain
 
     @property

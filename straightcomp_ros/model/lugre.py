@@ -8,7 +8,7 @@ z is the mean deflection of the bristles in m; F opposes the motion.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 from straightcomp_ros.model.compiled import compilable
@@ -45,15 +45,8 @@ class FrictionParameters:
             )
 
     def constants(self) -> LuGre:
-        """The constants that the friction functions take."""
-        return LuGre(
-            self.coulomb,
-            self.static,
-            self.stribeck_velocity,
-            self.bristle_stiffness,
-            self.bristle_damping,
-            self.viscous,
-        )
+        """The constants of the friction functions."""
+        return LuGre(*astuple(self))
 
 
 @compilable
@@ -72,10 +65,7 @@ def friction_force(lugre: LuGre, bristle: float, velocity: float) -> float:
 
 @compilable
 def bristle_after(lugre: LuGre, bristle: float, velocity: float, duration: float) -> float:
-    """z after ``duration`` s at constant velocity: exact, so that no velocity makes the step unstable.
-
-    At 0.1 m/s the bristle settles within 6 µs; an explicit step would need to be shorter than that.
-    """
+    """z after ``duration`` s at constant velocity, exact: an explicit step must be below 6 µs at 0.1 m/s."""
     if velocity == 0.0:
         return bristle
     level = stribeck_force(lugre, velocity)

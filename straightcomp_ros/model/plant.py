@@ -1,9 +1,8 @@
 """The platform in Y: M ÿ = f_c − F_friction (1), between mechanical stops, behind the power amplifier.
 
-Integrated in fixed substeps by Strang splitting: half a kick, drift, exact bristle step, half a kick.
-It is of second order, conserves energy as a symplectic integrator does where there is no friction,
-and the bristle's own step is exact, so that no sliding velocity makes it stiff. The inertial force of
-the guide's deviation, M δ̈, stays below 5 mN (a fifth of a D/A step) and is left out, as in (1).
+Fixed substeps by Strang splitting (half a kick, drift, exact bristle step, half a kick): second order, symplectic
+without friction, and never stiff, because the bristle's step is exact. The inertial force of the guide's deviation,
+M δ̈, stays below 5 mN (a fifth of a D/A step) and is left out, as in (1).
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ SUBSTEP_NS = 25_000
 
 
 class PlantState(NamedTuple):
-    """Position m, velocity m/s, bristle deflection m, control current A, bias current A; the forces of it in N."""
+    """Position m, velocity m/s, bristle deflection m, control and bias current A, and the two forces in N."""
 
     y: float = 0.0
     velocity: float = 0.0
@@ -38,7 +37,7 @@ class PlantState(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """Constants of the plant, as the compiled step takes them; amplifier rate in rad/s, stop in m."""
+    """Constants of the plant for the compiled step; mass in kg, stop in m, amplifier rate in rad/s."""
 
     mass: float
     stop: float
@@ -67,18 +66,13 @@ class PlantParameters:
             )
 
     def constants(self) -> Plant:
-        """The constants that :func:`advance` takes."""
-        return Plant(
-            self.mass,
-            self.stop,
-            2.0 * math.pi * self.drive.bandwidth,
-            self.actuator.constants(),
-            self.friction.constants(),
-        )
+        """The constants of the equations; :func:`advance` takes them :func:`as_array`."""
+        rate = 2.0 * math.pi * self.drive.bandwidth
+        return Plant(self.mass, self.stop, rate, self.actuator.constants(), self.friction.constants())
 
 
 def as_array(plant: Plant) -> NDArray[np.float64]:
-    """The constants flat, (12,) float64: an array crosses into compiled code 20 times faster than nested tuples."""
+    """The constants, (12,) float64: an array is passed to compiled code 20 times faster than nested tuples."""
     return np.array([plant.mass, plant.stop, plant.amplifier_rate, *plant.actuator, *plant.lugre])
 
 
@@ -94,7 +88,7 @@ def _acceleration(plant: Plant, y: float, v: float, z: float, bias: float, contr
 
 @compilable
 def _hold(plant: Plant, state: NDArray[np.float64], command: float, bias_command: float, duration_ns: int) -> None:
-    """Move ``state`` on by ``duration_ns`` > 0, in equal substeps, with constant commanded currents."""
+    """Advance ``state`` by ``duration_ns`` > 0 in equal substeps, with constant commanded currents."""
     substeps = -(-duration_ns // SUBSTEP_NS)
     h = duration_ns * 1e-9 / substeps
     settle = 1.0 - math.exp(-h * plant.amplifier_rate)
@@ -123,17 +117,14 @@ def advance(
     next_command: float = 0.0,
     next_duration_ns: int = 0,
 ) -> None:
-    """Move ``state`` on by ``duration_ns`` with one commanded control current, then by ``next_duration_ns`` with
-    the next: a control cycle in which a command comes in is one call.
+    """Advance ``state`` by ``duration_ns`` with one commanded control current, then by ``next_duration_ns`` with the
+    next, so that a control cycle in which a command takes effect is one call.
 
     Args:
         constants: :func:`as_array` of the plant.
         state: (7,) float64 in the order of :class:`PlantState`; changed in place.
-        bias_command: bias current asked of the amplifier, A.
-        command: control current asked of the amplifier, A.
-        duration_ns: ns, zero or more.
-        next_command: control current asked of the amplifier afterwards, A.
-        next_duration_ns: ns, zero or more.
+        bias_command, command, next_command: currents commanded of the amplifier, A.
+        duration_ns, next_duration_ns: ns, zero or more.
     """
     plant = _from_array(constants)
     if duration_ns > 0:
@@ -142,14 +133,3 @@ def advance(
         _hold(plant, state, next_command, bias_command, next_duration_ns)
     state[5] = friction_force(plant.lugre, state[2], state[1])
     state[6] = magnetic_force(plant.actuator, state[0], state[4], state[3])
-
-
-def energy(plant: Plant, state: PlantState) -> float:
-    """Kinetic energy plus the magnets' potential at the present currents and the bristles', in J.
-
-    The potential of (2) at constant currents is −(μ0N²A/4) [i₁²/(y0−y) + i₂²/(y0+y)].
-    """
-    near = (state.bias + state.control) ** 2 / (plant.actuator.air_gap - state.y)
-    far = (state.bias - state.control) ** 2 / (plant.actuator.air_gap + state.y)
-    bristles = 0.5 * plant.lugre.bristle_stiffness * state.bristle**2
-    return 0.5 * plant.mass * state.velocity**2 - plant.actuator.force_coefficient * (near + far) + bristles

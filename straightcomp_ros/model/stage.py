@@ -1,7 +1,7 @@
 """Motion of the stage along X: trapezoidal velocity profiles as a trajectory of waypoints.
 
-Between waypoints the motion is the cubic Hermite polynomial of positions and velocities, as joint
-trajectory controllers interpolate; for the corners of a trapezoid it is the exact parabola or line.
+Between waypoints the position is the cubic Hermite polynomial, as in joint trajectory controllers; between the corners
+of a trapezoid that is the exact parabola or line.
 """
 
 from __future__ import annotations
@@ -57,17 +57,16 @@ def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -
 
 
 def forward_and_back(motion: MotionParameters) -> list[Waypoint]:
-    """Waypoints of one cycle, starting at time 0 and ending at rest where it began."""
-    points = [Waypoint(0, motion.start, 0.0), Waypoint(round(motion.settle * _NS), motion.start, 0.0)]
-    points += trapezoid(points[-1], motion.start + motion.stroke, motion.speed, motion.acceleration)
-    points.append(Waypoint(points[-1].time_ns + round(motion.pause * _NS), motion.start + motion.stroke, 0.0))
-    points += trapezoid(points[-1], motion.start, motion.speed, motion.acceleration)
-    points.append(Waypoint(points[-1].time_ns + round(motion.settle * _NS), motion.start, 0.0))
-    return points
+    """Waypoints of one cycle, from time 0; it ends at rest where it began."""
+    points = [Waypoint(0, motion.start, 0.0)]
+    for rest, goal in ((motion.settle, motion.start + motion.stroke), (motion.pause, motion.start)):
+        points.append(points[-1]._replace(time_ns=points[-1].time_ns + round(rest * _NS)))
+        points += trapezoid(points[-1], goal, motion.speed, motion.acceleration)
+    return [*points, points[-1]._replace(time_ns=points[-1].time_ns + round(motion.settle * _NS))]
 
 
 def cycles(motion: MotionParameters, count: int) -> list[Waypoint]:
-    """Waypoints of so many cycles, one after the other."""
+    """Waypoints of ``count`` cycles, one after the other."""
     once = forward_and_back(motion)
     end_ns = once[-1].time_ns
     return [point._replace(time_ns=point.time_ns + cycle * end_ns) for cycle in range(count) for point in once]
@@ -77,27 +76,23 @@ class Trajectory:
     """Position over time through waypoints; at rest before the first and after the last.
 
     Raises:
-        ValueError: no waypoints, non-finite numbers, times that do not increase, or a trajectory that
-            does not end at rest (the stage would have to stop with a jump).
+        ValueError: no waypoints, a number that is not finite, times that do not increase, or no rest at the end.
     """
 
     def __init__(self, waypoints: Sequence[Waypoint]) -> None:
-        if not waypoints:
-            raise ValueError("stage trajectory has no points")
-        points = [waypoints[0]]
-        for number, point in enumerate(waypoints[1:], 1):
-            # Two equal points, as a settling time of zero gives, are one.
-            if point == points[-1]:
-                continue
-            if point.time_ns <= points[-1].time_ns:
-                raise ValueError(
-                    f"stage trajectory, point {number}: time {point.time_ns / _NS} s "
-                    f"is not after {points[-1].time_ns / _NS} s"
-                )
-            points.append(point)
-        for number, point in enumerate(points):
+        points: list[Waypoint] = []
+        for number, point in enumerate(waypoints):
+            place = f"stage trajectory, point {number}"
             if not (math.isfinite(point.position) and math.isfinite(point.velocity)):
-                raise ValueError(f"stage trajectory, point {number}: position or velocity is not finite")
+                raise ValueError(f"{place}: position or velocity is not finite")
+            # A settling time of zero repeats a point.
+            if points and point == points[-1]:
+                continue
+            if points and point.time_ns <= points[-1].time_ns:
+                raise ValueError(f"{place}: time {point.time_ns / _NS} s is not after {points[-1].time_ns / _NS} s")
+            points.append(point)
+        if not points:
+            raise ValueError("stage trajectory has no points")
         if points[-1].velocity != 0.0:
             raise ValueError(f"stage trajectory ends at {points[-1].velocity} m/s; it must end at rest")
         self._points = points
@@ -110,7 +105,7 @@ class Trajectory:
 
     @property
     def end_ns(self) -> int:
-        """Time of the last waypoint from the start, ns."""
+        """Time of the last waypoint, ns."""
         return self._times[-1]
 
     def position(self, time_ns: int) -> float:

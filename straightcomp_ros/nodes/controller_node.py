@@ -13,11 +13,10 @@ from rclpy.node import Node
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.law import Command
-from straightcomp_ros.control.law_crossfade import FADE_TIME
 from straightcomp_ros.control.laws import make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
-from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.runtime.batch_streams import BurstPublisher, BurstQueue, CopiedPublisher
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings

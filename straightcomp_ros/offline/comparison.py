@@ -1,4 +1,4 @@
-"""What is told of laws beside each other: the error, how hard they work the coils, what a step costs."""
+"""Figures for a comparison of laws: the error, the changes of the coils' current, the processor time of a step."""
 
 from __future__ import annotations
 
@@ -9,17 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, node_parameters
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
-from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.simulation import Simulation, Values, node_set
 from straightcomp_ros.offline.sweep.starts import STARTS, Spread, first_cycle, spread, values_of_starts
 
 _TIMED_SAMPLES = 2000
 _REPEATS = 5
-
-Values = Mapping[str, Mapping[str, Any]]
-"""Parameters by node and dotted name, as `read_parameter_file` gives them."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +26,7 @@ class LawFigures:
         pp, rms: true compensation error, m.
         control_activity: Σ |Δ i_c| over the motion, A.
         control_rms_step: root mean square of Δ i_c from sample to sample, A.
-        step_time: of the processor for one sample of the law alone, s; the least of some repetitions.
+        step_time: processor time of one step of the law alone, s; the least of several repetitions.
     """
 
     pp: Spread
@@ -41,29 +37,25 @@ class LawFigures:
 
 
 def with_values(values: Values, node: str, changes: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """``values`` with other ones for some parameters of ``node``, by dotted name."""
+    """A copy of ``values`` with ``changes`` of parameters of ``node``, by dotted name."""
     copied = {name: dict(parameters) for name, parameters in values.items()}
     copied.setdefault(node, {}).update(changes)
     return copied
 
 
 def law_of(values: Values) -> Law:
-    """The law that the controller of ``values`` runs.
-
-    Raises:
-        ParameterError: a parameter is refused.
-    """
-    controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
+    """The law that the controller of ``values`` runs; ParameterError if a parameter is refused."""
+    controller = node_set(values).controller
     return make_law(controller.control, 1.0 / controller.rate)
 
 
 def figures_of(values: Values, law: Law | None = None, starts: int = STARTS) -> LawFigures:
-    """Run one cycle from each start, and time the law's step on the samples of the first.
+    """Run one cycle from each of ``starts`` starts, and time the law's step on the samples of the first.
 
     Args:
         values: parameters by node and dotted name.
-        law: steps in place of the law that ``values`` name; it need not be compilable.
-        starts: how many.
+        law: replaces the law that ``values`` name; it need not be compilable.
+        starts: number of starts.
 
     Raises:
         ParameterError, SurveyError: the parameters are refused.
@@ -76,33 +68,25 @@ def figures_of(values: Values, law: Law | None = None, starts: int = STARTS) -> 
     record = simulation.run(
         observe=lambda sample, truth, reference, command, age: samples.append((sample.y, *reference, sample.current))
     )
-    found = [evaluate(record, simulation.map)]
-    for other in others:
-        if law is None:
-            found.append(evaluate(*first_cycle(other)))
-        else:
-            simulation = Simulation(other, law=law)
-            found.append(evaluate(simulation.run(), simulation.map))
-    middle = samples[len(samples) // 4 :][:_TIMED_SAMPLES]
+    found = [evaluate(record, simulation.map), *(evaluate(*first_cycle(other, law)) for other in others)]
     return LawFigures(
         # A simulation knows the truth.
         spread(metrics.true_pp or math.nan for metrics in found),
         spread(metrics.true_rms or math.nan for metrics in found),
         spread(metrics.control_activity for metrics in found),
         spread(metrics.control_rms_step for metrics in found),
-        step_time(timed, middle),
+        _step_time(timed, samples[len(samples) // 4 :][:_TIMED_SAMPLES]),
     )
 
 
-def step_time(law: Law, samples: Sequence[tuple[float, ...]]) -> float:
-    """Processor time in s for one step of ``law``, from a run over ``samples``: arguments of `Law.step`, one by one."""
-    return min(_run_time(law, samples) for _ in range(_REPEATS)) / len(samples)
-
-
-def _run_time(law: Law, samples: Sequence[tuple[float, ...]]) -> float:
-    law.reset(samples[0][0])
-    step = law.step
-    started = time.process_time()
-    for sample in samples:
-        step(*sample)
-    return time.process_time() - started
+def _step_time(law: Law, samples: Sequence[tuple[float, ...]]) -> float:
+    """Processor time in s for one step of ``law``, from repeated runs over ``samples``, arguments of `Law.step`."""
+    times = []
+    for _ in range(_REPEATS):
+        law.reset(samples[0][0])
+        step = law.step
+        started = time.process_time()
+        for sample in samples:
+            step(*sample)
+        times.append(time.process_time() - started)
+    return min(times) / len(samples)

@@ -1,25 +1,18 @@
 """The graph without ROS: driver, feedforward and controller in one loop, in simulated time.
 
-The parts are those that the nodes run, called in the order of `lockstep`, so that both give the same
-numbers to the last bit.
+It calls what the nodes call, in the order of `lockstep`, so that both give the same numbers to the last bit.
 """
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.configuration.node_parameters import (
-    CellNodeParameters,
-    ControllerNodeParameters,
-    DriverNodeParameters,
-    FeedforwardNodeParameters,
-    node_parameters,
-)
+from straightcomp_ros.configuration import node_parameters as nodes
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.learning import make_learning
@@ -33,14 +26,40 @@ from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 
 _PROGRESS_EVERY = 2000
+_COLUMNS = ("x", "y", "r", "current", "true_x", "true_y", "guide")
+
+Values = Mapping[str, Mapping[str, Any]]
+"""Parameters by node and dotted name, as `read_parameter_file` gives them."""
+
+
+class NodeSet(NamedTuple):
+    """Parameters of the simulated nodes."""
+
+    driver: nodes.DriverNodeParameters
+    feedforward: nodes.FeedforwardNodeParameters
+    controller: nodes.ControllerNodeParameters
+    cell: nodes.CellNodeParameters
+
+    def check_rates(self) -> None:
+        """Raise ParameterError if controller and machine disagree about the rate."""
+        rate, machine = self.controller.rate, self.driver.simulated.rate
+        if rate != machine:
+            raise ParameterError(
+                f"node controller: parameter 'rate': {rate} Hz; allowed: {machine} Hz, as the driver has"
+            )
+
+
+def node_set(values: Values) -> NodeSet:
+    """The parameters of the simulated nodes; ParameterError if one is refused."""
+    return NodeSet(*(nodes.node_parameters(node, values.get(node, {})) for node in NodeSet._fields))
 
 
 class Simulation:
     """Cycles of the stage, one after the other, under the parameters of the nodes.
 
     Args:
-        values: parameters by node and dotted name, as `read_parameter_file` gives them.
-        law: steps in place of the one that the parameters name.
+        values: parameters by node and dotted name.
+        law: replaces the law that the parameters name.
         motion: of the stage, and its start in ns; the cell's cycle from 0 if None.
 
     Raises:
@@ -48,35 +67,25 @@ class Simulation:
         SurveyError: the map or the guide is refused.
 
     Attributes:
-        map: what the feedforward looks the reference up in.
+        map: the feedforward's map.
         delay: command delay from the sample, in sampling periods.
     """
 
     map: StraightnessMap
     delay: float
 
-    def __init__(
-        self,
-        values: Mapping[str, Mapping[str, Any]],
-        law: Law | None = None,
-        motion: tuple[Trajectory, int] | None = None,
-    ) -> None:
-        self._driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
-        feedforward: FeedforwardNodeParameters = node_parameters("feedforward", values.get("feedforward", {}))
-        self._controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
-        cell: CellNodeParameters = node_parameters("cell", values.get("cell", {}))
-        rate = self._driver.simulated.rate
-        if self._controller.rate != rate:
-            raise ParameterError(
-                f"node controller: parameter 'rate': {self._controller.rate} Hz; allowed: {rate} Hz, as the driver has"
-            )
+    def __init__(self, values: Values, law: Law | None = None, motion: tuple[Trajectory, int] | None = None) -> None:
+        parameters = node_set(values)
+        parameters.check_rates()
+        driver, feedforward, controller, cell = parameters
+        rate, control = controller.rate, controller.control
         self.map = load_map(feedforward.map)
-        self.delay = self._driver.lockstep_delay
-        self._hardware = SimulatedHardware(self._driver.simulated, load_map(self._driver.guide))
+        self.delay = driver.lockstep_delay
+        self._law_name = control.law
+        self._hardware = SimulatedHardware(driver.simulated, load_map(driver.guide))
         self._feedforward = Feedforward(self.map, feedforward.feedforward)
-        self._pairing = Pairing(self._controller.lead_ns, wait=True)
-        control = self._controller.control
-        self._learning = make_learning(self._controller.learning, control.law, rate)
+        self._pairing = Pairing(controller.lead_ns, wait=True)
+        self._learning = make_learning(controller.learning, control.law, rate)
         self._servo = Servo(law or make_law(control, 1.0 / rate), learning=self._learning)
         self._begin_ns = 0
         self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.motion)), 0)
@@ -112,8 +121,7 @@ class Simulation:
             pairing.add_sample(sample.stamp_ns, (sample.x, sample.y, sample.current))
             ((stamp_ns, (x, y, coil_current), served, age_ns),) = pairing.take()
             command = step(stamp_ns, y, coil_current, served, x)
-            # A sample of the simulated machine is finite and newer than the last.
-            assert command is not None
+            assert command is not None  # a simulated sample is finite and newer than the last
             hardware.write(command.current, sample.stamp_ns + delay_ns)
             rows.extend((sample.x, sample.y, reference[0], command.current, truth.x, truth.y, truth.guide_deviation))
             if observe is not None:
@@ -121,24 +129,10 @@ class Simulation:
             if index % _PROGRESS_EVERY == 0:
                 progress(index / count)
         progress(1.0)
-        x, y, r, current, true_x, true_y, guide = np.frombuffer(rows).reshape(count, -1).T.copy()
-        return StrokeRecord(
-            time=np.arange(count) * (period_ns * 1e-9),
-            x=x,
-            y=y,
-            r=r,
-            current=current,
-            true_x=true_x,
-            true_y=true_y,
-            guide=guide,
-            law=self._controller.control.law,
-        )
+        columns = dict(zip(_COLUMNS, np.frombuffer(rows).reshape(count, -1).T.copy(), strict=True))
+        return StrokeRecord(time=np.arange(count) * (period_ns * 1e-9), law=self._law_name, **columns)
 
     def save_learning(self) -> None:
-        """Write what was learned to the file that the parameters name, if they do.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Write the learned correction to the file that the parameters name, if they do; OSError if that fails."""
         if self._learning is not None:
             self._learning.save()

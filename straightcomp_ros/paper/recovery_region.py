@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.plant import PlantState, advance, as_array
-from straightcomp_ros.offline.sweep.kernel import Conditions, run_from
+from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.paper.ideal_machine import Machine
 from straightcomp_ros.paper.release import largest
 
@@ -145,7 +145,7 @@ def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.fl
     )
     initial = PlantState(y=y, velocity=velocity, bias=machine.plant.actuator.bias_current)
     law = make_law(machine.control, 1.0 / machine.rate)
-    return run_from(law, _beyond_its_stop(machine).plant, conditions, initial).true_y
+    return run_cycle(law, _beyond_its_stop(machine).plant, conditions, initial).true_y
 
 
 def largest_release(machine: Machine, steps: int = 8) -> float:

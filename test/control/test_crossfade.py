@@ -6,9 +6,8 @@ import math
 import pytest
 
 from straightcomp_ros.control.law import Command
-from straightcomp_ros.control.law_crossfade import FADE_TIME, Crossfade
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
-from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.control.servo import FADE_TIME, Crossfade, Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 

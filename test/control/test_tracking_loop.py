@@ -4,15 +4,18 @@ import math
 
 import pytest
 
-from straightcomp_ros.control.error_tracking import (
+from straightcomp_ros.control.design import NominalPlant
+from straightcomp_ros.control.observer import (
+    Estimate,
     current_for,
+    interval,
     limited,
-    loop,
     moment_of_action,
     next_prior,
+    nominal_loop,
+    observer_gains,
     with_measured_current,
 )
-from straightcomp_ros.control.observer import Estimate, interval, observer_gains
 from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
 
 PERIOD = 5e-4
@@ -21,15 +24,8 @@ CONSTANTS = ACTUATOR.constants()
 
 
 def believed(delay_samples=0.5, mass=3.0, amplifier_bandwidth=500.0):
-    return loop(
-        period=PERIOD,
-        delay_samples=delay_samples,
-        amplifier_bandwidth=amplifier_bandwidth,
-        observer_bandwidth=200.0,
-        mass=mass,
-        current_limit=0.9,
-        actuator=ACTUATOR,
-    )
+    nominal = NominalPlant(mass=mass, amplifier_bandwidth=amplifier_bandwidth, actuator=ACTUATOR)
+    return nominal_loop(nominal, period=PERIOD, delay_samples=delay_samples, bandwidth=200.0, current_limit=0.9)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])

@@ -12,8 +12,7 @@ from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.identification import stretch as recording
-from straightcomp_ros.identification.estimate import DERIVED, UNITS, Estimate, Estimated
-from straightcomp_ros.identification.plant_file import parameter_file
+from straightcomp_ros.identification.estimate import DERIVED, UNITS, Estimate, Estimated, parameter_file
 from straightcomp_ros.settings.declaration import to_mapping
 
 SHORT_CYCLE = ("cell.motion.stroke=0.05", "cell.motion.settle=0.1", "cell.motion.pause=0.1")

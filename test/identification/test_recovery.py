@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from plants import SOFT, STIFF
 
-from straightcomp_ros.identification.estimate import DERIVED, estimate_from_bag
-from straightcomp_ros.identification.plant_file import parameter_file
+from straightcomp_ros.identification.estimate import DERIVED, estimate_from_bag, parameter_file
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.settings.declaration import to_mapping
@@ -33,7 +32,7 @@ def truth_of(plant: Mapping[str, float]) -> dict[str, float]:
     magnets = ActuatorParameters(
         **{name.partition(".")[2]: whole[name] for name in whole if name.startswith("actuator.")}
     )
-    return {**whole, DERIVED[0]: magnets.current_stiffness, DERIVED[1]: magnets.position_stiffness}
+    return {**whole, **{name: getattr(magnets, name.removeprefix("actuator.")) for name in DERIVED}}
 
 
 def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds(stiff_answer) -> None:

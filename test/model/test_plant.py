@@ -8,12 +8,12 @@ from straightcomp_ros.model.actuator import ActuatorParameters, control_current
 from straightcomp_ros.model.lugre import FrictionParameters
 from straightcomp_ros.model.plant import (
     SUBSTEP_NS,
+    Plant,
     PlantParameters,
     PlantState,
     _from_array,
     advance,
     as_array,
-    energy,
 )
 from straightcomp_ros.settings.declaration import ParameterError
 
@@ -30,6 +30,17 @@ def run(
     array = np.array(state)
     advance(as_array(parameters.constants()), array, bias, command, round(seconds * 1e9))
     return PlantState(*array)
+
+
+def energy(plant: Plant, state: PlantState) -> float:
+    """Kinetic energy plus the magnets' potential at the present currents and the bristles', in J.
+
+    The potential of (2) at constant currents is −(μ0N²A/4) [i₁²/(y0−y) + i₂²/(y0+y)].
+    """
+    near = (state.bias + state.control) ** 2 / (plant.actuator.air_gap - state.y)
+    far = (state.bias - state.control) ** 2 / (plant.actuator.air_gap + state.y)
+    bristles = 0.5 * plant.lugre.bristle_stiffness * state.bristle**2
+    return 0.5 * plant.mass * state.velocity**2 - plant.actuator.force_coefficient * (near + far) + bristles
 
 
 def test_energy_is_conserved_where_there_is_no_friction():

@@ -1,7 +1,7 @@
 """Computes every recorded command again from the recorded samples and references, and compares the bits.
 
-The law's state depends on which samples it saw, in which order, and by which reference each was served. The recorded
-`controller_state` tells all three: it has one message for each step of the law, with the age of its reference.
+The law's state depends on its samples, their order, and the reference of each. The recorded `controller_state` tells
+all three: it has one message for each step of the law, with the age of its reference.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from straightcomp_ros.settings.declaration import ParameterError
 
 _AUDITED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE)
 _COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1])
-"""What the law answers, in its order; the age of the reference is no answer."""
+"""Columns of the law's answer, in its order."""
+_PACK = struct.Struct(f"<{len(_COLUMNS)}d").pack
 _GAP_NS = 20_000_000
-"""Longest gap that the servo goes on after; beyond it the law starts anew."""
+"""Gap between two samples beyond which the servo restarts the law."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A number that came out otherwise: of the step ``step`` of the recorded ones, ``stamp_ns`` of its sample."""
+    """A number that differs: in the recorded step ``step``, for the sample of ``stamp_ns``."""
 
     step: int
     stamp_ns: int
@@ -42,16 +43,16 @@ class Difference:
 
 @dataclass(frozen=True)
 class Audit:
-    """What came of it.
+    """Result of an audit.
 
     Attributes:
         law: name of the law.
         commands: commands that were computed again and compared.
-        different: those of them that came out otherwise, in the command or in the law's inner variables.
-        unverified: recorded commands that cannot be computed: something that the law saw is not in the bag, and the
-            law has not started anew since.
+        different: those of them that differ, in the command or in the law's inner variables.
+        unverified: recorded commands that cannot be computed: an input of the law is not in the bag, and the law has
+            not restarted since.
         missing: samples or references of those steps that are not in the bag.
-        began_running: the recording began while the law was running already.
+        began_running: whether the recording began while the law was running.
         first: the first difference, None without.
     """
 
@@ -65,7 +66,7 @@ class Audit:
 
     @property
     def passed(self) -> bool:
-        """Something was compared, and nothing differed."""
+        """Whether commands were compared and none differed."""
         return self.commands > 0 and not self.different
 
 
@@ -74,7 +75,7 @@ def audit(bag: Path, remap: Mapping[str, str] | None = None) -> Audit:
 
     Args:
         bag: rosbag2 folder or MCAP file.
-        remap: the bag's topic for each of ours that is named otherwise there.
+        remap: the bag's topic for each of our topics that has another name there.
 
     Raises:
         BagError: the bag is refused, or lacks a stream or the controller's parameters.
@@ -108,11 +109,10 @@ def _audited(
     references = _rows(reference, *REFERENCE.layout.columns)
     currents = _rows(command, *COMMAND.layout.columns)
     recorded = zip(*(state.columns[name].tolist() for name in CONTROLLER_STATE.layout.columns), strict=True)
-    # Commands go out one by one, states in bursts: where a state was lost, its command tells that there was a step.
+    # Commands are published one by one, states in batches: a command without a state means that the state was lost.
     stateless = sorted(set(currents).difference(state.stamp.tolist()), reverse=True)
-    steps = len(state) + len(stateless)
-
-    compared = different = missing = 0
+    steps, missing = len(state) + len(stateless), 0
+    compared = different = 0
     followed, began_running = True, False
     last_ns: int | None = None
     first: Difference | None = None
@@ -125,9 +125,8 @@ def _audited(
         age_ns = round(numbers[-1] * 1e9) if math.isfinite(numbers[-1]) else -1
         given = references.get(stamp_ns - age_ns) if age_ns >= 0 else None
         if sample is None or given is None:
-            followed = False
+            followed, last_ns = False, stamp_ns
             missing += 1
-            last_ns = stamp_ns
             continue
         y, coil_current = sample
         starts_anew = math.isnan(coil_current) or (last_ns is not None and abs(stamp_ns - last_ns) > _GAP_NS)
@@ -139,23 +138,21 @@ def _audited(
             continue
         found = _first_difference(step, stamp_ns, (*current, *numbers[:-1]), answer)
         if found and not compared and not starts_anew:
-            # The first step of the bag: the law may have run for long before.
+            # The first step of the bag: the law may have been running.
             followed, began_running = False, True
             continue
         compared += 1
         if found:
             different += 1
             first = first or found
-    unverified = steps - compared
     missing += len(stateless)
-    return Audit(parameters.control.law, compared, different, unverified, missing, began_running, first)
+    return Audit(parameters.control.law, compared, different, steps - compared, missing, began_running, first)
 
 
 def _rows(stream: StreamColumns, *columns: str) -> dict[int, tuple[float, ...]]:
-    """Numbers by stamp; a repeated message is the same again."""
-    return dict(
-        zip(stream.stamp.tolist(), zip(*(stream.columns[name].tolist() for name in columns), strict=True), strict=True)
-    )
+    """Numbers by stamp; a repeated message has the same numbers."""
+    numbers = zip(*(stream.columns[name].tolist() for name in columns), strict=True)
+    return dict(zip(stream.stamp.tolist(), numbers, strict=True))
 
 
 def _first_difference(
@@ -166,10 +163,7 @@ def _first_difference(
     if _PACK(*recorded) == _PACK(*computed):
         return None
     for name, one, other in zip(_COLUMNS, recorded, computed, strict=True):
-        # NaN says «none» in whatever bit pattern.
+        # NaN means "none", whatever its bits.
         if struct.pack("<d", one) != struct.pack("<d", other) and not (math.isnan(one) and math.isnan(other)):
             return Difference(step, stamp_ns, name, one, other)
     return None
-
-
-_PACK = struct.Struct(f"<{len(_COLUMNS)}d").pack

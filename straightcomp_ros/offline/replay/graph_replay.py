@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
 from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words
 from straightcomp_ros.contract import COMMAND, ENCODER
@@ -24,13 +24,13 @@ _SLACK_S = 90.0
 
 @dataclass(frozen=True)
 class GraphReplay:
-    """What came back.
+    """Result of a replay.
 
     Attributes:
-        bag: what was recorded of the replay.
+        bag: the bag recorded of the replay.
         samples: samples in the played bag.
         commands: samples that have a command in both bags.
-        equal, different: those whose command is the same to the bit, or not.
+        equal, different: of those, samples whose command is the same to the bit, or not.
     """
 
     bag: Path
@@ -43,13 +43,13 @@ class GraphReplay:
 def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | None = None) -> GraphReplay:
     """Play a bag to the graph, with the parameters and the map that are attached to it, and compare the commands.
 
-    The controller waits for each sample's reference (trigger ``lockstep``): what it answers then depends on the samples
+    The controller waits for each sample's reference (trigger ``lockstep``): its answers then depend on the samples
     alone, not on this machine's speed.
 
     Args:
         bag: rosbag2 folder or MCAP file.
-        output: folder that gets ``bag/`` and ``logs/``; an earlier bag there is replaced.
-        remap: the bag's topic for each of ours that is named otherwise there.
+        output: folder for ``bag/`` and ``logs/``; an earlier bag there is replaced.
+        remap: the bag's topic for each of our topics that has another name there.
 
     Raises:
         BagError: the bag is refused.
@@ -85,8 +85,7 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         answers = read_streams(new, {COMMAND.topic: COMMAND.layout}).get(COMMAND.topic)
-    before = _by_stamp(streams.get(COMMAND.topic))
-    after = _by_stamp(answers)
+    before, after = _by_stamp(streams.get(COMMAND.topic)), _by_stamp(answers)
     common = before.keys() & after.keys()
     equal = sum(before[stamp] == after[stamp] for stamp in common)
     return GraphReplay(new, len(stamps), len(common), equal, len(common) - equal)
@@ -110,8 +109,7 @@ def _play(parameter_file: Path, logs: Path, duration: float) -> None:
             raise LaunchError(f"logger: {exit_words(code)}: {graph.last_words('logger')}")
 
 
-def _by_stamp(stream: object) -> dict[int, bytes]:
+def _by_stamp(stream: StreamColumns | None) -> dict[int, bytes]:
     if stream is None:
         return {}
-    currents = stream.columns["control_current"]  # type: ignore[attr-defined]
-    return dict(zip(stream.stamp.tolist(), (value.tobytes() for value in currents), strict=True))  # type: ignore[attr-defined]
+    return dict(zip(stream.stamp.tolist(), map(bytes, stream.columns["control_current"]), strict=True))

@@ -1,4 +1,4 @@
-"""Closes the loop anew around a recorded motion of the stage: with the recorded law, or with another."""
+"""Simulates the loop over a recorded motion of the stage, with the recorded law or another."""
 
 from __future__ import annotations
 
@@ -17,26 +17,24 @@ from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.model.stage import Trajectory, Waypoint
-from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.simulation import Simulation, Values
 from straightcomp_ros.straightness.guide_map import find_survey
 from straightcomp_ros.straightness.survey import SurveyError
 
 _WAYPOINT_EVERY = 0.01
-"""Time in s between waypoints: a corner of the speed profile, 0.2 m/s², is met within 3 µm of x, 1 nm of r."""
+"""Time in s between waypoints: at a corner of the speed profile, 0.2 m/s², x errs by up to 3 µm, r by 1 nm."""
 _APPROACH_NS = 1_000_000_000
-"""Simulated stages stand at 0 at first; they reach the recorded start before the first sample."""
-
-Values = dict[str, dict[str, Any]]
+"""Time for the simulated stage to go from 0 to the recorded start, before the first sample."""
 
 
 @dataclass(frozen=True)
 class WhatIf:
-    """A recorded run beside two simulated ones on its motion and its map.
+    """Figures of a recorded run, and of two simulations with its motion and its map.
 
     Attributes:
-        recorded: the run's figures.
-        again: with the recorded parameters: what the simulation cannot tell shows as its difference from ``recorded``.
-        changed: with the changes; None when there were none.
+        recorded: the run.
+        again: with the recorded parameters: its difference from ``recorded`` is the error of the simulation.
+        changed: with the changes; None without any.
         laws: names of the laws of the three, in this order.
     """
 
@@ -49,13 +47,13 @@ class WhatIf:
 def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[str, str] | None = None) -> WhatIf:
     """Simulate a recorded run.
 
-    The plant is the one in the bag's parameters; the loop's delay is the recorded median. Where no truth was recorded
-    the guide is what the map says.
+    The plant is that of the bag's parameters; the loop's delay is the recorded median. If no truth was recorded, the
+    guide is that of the map.
 
     Args:
         bag: rosbag2 folder or MCAP file.
         changes: values by node and dotted name, over those of the bag.
-        remap: the bag's topic for each of ours that is named otherwise there.
+        remap: the bag's topic for each of our topics that has another name there.
 
     Raises:
         BagError, MetricsError: the bag is refused, or its stage does not move.
@@ -67,8 +65,8 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
     record = evaluation.record
     with tempfile.TemporaryDirectory() as folder:
         survey = unpacked_map(attachments, Path(folder))
-        values = recorded_values(recorded_parameters(bag, attachments), evaluation, survey)
-        motion = recorded_motion(record)
+        values = _recorded_values(recorded_parameters(bag, attachments), evaluation, survey)
+        motion = _recorded_motion(record)
         again, law = _simulated(values, motion)
         changed, changed_law = None, None
         if any(changes.values()):
@@ -79,10 +77,7 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
     return WhatIf(recorded, again, changed, (record.law, law, changed_law))
 
 
-def recorded_values(
-    parameters: Mapping[str, Mapping[str, Any]], evaluation: BagEvaluation, survey: Path | None
-) -> Values:
-    """Parameters for a simulation of a recorded run; ``survey`` is the attached one, None without."""
+def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path | None) -> dict[str, dict[str, Any]]:
     values = {node: dict(parameters.get(node, {})) for node in NODE_PARAMETERS}
     if survey is not None:
         values["feedforward"]["map.file"] = str(survey)
@@ -97,29 +92,22 @@ def recorded_values(
     if len(evaluation.latency):
         driver["lockstep_delay"] = float(np.clip(np.median(evaluation.latency) / period, 0.0, 10.0))
     driver["simulated.initial_y"] = float(record.y[0])
-    # Nothing is late in simulated time, but a command that is applied a few samples later must not end the run.
+    # A delay of some samples must not end the run.
     driver["simulated.command_timeout"] = 1.0
     return values
 
 
-def recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
+def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
     """The recorded motion of the stage, and the time in ns at which its trajectory starts."""
     x = record.x if record.true_x is None else record.true_x
-    step = max(round(_WAYPOINT_EVERY / float(np.median(np.diff(record.time)))), 1)
-    places = np.arange(0, len(x), step)
-    if places[-1] != len(x) - 1:
-        places = np.append(places, len(x) - 1)
-    before, after = np.maximum(places - step // 2, 0), np.minimum(places + step // 2, len(x) - 1)
+    step, last = max(round(_WAYPOINT_EVERY / float(np.median(np.diff(record.time)))), 1), len(x) - 1
+    places = np.unique(np.append(np.arange(0, len(x), step), last))
+    before, after = np.maximum(places - step // 2, 0), np.minimum(places + step // 2, last)
     speed = (x[after] - x[before]) / np.maximum(record.time[after] - record.time[before], 1e-9)
     speed[0] = speed[-1] = 0.0
-    waypoints = [Waypoint(0, 0.0, 0.0)]
-    waypoints += [
-        Waypoint(_APPROACH_NS + round(time * 1e9), position, velocity)
-        for time, position, velocity in zip(
-            record.time[places].tolist(), x[places].tolist(), speed.tolist(), strict=True
-        )
-    ]
-    return Trajectory(waypoints), -_APPROACH_NS
+    corners = zip(record.time[places].tolist(), x[places].tolist(), speed.tolist(), strict=True)
+    waypoints = [Waypoint(_APPROACH_NS + round(time * 1e9), position, speed) for time, position, speed in corners]
+    return Trajectory([Waypoint(0, 0.0, 0.0), *waypoints]), -_APPROACH_NS
 
 
 def _simulated(values: Values, motion: tuple[Trajectory, int]) -> tuple[Metrics, str]:

@@ -1,22 +1,16 @@
-"""One cycle of the stage, compiled: what `Simulation` gives, to the last bit, in a fifth of its time.
+"""One cycle of the stage, compiled: the result of `Simulation`, to the last bit, in a fifth of the time.
 
-It runs a first cycle only, without learning: the compiled loop starts from rest and keeps nothing of itself.
+Only a first cycle without learning: the compiled loop starts from rest and keeps no state.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.configuration.node_parameters import (
-    ControllerNodeParameters,
-    DriverNodeParameters,
-    node_parameters,
-)
+from straightcomp_ros.model.plant import PlantState
+from straightcomp_ros.offline.simulation import Values, node_set
 from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import LOWEST_RATE, make_scenario
@@ -24,31 +18,20 @@ from straightcomp_ros.offline.sweep.trial import laws_of
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 
 
-def can_run(values: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Whether a cycle under these parameters is within what the compiled loop models.
-
-    Args:
-        values: parameters by node and dotted name, as `Simulation` takes them.
-
-    Raises:
-        ParameterError: a parameter of driver or controller is refused.
-    """
-    driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
-    controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
+def can_run(values: Values) -> bool:
+    """Whether the compiled loop models a cycle under ``values``; ParameterError if a parameter is refused."""
+    driver, _, controller, _ = node_set(values)
     rate = driver.simulated.rate
-    # The oldest that a command becomes on the board.
-    oldest = (driver.lockstep_delay + 1.0) / rate
+    oldest_command = (driver.lockstep_delay + 1.0) / rate
     return (
         rate == controller.rate
         and rate >= LOWEST_RATE
-        and oldest < driver.simulated.command_timeout
+        and oldest_command < driver.simulated.command_timeout
         and not controller.learning.learn
     )
 
 
-def run_stroke(
-    values: Mapping[str, Mapping[str, Any]], delays: NDArray[np.int64] | None = None
-) -> tuple[StrokeRecord, StraightnessMap]:
+def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple[StrokeRecord, StraightnessMap]:
     """The first cycle under ``values``, for which :func:`can_run` must hold, and the controller's map.
 
     Args:
@@ -60,31 +43,21 @@ def run_stroke(
         SurveyError: the map or the guide is refused.
         ValueError: the platform's position, or the current, was not finite.
     """
-    driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
-    controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
+    driver, _, controller, _ = node_set(values)
     law = controller.control.law
     scenario = make_scenario(values, [law])
     machine, period_ns = driver.simulated, scenario.period_ns
     straightness = StraightnessMap(scenario.survey, scenario.map_parameters)
     stamps = np.arange(scenario.samples, dtype=np.int64) * period_ns
-    true_x = np.array([scenario.trajectory.position(stamp) for stamp in stamps.tolist()])
+    true_x = scenario.positions(stamps)
     x = readings(machine.plant.encoder.resolution, true_x)
     given = references(straightness, scenario.feedforward, stamps, x)
     given_delays = np.full(stamps.size, round(driver.lockstep_delay * period_ns))
     if delays is not None:
         given_delays[: delays.size] = delays[: stamps.size]
-    cycle = run_cycle(
-        laws_of(scenario)[law],
-        machine.plant,
-        Conditions(
-            stamps=stamps,
-            delays=given_delays,
-            references=served(given, stamps, scenario.lead_ns),
-            noise=np.zeros(stamps.size),
-        ),
-        machine.initial_y,
-        machine.hold,
-    )
+    conditions = Conditions(stamps, given_delays, served(given, stamps, scenario.lead_ns), np.zeros(stamps.size))
+    initial = PlantState(y=machine.initial_y)
+    cycle = run_cycle(laws_of(scenario)[law], machine.plant, conditions, initial, machine.hold)
     if cycle.y.size < stamps.size:
         raise ValueError(f"law '{law}': position or control current is not finite after {cycle.y.size} samples")
     record = StrokeRecord(

@@ -1,4 +1,4 @@
-"""One cycle of the stage as a compiled loop: the law's own step function against the plant's own, sample by sample.
+"""One cycle of the stage as a compiled loop over the law's own step function and the plant's own.
 
 It gives, bit for bit, what :class:`straightcomp_ros.offline.simulation.Simulation` gives under the same conditions,
 some ten times faster. References are computed beforehand, since the stage's motion does not depend on the platform.
@@ -22,20 +22,21 @@ from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.plant import PlantParameters, PlantState
 
 _SHIPPED_HOLD = SimulatedParameters().hold
+_AT_REST = PlantState()
 _compiling = threading.Lock()
 _kernels: dict[Callable[..., Any], Callable[..., int]] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What one cycle runs under, apart from plant and law; all arrays (n,), sample k of each belonging together.
+    """Conditions of one cycle, apart from plant and law; all arrays (n,), one entry for each sample.
 
     Attributes:
         stamps: time of each sample in ns, int64; the first is 0, and they rise.
         delays: time from each sample until its command takes effect, in ns, int64, zero or more. A command never
             overtakes the one before: it then takes effect together with it, and replaces it.
-        references: (n, 3) r in m, ṙ in m/s, r̈ in m/s² that the law is given.
-        noise: what the encoder of y adds to the position before it rounds, m.
+        references: (n, 3) r in m, ṙ in m/s, r̈ in m/s² for the law.
+        noise: added to the position y before the encoder rounds, m.
     """
 
     stamps: NDArray[np.int64]
@@ -45,9 +46,9 @@ class Conditions:
 
 
 class Cycle(NamedTuple):
-    """What happened; (samples,) each: true y and y as the encoder saw it in m, control current commanded in A.
+    """True y and the encoder's y in m, and the commanded control current in A, (samples,) each.
 
-    Shorter than its conditions if the law gave a current that is not finite, or the platform's position was not.
+    Shorter than its conditions if a current of the law or the platform's position was not finite.
     """
 
     true_y: NDArray[np.float64]
@@ -56,27 +57,23 @@ class Cycle(NamedTuple):
 
 
 def run_cycle(
-    law: Law, plant: PlantParameters, conditions: Conditions, initial_y: float = 0.0, hold: Hold = _SHIPPED_HOLD
+    law: Law,
+    plant: PlantParameters,
+    conditions: Conditions,
+    initial: PlantState = _AT_REST,
+    hold: Hold = _SHIPPED_HOLD,
 ) -> Cycle:
     """Run one cycle with the amplifier on from the first sample, as `Simulation` does.
+
+    The law starts at rest at its first reading. The time limits of amplifier, board and `Servo` for late commands and
+    lost samples are not modelled.
 
     Args:
         law: the law; its functions must be `compilable`.
         plant: the machine.
         conditions: of the cycle.
-        initial_y: the platform's position at the start, m; it is at rest there.
-        hold: what the board does when the next command is late.
-    """
-    return run_from(law, plant, conditions, PlantState(y=initial_y), hold)
-
-
-def run_from(
-    law: Law, plant: PlantParameters, conditions: Conditions, initial: PlantState, hold: Hold = _SHIPPED_HOLD
-) -> Cycle:
-    """As :func:`run_cycle`, from any state of the plant (its forces are not read).
-
-    The law starts anew, at rest at its first reading; like the amplifier's and the board's, the time limits of the
-    Servo for late commands and lost samples are not modelled.
+        initial: state of the plant at the start; its forces are not read.
+        hold: how the board holds the platform when the next command is late.
     """
     count = conditions.stamps.size
     true_y, y, current = np.empty(count), np.empty(count), np.empty(count)
@@ -99,7 +96,7 @@ def run_from(
 
 
 def kernel(step: Callable[..., Any]) -> Callable[..., int]:
-    """The compiled loop around a law's step function: compiled once in a process, and kept on disk."""
+    """The compiled loop around a law's step function, compiled once in a process and cached on disk."""
     with _compiling:
         if step not in _kernels:
             _kernels[step] = compiled(_loop_around(step))

@@ -1,17 +1,14 @@
-"""Whether the loop oscillates by itself: a strong line, held for longer than a transient, in the true error.
+"""Detects a limit cycle: a strong line in the spectrum of the true error, held for longer than a transient.
 
-A loop with a coarse encoder is never quite at rest, friction lets it slip now and then, and the guide moves it along.
-A limit cycle differs from each of these:
+Quantisation, slips of friction and the guide also move the platform. A limit cycle differs from these:
 
-- it is larger than a count of the encoder, within which no loop can hold itself;
-- it is a line, where a slip has a broad spectrum: most of the power above the lowest frequency lies in it;
-- it lasts, where the answer to a slip dies away within some tens of milliseconds;
-- it lies at the loop's own frequency, above what the map asks for at the stage's speed.
+- its amplitude is above one count of the encoder, about where ringing that noise and quantisation excite ends and
+  self-excited oscillation begins;
+- it is a line with most of the power above the lowest frequency; a slip has a broad spectrum;
+- it lasts; the response to a slip decays within some tens of milliseconds;
+- its frequency is the loop's own, above those of the map at the stage's speed.
 
-Where this finds one, the loop is at the edge of its own oscillation or beyond it: about one count is where the ring of
-a loop that noise and quantisation keep exciting ends, and an oscillation that feeds itself begins.
-
-Slow hunting below that frequency is not looked for: it shows in the peak-to-peak error.
+Slow hunting below that frequency is not detected: it shows in the peak-to-peak error.
 """
 
 from __future__ import annotations
@@ -23,49 +20,48 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 LOWEST_FREQUENCY = 40.0
-"""Hz; a survey every 10 mm asks for 15 Hz at most at 0.3 m/s, and no loop of this machine crosses over below 60 Hz."""
+"""Hz; at 0.3 m/s a survey every 10 mm has up to 15 Hz; no loop of this machine crosses over below 60 Hz."""
 LEAST_AMPLITUDE = 0.1e-6
-"""m; an oscillation below this is none, however fine the encoder is."""
+"""Smallest amplitude in m of a limit cycle, however fine the encoder is."""
 _SPAN = 0.25
-"""Length in s of a piece that is looked at: lines 4 Hz apart."""
+"""Length in s of a segment: bins 4 Hz apart."""
 _HELD = 4
-"""Pieces in a row, each half over the one before, in which the line must stand: 0.6 s."""
+"""Consecutive segments, overlapping by half, in which the line must stand: 0.6 s."""
 _MOST = 0.5
-"""Part of the power above the lowest frequency that makes a peak a line; white noise has a fiftieth of it there."""
+"""Fraction of the power above the lowest frequency that makes a peak a line; white noise has a fiftieth of it there."""
 _LOBE = 2
 """Bins to each side of its peak into which the Hann window spreads a line."""
 _HANN_BANDWIDTH = 1.5
-"""Σ of the squared bins of a line by its squared amplitude: Hann's equivalent noise bandwidth in bins (Harris, Proc.
-IEEE 66(1), 1978, table 1)."""
+"""Hann's equivalent noise bandwidth in bins: Σ of a line's squared bins by its squared amplitude (Harris, Proc. IEEE
+66(1), 1978, table 1)."""
 
 
 class Oscillation(NamedTuple):
-    """The strongest line that is held: amplitude in m (0 if there is none), frequency in Hz."""
+    """The strongest held line: amplitude in m (0 if there is none), frequency in Hz."""
 
     amplitude: float
     frequency: float
 
 
 def sustained_oscillation(error: NDArray[np.float64], period: float, lowest: float = LOWEST_FREQUENCY) -> Oscillation:
-    """The strongest line that stands in ``error`` for 0.6 s, or all along if that is shorter.
+    """The strongest line that stands in ``error`` for 0.6 s, or throughout if that is shorter.
 
-    Its amplitude is the smallest of the pieces that it is held in; one shorter than a piece (0.25 s) shows none.
+    Its amplitude is the smallest over its segments. An ``error`` shorter than a segment (0.25 s) has none.
 
     Args:
         error: (n,) finite, in m.
         period: sampling period in s.
-        lowest: lowest frequency that is looked at, Hz.
+        lowest: lowest frequency in Hz.
     """
     length = round(_SPAN / period)
     if error.size < length:
         return Oscillation(0.0, 0.0)
-    pieces = sliding_window_view(error, length)[:: length // 2]
+    segments = sliding_window_view(error, length)[:: length // 2]
     window = np.hanning(length)
-    spectra = np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window, axis=1)
+    spectra = np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * window, axis=1)
     power = np.abs(spectra * (2.0 / window.sum())) ** 2
     frequencies = np.fft.rfftfreq(length, period)
     power[:, frequencies < lowest] = 0.0
-
     peaks = power.argmax(axis=1)
     near = np.abs(np.arange(frequencies.size) - peaks[:, np.newaxis]) <= _LOBE
     line = np.where(near, power, 0.0).sum(axis=1)

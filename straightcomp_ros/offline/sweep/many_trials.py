@@ -1,20 +1,25 @@
-"""Many trials at once: on the cores of this machine by joblib, or on those of others by Dask; the same numbers."""
+"""Many trials, on this machine's cores by joblib or on others by Dask, with the same numbers; and their figures."""
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 from joblib import Parallel, delayed
 
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.offline.sweep.trial import TrialResult, laws_of, run_trial
 
 _LARGEST_BATCH = 10
-"""Trials sent to a worker at once: two seconds of work, so that progress is seen, and sending costs nothing."""
+"""Trials in a batch: two seconds of work, for frequent progress at little cost of sending."""
 _CONNECT_S = 20.0
-
-Progress = Callable[[float], None]
+PERCENTILES = {"p5": 5.0, "p50": 50.0, "p95": 95.0, "max": 100.0}
+"""Percentiles of a distribution, by name. Each is the value of a trial: nothing is interpolated."""
 
 
 class SweepError(RuntimeError):
@@ -22,7 +27,7 @@ class SweepError(RuntimeError):
 
 
 def run_trials(scenario: Scenario, seed: int, trials: Sequence[int]) -> list[TrialResult]:
-    """The results of ``trials``, one after the other, for each law: what one worker does."""
+    """The results of ``trials`` for each law, in one process."""
     laws = laws_of(scenario)
     return [result for trial in trials for result in run_trial(scenario, laws, seed, trial)]
 
@@ -34,14 +39,14 @@ def sweep(
     *,
     jobs: int = -1,
     dask: str = "",
-    progress: Progress = lambda fraction: None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[TrialResult]:
-    """Run trials 0 to ``trials`` − 1, in whatever order; the results are sorted by trial, then as the laws stand.
+    """Run trials 0 to ``trials`` − 1, in any order; the results are sorted by trial, then in the order of the laws.
 
     Args:
         scenario: what the trials have in common.
         seed: of all random numbers.
-        trials: how many.
+        trials: number of trials.
         jobs: processes on this machine; −1 takes all cores. Not used with ``dask``.
         dask: address of a Dask scheduler, whose workers have this package; empty stays on this machine.
         progress: called with the fraction that is done.
@@ -62,7 +67,7 @@ def sweep(
 
 
 def _batches(trials: int, workers: int) -> list[range]:
-    """Pieces of ``range(trials)``, at least one for each worker as long as there are trials."""
+    """Batches of ``range(trials)``, at least one for each worker if there are enough trials."""
     size = max(1, min(_LARGEST_BATCH, trials // workers))
     return [range(start, min(start + size, trials)) for start in range(0, trials, size)]
 
@@ -96,3 +101,69 @@ def _on_dask(address: str, scenario: Scenario, seed: int, batches: Sequence[rang
                 yield results
         finally:
             client.cancel(futures)
+
+
+@dataclass(frozen=True)
+class LawSummary:
+    """The figures of one law over a sweep, failed trials included.
+
+    Attributes:
+        law: its name.
+        trials: number of machines.
+        pp, rms: percentiles of the true compensation error by name, m; infinite where cycles broke off.
+        control_activity: percentiles of Σ |Δ i_c|, A.
+        failures: failed trials, by reason.
+        limit_cycles: trials with a limit cycle, failed ones included.
+        worst_trial: number of the trial with the largest peak-to-peak error.
+    """
+
+    law: str
+    trials: int
+    pp: dict[str, float]
+    rms: dict[str, float]
+    control_activity: dict[str, float]
+    failures: dict[str, int]
+    limit_cycles: int
+    worst_trial: int
+
+    def to_display(self) -> dict[str, Any]:
+        """The figures with lengths in µm; None where they are infinite."""
+        return {
+            "pp_um": _shown(self.pp, 1e6),
+            "rms_um": _shown(self.rms, 1e6),
+            "control_activity_A": _shown(self.control_activity, 1.0),
+            "failures": sum(self.failures.values()),
+            "failures_by_reason": self.failures,
+            "limit_cycles": self.limit_cycles,
+            "worst_trial": self.worst_trial,
+        }
+
+
+def summarise(results: Iterable[TrialResult]) -> list[LawSummary]:
+    """One summary for each law, in the order in which they first appear."""
+    by_law: dict[str, list[TrialResult]] = {}
+    for result in results:
+        by_law.setdefault(result.law, []).append(result)
+    return [
+        LawSummary(
+            law=law,
+            trials=len(trials),
+            pp=_percentiles([trial.pp for trial in trials]),
+            rms=_percentiles([trial.rms for trial in trials]),
+            control_activity=_percentiles([trial.control_activity for trial in trials]),
+            failures=dict(Counter(trial.failure for trial in trials if trial.failure)),
+            limit_cycles=sum(trial.limit_cycle for trial in trials),
+            worst_trial=max(trials, key=lambda trial: trial.pp).trial,
+        )
+        for law, trials in by_law.items()
+    ]
+
+
+def _percentiles(values: Sequence[float]) -> dict[str, float]:
+    # Interpolation between a number and infinity would be NaN.
+    found = np.percentile(values, list(PERCENTILES.values()), method="inverted_cdf")
+    return dict(zip(PERCENTILES, found.tolist(), strict=True))
+
+
+def _shown(percentiles: dict[str, float], unit: float) -> dict[str, float | None]:
+    return {name: value * unit if math.isfinite(value) else None for name, value in percentiles.items()}

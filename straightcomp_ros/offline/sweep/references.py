@@ -1,7 +1,4 @@
-"""The references of a whole cycle at once: bit for bit what `Feedforward.step` gives sample by sample, much faster.
-
-The filter and the formulas are the node's own functions.
-"""
+"""The references of a whole cycle at once, bit for bit those of `Feedforward.step`, by the same functions."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from straightcomp_ros.straightness.stage_tracking import restarted, updated
 
 @compiled
 def readings(resolution: float, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What an encoder of ``resolution`` (m) reports at ``positions`` (n,) in m."""
+    """Readings of an encoder of ``resolution`` (m) at ``positions``, (n,) in m."""
     seen = np.empty_like(positions)
     for k in range(positions.size):
         seen[k] = nearest_count(resolution, positions[k])
@@ -41,10 +38,7 @@ def _follow(bandwidth, gap_ns, max_speed, stamps, x, v, a):  # type: ignore[no-u
 def references(
     straightness: StraightnessMap, parameters: FeedforwardParameters, stamps: NDArray[np.int64], x: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """r in m, ṙ in m/s and r̈ in m/s², (n, 3), for samples of ``stamps`` (n,) in ns at ``x`` (n,) in m.
-
-    Stamps must differ from sample to sample; all else is as `Feedforward.step` has it.
-    """
+    """r in m, ṙ in m/s and r̈ in m/s², (n, 3), at ``stamps``, (n,) in ns, all different, and ``x``, (n,) in m."""
     v, a = np.empty_like(x), np.empty_like(x)
     _follow(parameters.bandwidth, parameters.restart_gap_ns, parameters.max_speed, stamps, x, v, a)
     r, slope, curvature = straightness.evaluate(x)
@@ -52,6 +46,6 @@ def references(
 
 
 def served(references: NDArray[np.float64], stamps: NDArray[np.int64], lead_ns: int) -> NDArray[np.float64]:
-    """What `Pairing` makes of a cycle's references, (n, 3): each sample's own, from that of ``lead_ns`` before it."""
+    """The references as `Pairing` serves them, (n, 3): extrapolated from those of ``lead_ns`` before each sample."""
     earlier = np.searchsorted(stamps, np.maximum(stamps - lead_ns, stamps[0]), side="right") - 1
     return np.column_stack(extrapolated(*references[earlier].T, (stamps - stamps[earlier]) * 1e-9))

@@ -1,8 +1,8 @@
-"""Figures of a stroke over several starts: what is published of a stroke is their median, with its range.
+"""Figures of a stroke over several starts: a published figure is their median, with their range.
 
 A peak-to-peak is one extreme of 30,000 samples. It moves by some hundredths of a µm when a sample falls on the next
-count of the encoder, or when another processor rounds another last bit, so that the figure of one run says less than
-its digits. A start is the place where the platform stands when the amplifier is switched on: nothing else differs.
+count of the encoder, or when another processor rounds another last bit: one run does not support its digits. A start is
+the position of the platform when the amplifier is switched on; nothing else differs.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.control.law import Law
+from straightcomp_ros.offline.simulation import Simulation, Values
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
@@ -36,7 +37,7 @@ class Spread(NamedTuple):
         return Spread(*(number * factor for number in self))
 
     def text(self, digits: int) -> str:
-        """``median (min to max)`` with so many decimals; the median alone where the range is within the last one."""
+        """``median (min to max)`` with ``digits`` decimals; the median alone if the range rounds to it."""
         median, least, greatest = (f"{number:.{digits}f}" for number in self)
         return median if least == greatest else f"{median} ({least} to {greatest})"
 
@@ -47,39 +48,40 @@ def spread(numbers: Iterable[float]) -> Spread:
     return Spread(float(np.median(found)), min(found), max(found))
 
 
+def spreads(shown: Iterable[Mapping[str, float | None]]) -> dict[str, Spread]:
+    """Each figure of `Metrics.to_display` over several starts, by its name; figures that a start lacks are left out."""
+    rows = list(shown)
+    columns = {name: [number for row in rows if (number := row[name]) is not None] for name in rows[0]}
+    return {name: spread(numbers) for name, numbers in columns.items() if len(numbers) == len(rows)}
+
+
 def offsets(count: int = STARTS) -> tuple[float, ...]:
-    """Of the platform at its start from where the parameters have it, in m: none, then to either side by turns."""
+    """Offsets in m from the start of the parameters: none, then to either side in turn."""
     return tuple(PITCH * ((k + 1) // 2) * (1 if k % 2 else -1) for k in range(count))
 
 
-def values_of_starts(values: Mapping[str, Mapping[str, Any]], count: int = STARTS) -> list[dict[str, dict[str, Any]]]:
+def values_of_starts(values: Values, count: int = STARTS) -> list[dict[str, Mapping[str, Any]]]:
     """Parameters by node and dotted name for each start; the first are ``values`` themselves."""
-    initial = float(values.get("driver", {}).get("simulated.initial_y", 0.0))
-    copies: list[dict[str, dict[str, Any]]] = []
-    for offset in offsets(count):
-        one = {node: dict(parameters) for node, parameters in values.items()}
-        one.setdefault("driver", {})["simulated.initial_y"] = initial + offset
-        copies.append(one)
-    return copies
+    driver = values.get("driver", {})
+    initial = float(driver.get("simulated.initial_y", 0.0))
+    return [{**values, "driver": {**driver, "simulated.initial_y": initial + offset}} for offset in offsets(count)]
 
 
-def first_cycle(values: Mapping[str, Mapping[str, Any]]) -> tuple[StrokeRecord, StraightnessMap]:
-    """The first cycle under ``values`` and the controller's map: compiled where the compiled loop models it.
+def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, StraightnessMap]:
+    """The first cycle under ``values``, compiled if possible, and the controller's map; ``law`` replaces theirs.
 
     Raises:
         ParameterError, SurveyError: the parameters are refused.
         ValueError: the platform's position, or the current, was not finite.
     """
-    if can_run(values):
+    if law is None and can_run(values):
         return run_stroke(values)
-    simulation = Simulation(values)
+    simulation = Simulation(values, law)
     return simulation.run(), simulation.map
 
 
 def metrics_of_starts(
-    values: Mapping[str, Mapping[str, Any]],
-    count: int = STARTS,
-    progress: Callable[[float], None] = lambda fraction: None,
+    values: Values, count: int = STARTS, progress: Callable[[float], None] = lambda fraction: None
 ) -> list[Metrics]:
     """Figures of the first cycle from each start, in the order of :func:`offsets`.
 
@@ -89,24 +91,11 @@ def metrics_of_starts(
         progress: called with the fraction that is done.
 
     Raises:
-        ParameterError, SurveyError: the parameters are refused.
         MetricsError: the stage does not move.
-        ValueError: the platform's position, or the current, was not finite.
+        ParameterError, SurveyError, ValueError: as of :func:`first_cycle`.
     """
     found = []
     for number, one in enumerate(values_of_starts(values, count), 1):
         found.append(evaluate(*first_cycle(one)))
         progress(number / count)
     return found
-
-
-def spreads(shown: Iterable[Mapping[str, float | None]]) -> dict[str, Spread]:
-    """Each figure of `Metrics.to_display` over several starts, by its name; those that a start lacks are left out."""
-    rows = list(shown)
-    spread_of: dict[str, Spread] = {}
-    for name in rows[0]:
-        numbers = [row[name] for row in rows]
-        present = [number for number in numbers if number is not None]
-        if len(present) == len(rows):
-            spread_of[name] = spread(present)
-    return spread_of

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.record import StrokeRecord, find_motion
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.model.plant import PlantState
 from straightcomp_ros.offline.sweep.kernel import Conditions, Cycle, run_cycle
 from straightcomp_ros.offline.sweep.limit_cycle import LEAST_AMPLITUDE, LOWEST_FREQUENCY, sustained_oscillation
 from straightcomp_ros.offline.sweep.references import readings, references, served
@@ -27,7 +28,7 @@ LARGEST_PP = 10e-6
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What one law made of one machine.
+    """Figures of one law on one machine.
 
     Attributes:
         trial: number of the trial, from 0.
@@ -37,7 +38,7 @@ class TrialResult:
         control_activity: Σ |Δ i_c| over the motion, A; infinite if the cycle broke off.
         oscillation: amplitude in m of the strongest held line in the true error, 0 without one.
         frequency: of that line, Hz.
-        limit_cycle: the line is one, see :mod:`straightcomp_ros.offline.sweep.limit_cycle`.
+        limit_cycle: whether the line is one, see :mod:`straightcomp_ros.offline.sweep.limit_cycle`.
         failure: why the trial failed, empty if it did not.
     """
 
@@ -53,8 +54,7 @@ class TrialResult:
 
 
 class _Course(NamedTuple):
-    """What a trial's stage does, which is the same for all laws: the motion's samples, r(true x) in m, and the
-    lowest frequency in Hz that the map does not ask for."""
+    """The same for all laws of a trial: samples of the motion, r(true x) in m, and frequency in Hz above the map's."""
 
     window: slice
     target: NDArray[np.float64]
@@ -73,9 +73,9 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
         SurveyError: the survey with its errors gives no map within the platform's travel.
         MetricsError: the stage does not move.
     """
-    random = streams(seed, trial)
+    random, board = streams(seed, trial), scenario.driver.simulated
     deviation = draw(scenario.uncertainty, random.machine)
-    plant = deviating(scenario.driver.simulated.plant, deviation)
+    plant = deviating(board.plant, deviation)
     stamps = sample_times(scenario.uncertainty.jitter, scenario.period_ns, scenario.samples, random.clock)
     given, course = _follow(scenario, stamps, random)
     conditions = Conditions(
@@ -84,9 +84,9 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
         references=served(given, stamps, scenario.lead_ns),
         noise=deviation.sensor_noise * random.sensor.standard_normal(stamps.size),
     )
-    board = scenario.driver.simulated
+    initial = PlantState(y=board.initial_y)
     return [
-        _judged(scenario, trial, name, course, run_cycle(law, plant, conditions, board.initial_y, board.hold))
+        _judged(scenario, trial, name, course, run_cycle(law, plant, conditions, initial, board.hold))
         for name, law in laws.items()
     ]
 
@@ -95,11 +95,11 @@ def _follow(scenario: Scenario, stamps: NDArray[np.int64], random: Streams) -> t
     """References (n, 3) from a map of this trial, and the stage's course."""
     survey = mismeasured(scenario.survey, scenario.uncertainty.map_noise, random.survey)
     straightness = StraightnessMap(survey, scenario.map_parameters)
-    true_x = np.array([scenario.trajectory.position(stamp) for stamp in stamps.tolist()])
+    true_x = scenario.positions(stamps)
     x = readings(scenario.driver.simulated.plant.encoder.resolution, true_x)
     given = references(straightness, scenario.feedforward, stamps, x)
     r, time = given[:, 0], np.asarray(stamps * 1e-9, dtype=np.float64)
-    # The motion is found in x alone; y and the current are those of a platform that follows exactly.
+    # The motion depends on x alone.
     motion = find_motion(StrokeRecord(time=time, x=x, y=r, r=r, current=np.zeros_like(r), law=""))
     top_speed = float(np.abs(np.diff(true_x) / np.diff(time)).max())
     pitch = float(np.median(np.diff(survey.runs[0].x)))

@@ -1,62 +1,65 @@
 """How far the machine may be from the one that the controller was designed for, and one such machine per trial.
 
-Trial k of a seed is the same whoever runs it, whatever ran before: its random numbers come from the k-th child of the
-seed (:class:`numpy.random.SeedSequence`), in four streams, so that a longer stroke or another parameter's range
-changes no other quantity. numpy keeps its distributions' bits within a version, but does not promise them across
-versions.
+Trial k of a seed is the same in any process and order: its random numbers come from the k-th child of the seed
+(:class:`numpy.random.SeedSequence`), in four streams, so that a longer stroke or another parameter's range changes no
+other quantity. numpy promises the bits of its distributions within a version only.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
+from straightcomp_ros.model.actuator import ActuatorParameters
+from straightcomp_ros.model.lugre import FrictionParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, parameter
-from straightcomp_ros.straightness.survey import Run, Survey
+from straightcomp_ros.straightness.survey import Survey
+
+T = TypeVar("T", ActuatorParameters, FrictionParameters)
 
 
 @dataclass(frozen=True)
 class UncertaintyParameters:
-    """Ranges of a sweep. The amplifier's bandwidth, the converters and the guide stay as the machine has them."""
+    """Ranges of a sweep. The amplifier's bandwidth, the converters and the guide stay nominal."""
 
-    mass: float = parameter(0.2, "Mass: uniform within ± this part of it", minimum=0.0, maximum=0.9)
+    mass: float = parameter(0.2, "Mass: uniform within ± this fraction of it", minimum=0.0, maximum=0.9)
     force: float = parameter(
         0.2,
         "Force of the magnets at the same gap and currents (turns² times pole area, and so K̄_i and K̄_y): uniform "
-        "within ± this part of it",
+        "within ± this fraction of it",
         minimum=0.0,
         maximum=0.9,
     )
-    air_gap: float = parameter(0.1, "Air gap: uniform within ± this part of it", minimum=0.0, maximum=0.9)
+    air_gap: float = parameter(0.1, "Air gap: uniform within ± this fraction of it", minimum=0.0, maximum=0.9)
     friction: float = parameter(
         2.0,
-        "Coulomb, static and viscous friction: log-uniform between one over this factor and this factor; the "
-        "stiffness and damping of the bristles stay",
+        "Coulomb, static and viscous friction: log-uniform between one over this factor and this factor; bristles "
+        "keep their stiffness and damping",
         minimum=1.0,
         maximum=100.0,
     )
     sensor_noise: float = parameter(
         0.05e-6,
-        "Noise on y before the encoder rounds: normal, white; its standard deviation uniform from 0 to this",
+        "Noise on y before the encoder rounds: normal, white; its standard deviation is uniform from 0 to this",
         unit="m",
         minimum=0.0,
         maximum=1e-4,
     )
     shortest_delay: float = parameter(
-        0.2, "Command delay: uniform from this, the same for all of a trial", unit="samples", minimum=0.0, maximum=10.0
+        0.2, "Command delay, constant in a trial: uniform from this", unit="samples", minimum=0.0, maximum=10.0
     )
     longest_delay: float = parameter(
-        1.5, "Command delay: uniform up to this", unit="samples", minimum=0.0, maximum=10.0
+        1.5, "Command delay, constant in a trial: uniform up to this", unit="samples", minimum=0.0, maximum=10.0
     )
     jitter: float = parameter(
         20e-6,
-        "Each sample is taken up to this before or after its place on the grid: uniform; its stamp says when",
+        "Time from each sample's place on the grid: uniform within ± this; the stamp tells the true time",
         unit="s",
         minimum=0.0,
         maximum=1e-2,
@@ -78,15 +81,8 @@ class UncertaintyParameters:
             )
 
 
-EXACT = UncertaintyParameters(
-    mass=0.0, force=0.0, air_gap=0.0, friction=1.0, sensor_noise=0.0, shortest_delay=0.5, longest_delay=0.5, jitter=0.0,
-    map_noise=0.0,
-)  # fmt: skip
-"""The machine that the controller was designed for, and half a sample's delay as the simulation has."""
-
-
 class Streams(NamedTuple):
-    """Random numbers of one trial, by what they are for."""
+    """Random numbers of one trial, by purpose."""
 
     machine: Generator
     sensor: Generator
@@ -106,7 +102,7 @@ class Deviation(NamedTuple):
 
 
 def streams(seed: int, trial: int) -> Streams:
-    """The random numbers of trial ``trial`` (from 0): those of ``SeedSequence(seed).spawn(n)[trial]``, any n."""
+    """The random numbers of trial ``trial`` (from 0), as of ``SeedSequence(seed).spawn(n)[trial]`` for any n."""
     children = SeedSequence(seed, spawn_key=(trial,)).spawn(len(Streams._fields))
     return Streams(*map(default_rng, children))
 
@@ -125,43 +121,27 @@ def draw(ranges: UncertaintyParameters, random: Generator) -> Deviation:
 
 
 def deviating(plant: PlantParameters, deviation: Deviation) -> PlantParameters:
-    """``plant`` as ``deviation`` makes it.
+    """``plant`` with ``deviation``; ParameterError if the narrower air gap does not hold the mechanical stop."""
+    # The area stands for turns² times area, the product in (2), and scales it exactly.
+    actuator = _scaled(_scaled(plant.actuator, deviation.force, "pole_area"), deviation.air_gap, "air_gap")
+    friction = _scaled(plant.friction, deviation.friction, "coulomb", "static", "viscous")
+    return dataclasses.replace(plant, mass=plant.mass * deviation.mass, actuator=actuator, friction=friction)
 
-    Raises:
-        ParameterError: the narrower air gap does not hold the mechanical stop.
-    """
-    actuator, friction = plant.actuator, plant.friction
-    return dataclasses.replace(
-        plant,
-        mass=plant.mass * deviation.mass,
-        actuator=dataclasses.replace(
-            actuator,
-            # (2) holds turns² and area as one product; the area is the one that scales it exactly.
-            pole_area=actuator.pole_area * deviation.force,
-            air_gap=actuator.air_gap * deviation.air_gap,
-        ),
-        friction=dataclasses.replace(
-            friction,
-            coulomb=friction.coulomb * deviation.friction,
-            static=friction.static * deviation.friction,
-            viscous=friction.viscous * deviation.friction,
-        ),
-    )
+
+def _scaled(parameters: T, factor: float, *names: str) -> T:
+    return dataclasses.replace(parameters, **{name: getattr(parameters, name) * factor for name in names})
 
 
 def sample_times(jitter: float, period_ns: int, count: int, random: Generator) -> NDArray[np.int64]:
     """Stamps (count,) in ns from 0, around a grid of ``period_ns``; ``jitter`` in s does not add up."""
     largest = round(jitter * 1e9)
     stamps = np.arange(count) * period_ns + random.integers(-largest, largest, count, endpoint=True)
-    # The first sample is what the others are counted from.
     stamps[0] = 0
     return stamps
 
 
 def mismeasured(survey: Survey, noise: float, random: Generator) -> Survey:
     """``survey`` with an error of standard deviation ``noise`` (m) in each point."""
-    runs = tuple(
-        Run(run.name, run.direction, run.x, run.deviation + noise * random.standard_normal(run.x.size))
-        for run in survey.runs
-    )
-    return Survey(runs, survey.source)
+    errors = [noise * random.standard_normal(run.x.size) for run in survey.runs]
+    runs = [dataclasses.replace(run, deviation=run.deviation + e) for run, e in zip(survey.runs, errors, strict=True)]
+    return Survey(tuple(runs), survey.source)

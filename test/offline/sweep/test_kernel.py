@@ -11,7 +11,7 @@ from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.model.plant import PlantParameters, PlantState
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.references import readings, references, served
@@ -55,7 +55,7 @@ def test_a_cycle_is_the_simulation_to_the_last_bit(values, law, delay):
             ),
             noise=np.zeros(stamps.size),
         ),
-        scenario.driver.simulated.initial_y,
+        PlantState(y=scenario.driver.simulated.initial_y),
     )
     assert stamps.size == scenario.samples > 3000
     np.testing.assert_array_equal(cycle.true_y, record.true_y)

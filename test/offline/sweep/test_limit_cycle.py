@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from nominal import EXACT
 
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.sweep.limit_cycle import LEAST_AMPLITUDE, sustained_oscillation
 from straightcomp_ros.offline.sweep.many_trials import run_trials
 from straightcomp_ros.offline.sweep.scenario import make_scenario
-from straightcomp_ros.offline.sweep.uncertainty import EXACT, UncertaintyParameters
+from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
 
 T = 5e-4
 TIME = np.arange(8000) * T

@@ -4,8 +4,8 @@ import math
 import pytest
 
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.offline.sweep.many_trials import summarise
 from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
-from straightcomp_ros.offline.sweep.sweep_summary import summarise
 from straightcomp_ros.offline.sweep.trial import TrialResult
 
 SHORT = ["--set", "cell.motion.stroke=0.02", "--set", "cell.motion.settle=0.1", "--set", "cell.motion.pause=0.1"]

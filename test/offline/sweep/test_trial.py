@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from nominal import EXACT
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.laws import LAWS
@@ -7,7 +8,6 @@ from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.many_trials import run_trials
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.trial import laws_of, run_trial
-from straightcomp_ros.offline.sweep.uncertainty import EXACT
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nominal import EXACT
 from numpy.random import SeedSequence, default_rng
 
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.uncertainty import (
-    EXACT,
     UncertaintyParameters,
     deviating,
     draw,
