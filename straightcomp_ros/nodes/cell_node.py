@@ -36,7 +36,7 @@ from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 from straightcomp_ros.runtime.streams import subscribe
 from straightcomp_ros.safety.state_machine import Condition
-from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
+from straightcomp_ros.timing.node_timing import LOST, blamed, held_up, reporting_node
 
 _TICK_S = 0.05
 _SETTLE_S = 1.5
@@ -246,8 +246,8 @@ class CellNode:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            node = status.name.rsplit("/", 1)[-1]
-            self._reports[node] = {value.key: value.value for value in status.values}
+            if node := reporting_node(status.name, self.node.get_namespace()):
+                self._reports[node] = {value.key: value.value for value in status.values}
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
         self._safety = SafetyState.of(message)

@@ -25,7 +25,7 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.runtime.batch_streams import BurstQueue
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.streams import Inbox, unspun_node
-from straightcomp_ros.timing.node_timing import LOST, SAMPLES
+from straightcomp_ros.timing.node_timing import LOST, SAMPLES, reporting_node
 
 _FRESH_S = 0.5
 _REPORT_LASTS_S = 5.0
@@ -139,7 +139,9 @@ class GraphWatch:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            name = status.name.rsplit("/", 1)[-1]
+            name = reporting_node(status.name, self._node.get_namespace())
+            if not name:
+                continue
             self._reports[name] = (time.monotonic(), {value.key: value.value for value in status.values})
             if status.level == DiagnosticStatus.ERROR:
                 self._errors[name] = status.message
