@@ -9,7 +9,7 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from straightcomp_ros.doctor.finding import Finding
-from straightcomp_ros.settings.middlewares import RANGE_VARIABLE, description, known
+from straightcomp_ros.settings.middlewares import MIDDLEWARES, RANGE_VARIABLE, description
 from straightcomp_ros.settings.share import share_path
 
 _OLDEST, _NEWEST = (3, 10), (3, 13)
@@ -56,7 +56,7 @@ def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: floa
         return [Finding("rclpy", "fail", last, remedy)]
     answer = json.loads(asked.stdout)
     rmw = Finding("middleware", "ok", description(answer["rmw"], os.environ))
-    if not known(answer["rmw"]):
+    if answer["rmw"] not in MIDDLEWARES:
         remedy = "Set RMW_IMPLEMENTATION to rmw_fastrtps_cpp or rmw_cyclonedds_cpp: no other one has been tried."
         rmw = Finding("middleware", "warn", rmw.detail, remedy)
     return [Finding("rclpy", "ok", answer["rclpy"]), rmw]

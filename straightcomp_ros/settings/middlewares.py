@@ -40,7 +40,7 @@ _FAST_DDS = Middleware(
     loopback_range="SYSTEM_DEFAULT",
     stamps_arrival=True,
 )
-_MIDDLEWARES = {
+MIDDLEWARES = {
     "rmw_fastrtps_cpp": _FAST_DDS,
     "rmw_fastrtps_dynamic_cpp": _FAST_DDS,
     "rmw_cyclonedds_cpp": Middleware(
@@ -49,14 +49,9 @@ _MIDDLEWARES = {
 }
 
 
-def known(identifier: str) -> bool:
-    """Whether the middleware of this name (``rmw_fastrtps_cpp``) was tried with this package."""
-    return identifier in _MIDDLEWARES
-
-
 def middleware(identifier: str) -> Middleware:
     """The middleware of this name; one that is not known gets no profile, and its times of reception are not used."""
-    return _MIDDLEWARES.get(identifier, Middleware())
+    return MIDDLEWARES.get(identifier, Middleware())
 
 
 def profile_variables(identifier: str, environment: Mapping[str, str]) -> dict[str, str]:
@@ -73,11 +68,9 @@ def profile_variables(identifier: str, environment: Mapping[str, str]) -> dict[s
 def description(identifier: str, environment: Mapping[str, str]) -> str:
     """One line for people: the middleware's name, its profile, and what differs from Fast DDS."""
     chosen, ours = middleware(identifier), profile_variables(identifier, environment)
-    own = [name for name in chosen.variables if name in environment]
-    if ours:
-        profile = f"profile {ours[chosen.variables[0]].removeprefix(chosen.uri)}"
-    else:
-        profile = f"profile of {own[0]}" if own else "its own default profile"
-    if chosen.stamps_arrival:
-        return f"{identifier}, {profile}"
-    return f"{identifier}, {profile}; it does not say when a message came in: latencies end when it was sent"
+    names = [name for name in chosen.variables if name in environment]
+    profile = next(iter((*names, *ours.values())), "its own default")
+    differs = (
+        "" if chosen.stamps_arrival else "; it does not say when a message came in: latencies end when it was sent"
+    )
+    return f"{identifier}, profile: {profile}{differs}"

@@ -99,20 +99,18 @@ def test_under_an_unknown_middleware_nothing_is_set_and_the_discovery_range_stay
     before = dict(os.environ)
     with own_profile():
         assert dict(os.environ) == before
-    assert middleware_in_words().startswith("middleware: rmw_of_tomorrow, its own default profile; it does not say")
+    assert middleware_in_words().startswith("middleware: rmw_of_tomorrow, profile: its own default; it does not say")
 
 
 def test_the_log_names_the_middleware_and_whose_profile_it_has(cyclone):
     cyclone.setenv(RANGE_VARIABLE, "LOCALHOST")
-    own = f"middleware: rmw_cyclonedds_cpp, profile {share_path('config/cyclonedds_loopback.xml')}; it does not say"
-    assert middleware_in_words().startswith(own)
+    profile = f"file://{share_path('config/cyclonedds_loopback.xml')}"
+    assert middleware_in_words().startswith(f"middleware: rmw_cyclonedds_cpp, profile: {profile}; it does not say")
     cyclone.setenv(CYCLONE, "file:///mine.xml")
-    assert middleware_in_words().startswith(
-        "middleware: rmw_cyclonedds_cpp, profile of CYCLONEDDS_URI; it does not say"
-    )
+    assert middleware_in_words().startswith("middleware: rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say")
     cyclone.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_fastrtps_cpp")
     assert middleware_in_words() == (
-        f"middleware: rmw_fastrtps_cpp, profile {share_path('config/fastdds_loopback.xml')}"
+        f"middleware: rmw_fastrtps_cpp, profile: {share_path('config/fastdds_loopback.xml')}"
     )
 
 
