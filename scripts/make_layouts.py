@@ -128,7 +128,7 @@ def foxglove() -> dict[str, Any]:
         tabs.append({"title": tab, "layout": _column(names)})
     summary = "DiagnosticSummary!nodes"
     panels[summary] = {
-        "topicToRender": f"/{DIAGNOSTICS}",
+        "topicToRender": DIAGNOSTICS,
         "minLevel": 0,
         "pinnedIds": [],
         "hardwareIdFilter": "",

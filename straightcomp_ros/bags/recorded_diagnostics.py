@@ -4,20 +4,30 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.messages import decoded, messages_on
 from straightcomp_ros.bags.topics import resolved
-from straightcomp_ros.contract import DIAGNOSTICS
+from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.messages.cdr import NANOSECONDS
-from straightcomp_ros.timing.node_timing import Report
+from straightcomp_ros.timing.node_timing import Report, reporting_node
 
 
 def read_reports(bag: Path) -> dict[str, list[Report]]:
     """What each node reported, by the node's name without its namespace, in the order of recording; empty for a bag
-    without diagnostics. Raises BagError when the bag is absent or damaged, or several namespaces have diagnostics."""
+    without diagnostics.
+
+    Nodes of all namespaces report on one topic: those in the namespace of the bag's encoder are taken.
+
+    Raises:
+        BagError: the bag is absent or damaged, or has several encoders, or none and several namespaces.
+    """
     reports: dict[str, list[Report]] = {}
     with opened(bag) as files:
-        topic = resolved(DIAGNOSTICS, topic_names(files), str(bag))
+        names = topic_names(files)
+        encoder = resolved(ENCODER.topic, names, str(bag))
+        # Bags of 0.1 have it in the nodes' namespace.
+        topic = resolved(DIAGNOSTICS.lstrip("/"), names, str(bag))
         messages = messages_on(topic, files).data if topic else []
     for number, data in enumerate(messages):
         where = f"bag {bag}: topic '{topic}', message {number}"
@@ -25,5 +35,9 @@ def read_reports(bag: Path) -> dict[str, list[Report]]:
         time_ns = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
         for status in message.status:
             values = {value.key: value.value for value in status.values}
-            reports.setdefault(status.name.rsplit("/", 1)[-1], []).append(Report(time_ns, values))
-    return reports
+            reports.setdefault(status.name, []).append(Report(time_ns, values))
+    namespaces = {(encoder or name).rpartition("/")[0].strip("/") for name in reports}
+    if len(namespaces) > 1:
+        raise BagError(f"bag {bag}: nodes of several namespaces report: {', '.join(sorted(reports))}")
+    namespace = next(iter(namespaces), "")
+    return {node: found for name, found in reports.items() if (node := reporting_node(name, namespace))}

@@ -9,11 +9,11 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from straightcomp_ros.doctor.finding import Finding
+from straightcomp_ros.settings.middlewares import MIDDLEWARES, RANGE_VARIABLE, description
 from straightcomp_ros.settings.share import share_path
 
 _OLDEST, _NEWEST = (3, 10), (3, 13)
 _DISTRIBUTION = "jazzy"
-_MEASURED_RMW = "rmw_fastrtps_cpp"
 _LAST_FREE_DOMAIN = 101
 _ASK_ROS = """
 import json, sys
@@ -45,6 +45,8 @@ def package_files() -> Finding:
 def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: float = 60.0) -> list[Finding]:
     """rclpy, the message packages and the middleware, asked in a process of their own: a broken one may crash it."""
     remedy = f"Source /opt/ros/{_DISTRIBUTION}/setup.bash, or install ROS 2's wheels with make setup."
+    if "RMW_IMPLEMENTATION" in os.environ:
+        remedy += f" RMW_IMPLEMENTATION asks for {os.environ['RMW_IMPLEMENTATION']}: install it, or unset the variable."
     try:
         asked = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -53,14 +55,10 @@ def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: floa
         last = (asked.stderr.strip().splitlines() or [f"ended with exit code {asked.returncode}"])[-1]
         return [Finding("rclpy", "fail", last, remedy)]
     answer = json.loads(asked.stdout)
-    rmw = Finding("middleware", "ok", answer["rmw"])
-    if answer["rmw"] != _MEASURED_RMW:
-        rmw = Finding(
-            "middleware",
-            "warn",
-            answer["rmw"],
-            f"Unset RMW_IMPLEMENTATION or set it to {_MEASURED_RMW}: only that one has been measured.",
-        )
+    rmw = Finding("middleware", "ok", description(answer["rmw"], os.environ))
+    if answer["rmw"] not in MIDDLEWARES:
+        remedy = "Set RMW_IMPLEMENTATION to rmw_fastrtps_cpp or rmw_cyclonedds_cpp: no other one has been tried."
+        rmw = Finding("middleware", "warn", rmw.detail, remedy)
     return [Finding("rclpy", "ok", answer["rclpy"]), rmw]
 
 
@@ -76,7 +74,7 @@ def distribution(environment: Mapping[str, str] = os.environ) -> Finding:
 
 def discovery(environment: Mapping[str, str] = os.environ) -> Finding:
     """Whether the graph keeps to this machine, and whether its domain's ports are free."""
-    reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET (ROS 2's default)")
+    reach = environment.get(RANGE_VARIABLE, "SUBNET (ROS 2's default)")
     domain = environment.get("ROS_DOMAIN_ID", "0")
     detail = f"discovery range {reach}, domain {domain}"
     if not domain.isdigit() or int(domain) > _LAST_FREE_DOMAIN:
@@ -91,6 +89,6 @@ def discovery(environment: Mapping[str, str] = os.environ) -> Finding:
             "discovery",
             "warn",
             detail,
-            "Set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST unless other machines shall take part in the graph.",
+            f"Set {RANGE_VARIABLE}=LOCALHOST unless other machines shall take part in the graph.",
         )
     return Finding("discovery", "ok", detail)

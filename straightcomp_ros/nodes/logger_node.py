@@ -89,7 +89,7 @@ class LoggerPart:
     def _record(
         self, kind: Any, topic: str, qos: QoSProfile, make_queue: Callable[[], BurstQueue] | None = None
     ) -> None:
-        if not self._chosen.fullmatch(topic):
+        if not self._chosen.fullmatch(topic.lstrip("/")):
             return
         full_name = self.node.resolve_topic_name(topic)
         type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"

@@ -26,7 +26,7 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.runtime.batch_streams import BurstQueue
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.streams import Inbox, unspun_node
-from straightcomp_ros.timing.node_timing import LOST, SAMPLES
+from straightcomp_ros.timing.node_timing import LOST, SAMPLES, reporting_node
 
 _REPORT_LASTS_S = 5.0
 _YIELD_EVERY = 64
@@ -135,7 +135,9 @@ class GraphWatch:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            name = status.name.rsplit("/", 1)[-1]
+            name = reporting_node(status.name, self._node.get_namespace())
+            if not name:
+                continue
             self._reports[name] = (time.monotonic(), {value.key: value.value for value in status.values})
             self._errors.pop(name, None)
             if status.level == DiagnosticStatus.ERROR:

@@ -6,6 +6,7 @@ for outside an executor. Of a lifecycle node neither the state nor the service t
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -14,6 +15,8 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+
+from straightcomp_ros.runtime.middleware import stamps_arrival
 
 
 def raw_publish(publisher: Publisher) -> Callable[[bytes], None]:
@@ -26,10 +29,28 @@ def raw_publish(publisher: Publisher) -> Callable[[bytes], None]:
 
 
 def raw_take(subscription: Subscription) -> Callable[[], tuple[bytes, Mapping[str, int]] | None]:
-    """A function that takes the next serialised message, with the middleware's times ``received_timestamp`` and
-    ``source_timestamp`` in ns since the epoch; None where none waits."""
+    """A function that takes the next serialised message, with ``received_timestamp`` and ``source_timestamp`` in ns
+    since the epoch; None where none waits.
+
+    Cyclone DDS stamps the reception at the take (ros2/rmw_cyclonedds#167). A message came in after it was sent, after
+    the last take that found none, and before this one: with such a middleware the earliest possible time is given.
+    """
     take, kind = subscription.handle.take_message, subscription.msg_type
-    return lambda: take(kind, True)
+    if stamps_arrival():
+        return lambda: take(kind, True)
+    none_waited_ns = 0
+
+    def take_and_date() -> tuple[bytes, Mapping[str, int]] | None:
+        nonlocal none_waited_ns
+        message = take(kind, True)
+        if message is None:
+            none_waited_ns = time.time_ns()
+            return None
+        data, info = message
+        came_ns = min(max(info["source_timestamp"], none_waited_ns), time.time_ns())
+        return data, {**info, "received_timestamp": came_ns}
+
+    return take_and_date
 
 
 def waiter(node: Node, subscription: Subscription) -> Callable[[int], None]:

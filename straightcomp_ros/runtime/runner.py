@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakePart, ManagedNode
-from straightcomp_ros.runtime.middleware import own_profile
+from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
 from straightcomp_ros.timing import realtime
@@ -153,6 +153,7 @@ def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
     logger = runnable.node.get_logger()
     for refusal in realtime.apply(runnable.realtime, logger.info):
         logger.warning(refusal)
+    logger.info(middleware_in_words())
     logger.info("ready")
     gc.collect()
     gc.freeze()

@@ -31,6 +31,12 @@ _NOTED_US = 5_000.0
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
 
+def reporting_node(status: str, namespace: str) -> str:
+    """Name of the node in ``namespace`` that publishes a status of this name; empty for one of another namespace."""
+    before, _, name = status.rpartition("/")
+    return name if before == namespace.strip("/") else ""
+
+
 def percentiles_us(distribution: Distribution) -> dict[str, float]:
     """``p50``, ``p99``, ``p999`` and ``max`` in µs; NaN where nothing was recorded."""
     values = distribution.percentiles_us(tuple(_PERCENTS.values()))

@@ -77,7 +77,8 @@ def test_python_outside_of_the_range_fails() -> None:
     ("program", "states", "word"),
     [
         ('print(\'{"rclpy": "here", "rmw": "rmw_fastrtps_cpp"}\')', ["ok", "ok"], "here"),
-        ('print(\'{"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"}\')', ["ok", "warn"], "here"),
+        ('print(\'{"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"}\')', ["ok", "ok"], "here"),
+        ('print(\'{"rclpy": "here", "rmw": "rmw_of_tomorrow"}\')', ["ok", "warn"], "here"),
         ("import no_such_rclpy", ["fail"], "no_such_rclpy"),
         ("import os; os.abort()", ["fail"], "exit code -6"),
         ("import time; time.sleep(600)", ["fail"], "timed out"),
@@ -87,6 +88,19 @@ def test_a_missing_or_broken_rclpy_fails_with_its_last_words(program: str, state
     found = software.ros((sys.executable, "-c", program), timeout=0.5 if "sleep" in program else 600.0)
     assert [one.state for one in found] == states
     assert word in found[0].detail
+
+
+def test_a_middleware_that_is_asked_for_and_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    (found,) = software.ros((sys.executable, "-c", "import sys; sys.exit(102)"), timeout=600.0)
+    assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
+
+
+def test_the_doctor_says_what_differs_under_another_middleware(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
+    answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
+    rmw = software.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
+    assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message came")
 
 
 def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:

@@ -96,6 +96,15 @@ def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_fr
     assert until(lambda seen: not seen.faults).fault_code == 0
 
 
+def test_diagnostics_of_another_namespace_are_no_fault_of_this_graph(seen):
+    driver, until = seen
+    driver.say(Condition.OFF)
+    for name in ("line_4/controller", "line_4/camera: frames"):
+        driver.report(name, "no samples")
+    driver.report("logger", "disk full")
+    assert until(lambda seen: seen.faults).faults == {"logger": "disk full"}
+
+
 @pytest.mark.parametrize("state", ["absent", "silent"])
 def test_a_driver_that_is_gone_has_no_fault_any_more(seen, state):
     driver, until = seen

@@ -3,6 +3,7 @@
 import re
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import rclpy
@@ -52,6 +53,25 @@ def test_a_serialised_message_is_published_and_taken_with_the_times_of_the_middl
     assert before <= info["source_timestamp"] <= time.time_ns()
     assert before <= info["received_timestamp"] <= time.time_ns()
     assert take() is None
+
+
+@pytest.mark.parametrize(
+    ("sent_ns", "came_ns"), [(900, 1000), (1300, 1300), (9000, 2000)], ids=["long ago", "since", "by a clock ahead"]
+)
+def test_where_reception_is_stamped_at_the_take_a_message_came_between_its_sending_and_the_take(
+    monkeypatch, sent_ns, came_ns
+):
+    """None had come at 1000, one was taken at 2000."""
+    waiting = [None, (b"data", {"source_timestamp": sent_ns, "received_timestamp": 2000, "other": 7})]
+    subscription = SimpleNamespace(
+        handle=SimpleNamespace(take_message=lambda kind, raw: waiting.pop(0)), msg_type="any kind"
+    )
+    clock = iter((1000, 2000))
+    monkeypatch.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    monkeypatch.setattr(inside_rclpy.time, "time_ns", lambda: next(clock))
+    take = inside_rclpy.raw_take(subscription)
+    assert take() is None
+    assert take() == (b"data", {"source_timestamp": sent_ns, "received_timestamp": came_ns, "other": 7})
 
 
 def test_a_wait_without_a_message_ends_in_time(node, pair):

@@ -1,22 +1,35 @@
-"""A process's profile of Fast DDS: sockets, unless the user has chosen."""
+"""A process's profile of its middleware: sockets on this machine, unless the user has chosen."""
 
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import pytest
 import rclpy
 
-from straightcomp_ros.runtime.middleware import PROFILE_VARIABLES, RANGE_VARIABLE, own_profile
+import straightcomp_ros
+from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
+from straightcomp_ros.settings.middlewares import RANGE_VARIABLE
 from straightcomp_ros.settings.share import share_path
+
+FAST_DDS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+CYCLONE = "CYCLONEDDS_URI"
 
 
 @pytest.fixture
 def unset(monkeypatch):
-    for name in (*PROFILE_VARIABLES, RANGE_VARIABLE):
+    for name in (*FAST_DDS, CYCLONE, RANGE_VARIABLE):
         monkeypatch.delenv(name, raising=False)
     return monkeypatch
+
+
+@pytest.fixture
+def cyclone(unset):
+    unset.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    return unset
 
 
 def transports(file):
@@ -37,13 +50,13 @@ def test_the_profile_has_sockets_only_and_goes_no_further_than_was_asked(unset, 
         unset.setenv(RANGE_VARIABLE, asked)
     before = dict(os.environ)
     with own_profile():
-        assert {os.environ[name] for name in PROFILE_VARIABLES} == {str(share_path(profile))}
-        assert transports(os.environ[PROFILE_VARIABLES[0]]) == ["UDPv4"]
+        assert {os.environ[name] for name in FAST_DDS} == {str(share_path(profile))}
+        assert transports(os.environ[FAST_DDS[0]]) == ["UDPv4"]
         assert os.environ.get(RANGE_VARIABLE) == given
     assert dict(os.environ) == before
 
 
-@pytest.mark.parametrize("variable", PROFILE_VARIABLES)
+@pytest.mark.parametrize("variable", FAST_DDS)
 def test_a_profile_of_the_users_own_stays_and_so_does_his_discovery_range(unset, variable):
     unset.setenv(RANGE_VARIABLE, "LOCALHOST")
     unset.setenv(variable, "mine.xml")
@@ -53,12 +66,58 @@ def test_a_profile_of_the_users_own_stays_and_so_does_his_discovery_range(unset,
     assert dict(os.environ) == before
 
 
-def test_under_another_middleware_nothing_is_set_and_the_discovery_range_stays(unset):
-    unset.setenv(RANGE_VARIABLE, "LOCALHOST")
-    unset.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+def test_cyclone_dds_gets_a_profile_of_the_loopback_interface_alone_and_the_discovery_range_stays(cyclone):
+    cyclone.setenv(RANGE_VARIABLE, "LOCALHOST")
+    before = dict(os.environ)
+    with own_profile():
+        added = dict(os.environ.items() - before.items())
+    assert dict(os.environ) == before
+    assert added == {CYCLONE: f"file://{share_path('config/cyclonedds_loopback.xml')}"}
+    profile = {
+        element.tag.partition("}")[2]: element.attrib.get("name") or element.attrib.get("address") or element.text
+        for element in ElementTree.parse(added[CYCLONE].removeprefix("file://")).iter()
+    }
+    assert profile["NetworkInterface"] == "lo" and profile["Peer"] == "localhost"
+    assert profile["AllowMulticast"] == "false" and profile["ParticipantIndex"] == "auto"
+
+
+@pytest.mark.parametrize(
+    ("asked", "set_by_the_user"), [("LOCALHOST", "file:///mine.xml"), ("LOCALHOST", ""), ("SUBNET", None), (None, None)]
+)
+def test_cyclone_dds_is_left_to_the_user_on_a_network_and_where_he_has_set_its_profile(cyclone, asked, set_by_the_user):
+    for name, value in ((RANGE_VARIABLE, asked), (CYCLONE, set_by_the_user)):
+        if value is not None:
+            cyclone.setenv(name, value)
     before = dict(os.environ)
     with own_profile():
         assert dict(os.environ) == before
+
+
+def test_under_an_unknown_middleware_nothing_is_set_and_the_discovery_range_stays(unset):
+    unset.setenv(RANGE_VARIABLE, "LOCALHOST")
+    unset.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_of_tomorrow")
+    before = dict(os.environ)
+    with own_profile():
+        assert dict(os.environ) == before
+    assert middleware_in_words().startswith("middleware: rmw_of_tomorrow, profile: its own default; it does not say")
+
+
+def test_the_log_names_the_middleware_and_whose_profile_it_has(cyclone):
+    cyclone.setenv(RANGE_VARIABLE, "LOCALHOST")
+    profile = f"file://{share_path('config/cyclonedds_loopback.xml')}"
+    assert middleware_in_words().startswith(f"middleware: rmw_cyclonedds_cpp, profile: {profile}; it does not say")
+    cyclone.setenv(CYCLONE, "file:///mine.xml")
+    assert middleware_in_words().startswith("middleware: rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say")
+    cyclone.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_fastrtps_cpp")
+    assert middleware_in_words() == (
+        f"middleware: rmw_fastrtps_cpp, profile: {share_path('config/fastdds_loopback.xml')}"
+    )
+
+
+def test_no_module_needs_a_package_of_fast_dds():
+    imports = re.compile(r"^\s*(?:from|import)\s+\S*(?:fastrtps|fastdds|rmw_)", re.MULTILINE)
+    for module in Path(straightcomp_ros.__file__).parent.rglob("*.py"):
+        assert not imports.search(module.read_text(encoding="utf-8")), module
 
 
 def test_a_process_opens_no_shared_memory_and_no_socket_beyond_loopback(unset):

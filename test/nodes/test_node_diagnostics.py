@@ -64,6 +64,18 @@ def test_each_node_names_its_hardware_and_each_number_is_a_count_or_says_its_uni
                 assert COUNT.fullmatch(value), f"{node}: {name} = {value} is no count and names no unit"
 
 
+def test_a_node_in_a_namespace_reports_on_the_common_topic_with_its_namespace_in_the_status(aggregator):
+    node = Node("reporter", namespace="/line_3")
+    diagnostics = Diagnostics(node, lambda: {SAMPLES: 1})
+    try:
+        aggregator.until(lambda: node.count_subscribers("/diagnostics") > 0)
+        diagnostics._collect()
+        diagnostics._publish()
+        aggregator.until(lambda: "line_3/reporter" in aggregator.found)
+    finally:
+        node.destroy_node()
+
+
 def test_levels_go_up_at_once_and_come_down_when_five_reports_were_clean(aggregator):
     values = {SAMPLES: 0, LOST: 0}
     node = Node("reporter")

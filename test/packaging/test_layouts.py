@@ -89,7 +89,7 @@ def test_every_panel_of_foxglove_is_placed_once_and_configured(foxglove):
     tabs = foxglove["configById"][foxglove["layout"]]["tabs"]
     names = [name for tab in tabs for name in placed(tab["layout"])]
     assert sorted([*names, foxglove["layout"]]) == sorted(foxglove["configById"])
-    assert foxglove["configById"]["DiagnosticSummary!nodes"]["topicToRender"] == f"/{DIAGNOSTICS}"
+    assert foxglove["configById"]["DiagnosticSummary!nodes"]["topicToRender"] == DIAGNOSTICS
 
 
 def test_every_curve_in_plotjuggler_is_a_number_of_the_contract(plotjuggler):

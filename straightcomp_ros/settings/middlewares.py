@@ -1,0 +1,76 @@
+"""ROS 2's middlewares that we know: the profile of ours that each gets, and what differs under it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from straightcomp_ros.settings.share import share_path
+
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+@dataclass(frozen=True)
+class Middleware:
+    """What one middleware needs of us.
+
+    Attributes:
+        variables: environment variables that name a profile; where the user has set one, ours is not used.
+        loopback: our profile for nodes on this machine only; empty for none.
+        network: our profile for any other discovery range; empty for none.
+        uri: what stands before a profile's path in the variables.
+        loopback_range: discovery range that must be in force beside ``loopback``.
+        stamps_arrival: the time of reception is when a message came in, and not when it was taken.
+    """
+
+    variables: tuple[str, ...] = ()
+    loopback: str = ""
+    network: str = ""
+    uri: str = ""
+    loopback_range: str = "LOCALHOST"
+    stamps_arrival: bool = False
+
+
+_FAST_DDS = Middleware(
+    # By its old name and its new one.
+    variables=("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
+    loopback="config/fastdds_loopback.xml",
+    network="config/fastdds.xml",
+    # For LOCALHOST rmw_fastrtps adds shared memory, whatever the profile says.
+    loopback_range="SYSTEM_DEFAULT",
+    stamps_arrival=True,
+)
+MIDDLEWARES = {
+    "rmw_fastrtps_cpp": _FAST_DDS,
+    "rmw_fastrtps_dynamic_cpp": _FAST_DDS,
+    "rmw_cyclonedds_cpp": Middleware(
+        variables=("CYCLONEDDS_URI",), loopback="config/cyclonedds_loopback.xml", uri="file://"
+    ),
+}
+
+
+def middleware(identifier: str) -> Middleware:
+    """The middleware of this name; one that is not known gets no profile, and its times of reception are not used."""
+    return MIDDLEWARES.get(identifier, Middleware())
+
+
+def profile_variables(identifier: str, environment: Mapping[str, str]) -> dict[str, str]:
+    """Environment variables that give a participant our profile; none where the user has set one, or we have none."""
+    chosen = middleware(identifier)
+    on_loopback = environment.get(RANGE_VARIABLE) == "LOCALHOST"
+    profile = chosen.loopback if on_loopback else chosen.network
+    if not profile or any(name in environment for name in chosen.variables):
+        return {}
+    variables = dict.fromkeys(chosen.variables, f"{chosen.uri}{share_path(profile)}")
+    return {**variables, RANGE_VARIABLE: chosen.loopback_range} if on_loopback else variables
+
+
+def description(identifier: str, environment: Mapping[str, str]) -> str:
+    """One line for people: the middleware's name, its profile, and what differs from Fast DDS."""
+    chosen, ours = middleware(identifier), profile_variables(identifier, environment)
+    names = [name for name in chosen.variables if name in environment]
+    profile = next(iter((*names, *ours.values())), "its own default")
+    differs = (
+        "" if chosen.stamps_arrival else "; it does not say when a message came in: latencies end when it was sent"
+    )
+    return f"{identifier}, profile: {profile}{differs}"

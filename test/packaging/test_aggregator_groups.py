@@ -1,0 +1,66 @@
+"""The groups of config/diagnostic_aggregator.yaml take each status that our nodes publish, and no other."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+import straightcomp_ros
+from straightcomp_ros.settings.share import share_path
+
+GROUPS = {
+    name: group
+    for name, group in yaml.safe_load(share_path("config/diagnostic_aggregator.yaml").read_text(encoding="utf-8"))[
+        "/**"
+    ]["ros__parameters"].items()
+    if name != "path"
+}
+NODES = Path(straightcomp_ros.__file__).parent / "nodes"
+
+
+def reporting() -> list[str]:
+    """Names of the nodes that publish diagnostics, from the calls in their modules."""
+    found = []
+    for module in sorted(NODES.glob("*.py")):
+        calls = [node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+        names = {call.func.id: call for call in calls if isinstance(call.func, ast.Name)}
+        if "Diagnostics" in names:
+            run = names.get("run") or names["run_managed"]
+            found.append(ast.literal_eval(run.args[0]))
+    return found
+
+
+def matching(status: str) -> list[str]:
+    """Groups that take a status, as GenericAnalyzer::match of diagnostic_aggregator does it."""
+    return [
+        name
+        for name, group in GROUPS.items()
+        if any(re.fullmatch(one, status) for one in group.get("regex", ()))
+        or any(status.startswith(one) for one in group.get("startswith", ()))
+        or any(one in status for one in group.get("contains", ()))
+    ]
+
+
+def test_all_our_nodes_are_known_here() -> None:
+    assert reporting() == ["controller", "driver", "feedforward", "logger", "opcua", "player"]
+
+
+@pytest.mark.parametrize("namespace", ["", "line_3/", "hall/line_3/"])
+@pytest.mark.parametrize("node", reporting())
+def test_each_status_falls_into_one_group(namespace: str, node: str) -> None:
+    assert len(matching(namespace + node)) == 1
+
+
+@pytest.mark.parametrize("status", ["controller_manager: Controllers Activity", "line_3/camera_driver", "driver/laser"])
+def test_a_status_of_somebody_else_falls_into_none(status: str) -> None:
+    assert matching(status) == []
+
+
+def test_each_group_is_of_a_type_and_has_keys_that_the_aggregator_knows() -> None:
+    for group in GROUPS.values():
+        assert group["type"] == "diagnostic_aggregator/GenericAnalyzer"
+        assert set(group) - {"type", "path"} <= {"regex", "startswith", "contains"}
