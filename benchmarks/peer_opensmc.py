@@ -13,8 +13,6 @@ machines of the table. Our laws run with their shipped parameters, which were no
 Each error is the true one, peak to peak, over the whole stroke forward and back: median of nine starts (min to max).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

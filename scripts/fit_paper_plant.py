@@ -4,8 +4,6 @@ Run `python scripts/fit_paper_plant.py`: a few minutes, the same numbers each ti
 Figures are true peak-to-peak errors in µm over the whole cycle: median of nine starts (min to max).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from itertools import pairwise

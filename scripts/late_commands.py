@@ -5,8 +5,6 @@ jitter      a few commands in a thousand come late by part of a period, for seve
 stalls      the host is gone for some milliseconds, again and again, and the board holds the platform
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ over uncertain machines are taken from a file, since they take minutes:
     python scripts/law_table.py --robustness robustness.json
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -6,8 +6,6 @@ late        the same, commands a whole period late (the amplifier's own 500 Hz c
 harmonic    the platform follows 50 µm · sin(2π 0.8 Hz t), as a guide of 125 mm waves that the stage passes at 0.1 m/s
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -10,8 +10,6 @@ Foxglove names a number by its place in an array (`/encoder.position[1]`), PlotJ
 topic in the files.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

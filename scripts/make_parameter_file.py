@@ -1,7 +1,5 @@
 """Writes config/straightcomp.yaml: every parameter of every node, from its declaration in the code."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Writes docs/reference.md: topics, services and parameters, from the code that defines them."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import itertools

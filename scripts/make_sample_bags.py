@@ -8,8 +8,6 @@ Everything is simulated, with the parameters of config/straightcomp.yaml where n
 already are replaced. The messages are the same every time; what the bags say of their making (revision, date) is not.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from pathlib import Path

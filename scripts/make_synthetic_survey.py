@@ -10,8 +10,6 @@ The survey is the guide every 10 mm, three times forward and three times backwar
 repeatability of a good laser interferometer; there is no hysteresis. Every run gives the same bytes.
 """
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from statistics import NormalDist

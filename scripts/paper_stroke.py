@@ -1,7 +1,5 @@
 """One cycle of the paper's machine on the shipped survey, for scripts/fit_paper_plant.py."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Machine code of the control laws and of the plant, bytecode of the package, the 
 without it do the same before they say that they are ready.
 """
 
-from __future__ import annotations
-
 import compileall
 from pathlib import Path
 

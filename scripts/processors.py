@@ -8,8 +8,6 @@ newer than what it was built for, and Numba none that not every x86-64 has. NumP
 version 2.4 and it only warns of names that it does not know; so it is asked for them.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import platform

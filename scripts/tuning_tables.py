@@ -4,8 +4,6 @@ True error p-p and RMS in µm, RMS step of i_c in mA; each is the median of nine
 `straightcomp simulate --starts 9` has them. Shipped values are bold. Two minutes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 

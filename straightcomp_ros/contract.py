@@ -4,8 +4,6 @@ All numbers are SI (m, s, A, N). Every stream is stamped with the time of the en
 belongs to: the stamp is the sample's identity, so a command can be traced to its sample.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from straightcomp_ros.messages.cdr import Layout, joint_state, joint_trajectory_point

@@ -1,7 +1,5 @@
 """The table of laws in docs/accuracy.md: its arithmetic, and what it refuses."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from types import ModuleType

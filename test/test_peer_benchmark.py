@@ -1,7 +1,5 @@
 """The comparison with opensmc, which only the extra `test` installs."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

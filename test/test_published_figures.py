@@ -1,7 +1,5 @@
 """Figures on the pages are made again: all of the table of laws, some of each other table."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re

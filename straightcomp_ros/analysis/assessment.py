@@ -1,7 +1,5 @@
 """The assessment of a recorded run: figures by name, the strokes, gaps and intervals behind them, and their limits."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 In stick-slip the platform stands while its reference moves on, then jumps after it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The run in a bag: the record of its strokes, the counts of its samples, the loop's latency."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

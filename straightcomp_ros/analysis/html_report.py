@@ -1,7 +1,5 @@
 """The report of a run: one HTML file with interactive plots that needs no network and can be printed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from html import escape

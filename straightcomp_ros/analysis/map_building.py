@@ -1,7 +1,5 @@
 """Build the map from a measured survey: reject outliers, report repeatability, write the provenance into the file."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

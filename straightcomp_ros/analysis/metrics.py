@@ -1,7 +1,5 @@
 """The figures of a run and of its strokes: compensation error, residual straightness, control current."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ of x make one point, at their mean x. *At rest*: the stage stops at each point; 
 stop make one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby

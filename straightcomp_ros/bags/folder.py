@@ -1,7 +1,5 @@
 """The files of a bag: those that are there, those that should be, and all of them open."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Sequence

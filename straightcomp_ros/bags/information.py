@@ -3,8 +3,6 @@
 Source: rosbag2_storage/yaml.hpp, ``convert<BagMetadata>`` and ``convert<TopicMetadata>``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

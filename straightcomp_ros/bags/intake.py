@@ -1,7 +1,5 @@
 """What becomes of each message that a recording gets: it waits for the disk, stays in memory, or is ignored."""
 
-from __future__ import annotations
-
 from collections import deque
 
 Message = tuple[str, bytes, int, int]

@@ -1,7 +1,5 @@
 """Counts the messages that a recording lacks, by the gaps between the stamps of those that it has."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping
 

@@ -6,8 +6,6 @@ the file can still be finished. And the summary names no empty groups.
 Source: MCAP specification (mcap.dev/spec).
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import time

@@ -1,7 +1,5 @@
 """The serialised messages of one topic of a bag, of whatever type."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which program made a bag: version of the package, and the revision of its sources where git knows one."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reads a bag: streams as columns, attachments, metadata."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The nodes' diagnostics in a bag."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from straightcomp_ros.bags import BagError

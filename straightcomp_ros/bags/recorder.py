@@ -1,7 +1,5 @@
 """Records one bag after the other. A thread writes each, so that the disk never holds up receiving."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 import time

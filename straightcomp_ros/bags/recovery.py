@@ -4,8 +4,6 @@ A record is copied when all its fields fill its length exactly and its checksum,
 damage the search goes on at the next sound chunk, wherever it starts.
 """
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from collections.abc import Iterable

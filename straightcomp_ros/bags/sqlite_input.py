@@ -4,8 +4,6 @@ Source: rosbag2_storage_sqlite3, tables `topics` (id, name, type, serialization_
 timestamp in ns, data). It stores the time of reception only, which stands for the publish time too.
 """
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing

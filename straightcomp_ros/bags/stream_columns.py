@@ -1,7 +1,5 @@
 """The messages of one stream as columns: whole blocks through a layout, odd messages one by one through rosbags."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Any

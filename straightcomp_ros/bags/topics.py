@@ -1,7 +1,5 @@
 """The topics of a bag, and which one is meant by a relative name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 

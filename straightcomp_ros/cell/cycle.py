@@ -1,7 +1,5 @@
 """The graph's processes for one cycle of the stage: started, followed to the cell's end, stopped."""
 
-from __future__ import annotations
-
 import select
 import sys
 import time

@@ -1,7 +1,5 @@
 """The whole graph once: five nodes as processes, one cycle of the stage, a bag, and its evaluation."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import shutil

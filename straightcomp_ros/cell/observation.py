@@ -1,7 +1,5 @@
 """The graph as seen from outside at one moment."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

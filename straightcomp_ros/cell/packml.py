@@ -3,8 +3,6 @@
 Suspended and its two neighbours are left out: the cell knows of no machine before or behind it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from enum import Enum, IntEnum
 

@@ -4,8 +4,6 @@ The work of a state is the generator of its name, e.g. `_starting`. Each tick ad
 is done, and raises when it cannot be done.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """The movements of the stage in a cycle: what it is sent, how far it is, and when it has arrived."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from straightcomp_ros.cell.observation import Observation

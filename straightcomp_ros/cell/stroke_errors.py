@@ -1,7 +1,5 @@
 """The error of each movement of the stage, as it comes in."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

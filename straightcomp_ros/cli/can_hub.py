@@ -2,8 +2,6 @@
 interface straightcomp_hub and the socket as the channel. It can spoil frames on purpose; SIGUSR1 cuts all links once.
 SIGINT or SIGTERM ends it; it then prints its counters."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

@@ -4,8 +4,6 @@ LOG is a candump log, a BLF file, or another format of python-can. The bus and t
 node `driver` in the parameter file (can.*). The host's frames in LOG are left out. The driver numbers and dates the
 samples as it did then; with --speed other than 1 its can.rate has to be the recorded one times that speed."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from pathlib import Path

@@ -6,8 +6,6 @@
 
 The script holds all it needs: pressing TAB starts no Python."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Starts driver, feedforward, controller, logger and cell as processes, as `ros2 launch straightcomp_ros
 cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the output folder."""
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import tempfile

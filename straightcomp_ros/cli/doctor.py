@@ -2,8 +2,6 @@
 
 Each check is ok, warn (it runs, but less well, or not in every way) or fail. The exit code is 1 if one fails."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 

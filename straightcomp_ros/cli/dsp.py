@@ -3,8 +3,6 @@
 The machine and the bus are those of the node `driver` in the parameter file (simulated.*, guide.*, can.*). The
 executable `dsp_emulator` is the same."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 

@@ -10,8 +10,6 @@ guide says little about mass and viscous friction; --excitation writes a map who
   straightcomp simulate --params-file plant.yaml
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path

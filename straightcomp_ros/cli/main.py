@@ -1,7 +1,5 @@
 """Entry point of `straightcomp`: finds the verb, turns expected errors into one sentence and an exit code."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

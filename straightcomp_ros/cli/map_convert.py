@@ -3,8 +3,6 @@
 The signs differ from maker to maker: after a conversion, compare one point with the instrument's own display, and
 use --negate if it has the other sign."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

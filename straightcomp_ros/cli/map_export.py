@@ -3,8 +3,6 @@
 The table's correction is the map's reference: what has to be added to the platform's position. Before the first motion
 compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
 
-from __future__ import annotations
-
 import argparse
 
 from straightcomp_ros.cli.map_convert import add_table_options, chosen_conventions

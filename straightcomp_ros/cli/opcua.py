@@ -3,8 +3,6 @@
 `user` adds a user to the gateway's file of users, or gives one a new password. `cycle` is a reference client: it
 brings the machine up and runs strokes through OPC UA alone, as a PLC does."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import getpass

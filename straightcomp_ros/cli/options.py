@@ -1,7 +1,5 @@
 """Options that several verbs have: how they are declared, and how a wrong value is refused."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

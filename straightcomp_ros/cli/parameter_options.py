@@ -1,7 +1,5 @@
 """Options that choose parameters, the same for every verb that runs a servo."""
 
-from __future__ import annotations
-
 import argparse
 from contextlib import suppress
 from typing import Any

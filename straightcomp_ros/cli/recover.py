@@ -3,8 +3,6 @@
 After a SIGKILL or a power failure a bag lacks its index and metadata.yaml; no tool opens it then. This copies all that
 is sound into a new bag. The original is never changed."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

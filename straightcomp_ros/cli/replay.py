@@ -4,8 +4,6 @@ Without options an audit: every command is computed again from the recorded samp
 the same to the last bit. With --law or --set, what would have been: the loop is simulated on the recorded motion and
 map. With --graph the real nodes get the recorded samples, without a driver, and a new bag records what they answer."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 A number that does not agree is no failure of the command: the note of that number says why."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -5,8 +5,6 @@ drawn anew, and every law runs on the very same machines. The controller keeps i
 is always the same machine, on any number of cores, here or on Dask workers.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import time

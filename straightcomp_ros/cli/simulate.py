@@ -1,7 +1,5 @@
 """Run cycles of the stage offline: the same plant, map and control law as the running graph, deterministic."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 from contextlib import nullcontext

@@ -3,8 +3,6 @@
 Open the address that is printed in a browser; the part behind the # is the token that the buttons need. The view is a
 process of its own and only watches. Where the graph's nodes run with real-time priority, give --priority the same."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -1,7 +1,5 @@
 """Reads the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ State x = [−∫e, y, ẏ]ᵀ (6), sliding variable σ = S x with S = [ωn², 2
 switching term places the poles at the roots of s² + 2ζωn s + ωn² and at −φ.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

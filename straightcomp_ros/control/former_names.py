@@ -1,7 +1,5 @@
 """Parameters of the controller that had other names before: bags keep the names of their time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

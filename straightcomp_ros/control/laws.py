@@ -1,7 +1,5 @@
 """The laws by name, and the parameters that the controller takes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting

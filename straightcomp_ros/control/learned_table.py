@@ -10,8 +10,6 @@ of another (a lag grows with it, and c'' ẋ² with its square): it fades where 
 crosses at another speed start anew.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -15,8 +15,6 @@ Near rest, where the direction means nothing, the correction fades with the spee
 the amplifier was off, samples were missing, or its beginning was not seen.
 """
 
-from __future__ import annotations
-
 import math
 from array import array
 from collections.abc import Callable, Sequence

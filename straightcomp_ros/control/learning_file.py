@@ -1,7 +1,5 @@
 """The learned tables as a CSV file: one line for each node of x, forward and backward side by side."""
 
-from __future__ import annotations
-
 import csv
 import math
 import os

@@ -5,8 +5,6 @@ closed over the sampled nominal plant with its command delay and the amplifier's
 infinite (sgn, super-twisting) has no linearisation and is refused.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple

@@ -9,8 +9,6 @@ The command computed from the sample of time t acts at t + delay: the laws compa
 with the reference of that moment. They answer with an acceleration; the exact inverse of (2) gives the current.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

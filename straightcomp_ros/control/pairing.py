@@ -4,8 +4,6 @@ The map is smooth and the stage slow: the reference of a few milliseconds ago an
 a fraction of a nanometre. The feedforward therefore runs beside the loop, and no sample waits for its answer.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import TypeVar

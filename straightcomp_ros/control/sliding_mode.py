@@ -1,7 +1,5 @@
 """Laws `linear` and `smc`: the paper's (9), sampled, without and with its switching term."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

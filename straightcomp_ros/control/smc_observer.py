@@ -17,8 +17,6 @@ and the jitter of the delay allow; then λ and κ, until the spread over uncerta
 grows.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from straightcomp_ros.control.law import Command

@@ -9,8 +9,6 @@ delay-aware observer as in `smc_observer`; its disturbance estimate serves the p
 Tuning: L as small as the reversals of friction allow; with a larger L, √|σ| amplifies the encoder's noise.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """CAN: the kernel's interfaces, and what python-can knows."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Room that a run needs: memory that it may lock, and disk space for its bags."""
 
-from __future__ import annotations
-
 import os
 import re
 import resource

@@ -1,7 +1,5 @@
 """What one check of the machine found."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Priority, wake-up and clock: what decides how late a loop runs."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

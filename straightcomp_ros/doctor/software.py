@@ -1,7 +1,5 @@
 """Python, this package's own files, ROS 2 and its middleware."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

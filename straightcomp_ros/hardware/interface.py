@@ -4,8 +4,6 @@ Times are ns since the epoch on the caller's clock, which must not step. The cal
 behaves the same in real time, in lockstep and offline.
 """
 
-from __future__ import annotations
-
 import enum
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

@@ -9,8 +9,6 @@ When the next command is late, the board holds the platform by itself (:mod:`str
 until a command comes or ``command_timeout`` switches the amplifier off.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ command arrives after the next sample. If d hardly changes, ω follows from the 
 u[k].
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The estimated parameters: values with 95 % intervals, advice for a better record, and a ROS 2 parameter file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ ones are quick (mass, viscous friction); every turn of every wave reverses the m
 speeds up and slows down all of it happens slowly (Stribeck).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

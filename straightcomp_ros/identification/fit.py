@@ -7,8 +7,6 @@ prediction errors agree with their standard deviation. The last moves of the sol
 failed, from it, bound the remaining bias and enter the confidence intervals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

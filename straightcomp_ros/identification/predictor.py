@@ -12,8 +12,6 @@ State: position, velocity, bristle deflection. The bristle is corrected with the
 sliding it is known from the model, at rest from the position.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Position, coil current and command of one unbroken stretch of a bag, for identification; never the truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The parameters to identify, as a vector of logarithms with its start and bounds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

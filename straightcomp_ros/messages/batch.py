@@ -5,8 +5,6 @@ itself, behind the time at which it was made: int64, ns since the epoch, little 
 the same size.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 

@@ -7,8 +7,6 @@ building and serialising a message object costs 15 µs, and the same places make
 whole bag. A message of another layout is refused, never misread.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

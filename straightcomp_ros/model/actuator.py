@@ -1,7 +1,5 @@
 """The pair of opposed electromagnets: equations (2) to (4), and the exact inverse of (2) in the current."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

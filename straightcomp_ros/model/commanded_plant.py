@@ -6,8 +6,6 @@ each answers an error of its own moment, and the commands after it would have un
 last reading, since the magnets' own is negative.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -2,8 +2,6 @@
 compiled: numba notices a change in the file of the compiled function, but not in those of the functions that it calls.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """Encoder and D/A converter: how the digital controller's input and output are rounded."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

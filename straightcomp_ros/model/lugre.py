@@ -5,8 +5,6 @@
 z is the mean deflection of the bristles in m; F opposes the motion.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple, dataclass
 from typing import NamedTuple

@@ -5,8 +5,6 @@ without friction, and never stiff, because the bristle's step is exact. The iner
 M δ̈, stays below 5 mN (a fifth of a D/A step) and is left out, as in (1).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

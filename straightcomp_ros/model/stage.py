@@ -4,8 +4,6 @@ Between waypoints the position is the cubic Hermite polynomial, as in joint traj
 of a trapezoid that is the exact parabola or line.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 It brings the nodes up, switches the amplifier on, homes, runs the strokes, watches, reacts to faults, and reports.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """controller: encoder samples and their references in, control current out."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -1,7 +1,5 @@
 """driver: publishes the machine's samples, hands it the commands, switches its amplifier."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys

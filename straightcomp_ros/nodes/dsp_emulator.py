@@ -1,7 +1,5 @@
 """The process that is the board on the bus: the simulated machine of the driver's parameters. No ROS."""
 
-from __future__ import annotations
-
 import dataclasses
 import signal
 import sys

@@ -1,7 +1,5 @@
 """feedforward: encoder sample in, straightness reference for it out."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

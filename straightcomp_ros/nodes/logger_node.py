@@ -1,7 +1,5 @@
 """logger: records the graph's topics to a rosbag2 MCAP bag, as raw bytes."""
 
-from __future__ import annotations
-
 import re
 import sys
 import time

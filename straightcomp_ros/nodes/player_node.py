@@ -1,7 +1,5 @@
 """player: publishes the samples of a bag as a driver would, at their pace, stamped as recorded."""
 
-from __future__ import annotations
-
 import sys
 import time
 import warnings

@@ -1,7 +1,5 @@
 """Feeds the live view: reads the graph's streams, decimates them, passes the page's buttons on to the driver."""
 
-from __future__ import annotations
-
 import queue
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """Figures for a comparison of laws: the error, the changes of the coils' current, the processor time of a step."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

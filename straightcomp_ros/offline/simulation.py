@@ -3,8 +3,6 @@
 It calls what the nodes call, in the order of `lockstep`, so that both give the same numbers to the last bit.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple

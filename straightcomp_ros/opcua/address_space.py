@@ -1,7 +1,5 @@
 """The nodes that clients see, and how a snapshot is written to them."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """A reference client: what a PLC does to run a cycle. Copy from here."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time

@@ -1,7 +1,5 @@
 """Parameters of the OPC UA server."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from straightcomp_ros.settings.declaration import RefusedParameter, parameter

@@ -1,7 +1,5 @@
 """The OPC UA server, on a thread of its own: clients cannot hold up who feeds it."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

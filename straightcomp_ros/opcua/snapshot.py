@@ -1,7 +1,5 @@
 """What the gateway shows at one moment, and the alarms in it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

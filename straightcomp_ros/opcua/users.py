@@ -1,7 +1,5 @@
 """Users of the gateway: a text file with one user a line, ``name:role:salt:hash``, the password as a scrypt hash."""
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import os

@@ -1,7 +1,5 @@
 """Computes and draws all figures, and gathers their claims."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Beyond Fig. 4: from where each law brings the platform back when |i_c| is limited to I0."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A number of the paper beside ours."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

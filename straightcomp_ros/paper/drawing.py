@@ -1,7 +1,5 @@
 """What all pictures of the paper's figures share."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -1,7 +1,5 @@
 """Fig. 2: survey of the guide's straightness."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fig. 3: relative error m_i of the current stiffness over position and current, by (4)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

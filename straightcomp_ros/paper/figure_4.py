@@ -1,7 +1,5 @@
 """Fig. 4: release from 0.6 y0, where the law's gain has the wrong sign."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fig. 5: release from 0.2 y0: the surface is reached, then the motion is that of (12)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

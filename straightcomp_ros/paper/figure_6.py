@@ -1,7 +1,5 @@
 """Fig. 6: stick-slip and lag of linear control on a sine of 0.8 Hz and 50 µm."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

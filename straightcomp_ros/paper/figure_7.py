@@ -1,7 +1,5 @@
 """Fig. 7: friction against velocity, estimated from recorded signals."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

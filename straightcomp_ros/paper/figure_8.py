@@ -1,7 +1,5 @@
 """Fig. 8: error of the compensated stroke under linear control."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from matplotlib.figure import Figure

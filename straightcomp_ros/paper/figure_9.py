@@ -1,7 +1,5 @@
 """Fig. 9: error of the compensated stroke under sliding-mode control."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from matplotlib.figure import Figure

@@ -6,8 +6,6 @@ same time, without lag. A window of 20 ms makes an encoder quantum of 0.1 µm at
 in ÿ (1 mN at 3 kg); what friction does faster than that is smoothed away.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

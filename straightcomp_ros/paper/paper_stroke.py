@@ -1,7 +1,5 @@
 """The compensated stroke of Fig. 8 and 9: forward and back on the machine of the parameter file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

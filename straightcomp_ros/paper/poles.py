@@ -1,7 +1,5 @@
 """The poles that the paper prints for its design."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from straightcomp_ros.control.design import closed_loop_poles

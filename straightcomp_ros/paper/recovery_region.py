@@ -5,8 +5,6 @@ i_c = −I0 it is −μ0 N² A I0² / (y0 + y)²: the near magnet is off. So the
 and a platform is lost only if it moves outward so fast that even full current does not stop it before its stop.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The sampled loop on its own: any initial position, any reference over time, no guide and no map."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

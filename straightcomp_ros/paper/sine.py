@@ -1,7 +1,5 @@
 """The run of Fig. 6 and 7: the machine, under linear control, follows a slow sine."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Closed forms of the sliding motion: how long the surface takes to be reached, and (12) on it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

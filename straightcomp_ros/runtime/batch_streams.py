@@ -6,8 +6,6 @@ the bursts, and leaves the loop alone; a stream that nobody acts on is published
 subscribed to it.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Work of some milliseconds, done on a thread of its own, so that the control loop misses no cycle."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Changes of a managed node's parameters while it runs: checked as a whole, taken over as a whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Time that never steps, in ns since the epoch: for stamps that must stay on the sampling grid."""
 
-from __future__ import annotations
-
 import time
 
 _OFFSET_NS = time.time_ns() - time.monotonic_ns()

@@ -1,7 +1,5 @@
 """What becomes of the commands that reach the driver: each goes to the machine, is passed over, or trips."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

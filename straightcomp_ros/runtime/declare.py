@@ -1,7 +1,5 @@
 """Declares a parameter set to ROS 2: types, ranges and descriptions come from its dataclass."""
 
-from __future__ import annotations
-
 import sys
 from typing import TypeVar
 

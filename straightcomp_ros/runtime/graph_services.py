@@ -1,7 +1,5 @@
 """What the cell node, the gateway and the view ask of the graph: lifecycle, amplifier, faults, motion of the stage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any

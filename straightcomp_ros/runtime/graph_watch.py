@@ -1,7 +1,5 @@
 """Watches the graph without touching its loop: streams, diagnostics, safety state, and what they say together."""
 
-from __future__ import annotations
-
 import math
 import os
 import time

@@ -1,7 +1,5 @@
 """Which nodes are alive, and in which lifecycle state, from their heartbeats."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 

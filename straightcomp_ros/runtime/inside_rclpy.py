@@ -4,8 +4,6 @@ rclpy's own ways to publish and to take a message cost a 2 kHz loop 5 to 20 µs 
 for outside an executor. Of a lifecycle node neither the state nor the service that changes it can be had.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 

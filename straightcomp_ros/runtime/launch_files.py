@@ -1,7 +1,5 @@
 """What the files in launch/ share: a node's arguments, and the parameters that they override. Only they import it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 

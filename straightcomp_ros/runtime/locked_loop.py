@@ -1,7 +1,5 @@
 """A loop that runs in step with the messages of a stream, on the process's main thread."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Sequence

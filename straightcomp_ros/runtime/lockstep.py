@@ -5,8 +5,6 @@ A message may be lost on the way (the streams are best effort), so a sample with
 feedforward and controller answer a repeated sample as they did before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rclpy.node import Node

@@ -9,8 +9,6 @@ fails is released too, and the node is unconfigured again. With the parameter ``
 itself, and its process ends when it fails, as that of a plain node does.
 """
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Callable
 from typing import Any, Protocol

@@ -4,8 +4,6 @@ A bag needs it beside the messages. The classes know names and types of all fiel
 the .msg file they do not, and no reader of messages needs those.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 from typing import Any

@@ -4,8 +4,6 @@ In shared memory a process that is killed or held up leaves locks and ports behi
 sockets it leaves nothing, and a message takes some 30 µs more, which cost no accuracy (docs/realtime.md).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Publishes a node's counters and timing at 1 Hz as diagnostic_msgs/DiagnosticArray."""
 
-from __future__ import annotations
-
 import os
 import platform
 import time

@@ -1,7 +1,5 @@
 """Topics that are none of ours and are to be recorded too: found by name as they appear, of whatever type."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable, Collection, Iterable

@@ -1,7 +1,5 @@
 """A loop at a fixed rate on the process's main thread, with absolute wake-up times."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

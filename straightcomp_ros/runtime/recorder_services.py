@@ -1,7 +1,5 @@
 """The services of a recorder: start, stop, pause, resume, split and snapshot, each a std_srvs/Trigger."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rclpy.node import Node

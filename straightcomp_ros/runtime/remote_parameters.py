@@ -1,7 +1,5 @@
 """Collects the parameters of other nodes, as far as these nodes appear."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import yaml

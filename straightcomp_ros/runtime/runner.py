@@ -4,8 +4,6 @@ The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI
 ``spin()`` never fires a timer; ``spin_until_future_complete`` works there and with an installed Jazzy.
 """
 
-from __future__ import annotations
-
 import gc
 import signal
 import sys

@@ -1,7 +1,5 @@
 """The stage's trajectory as a trajectory_msgs/JointTrajectory, and back."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from builtin_interfaces.msg import Duration

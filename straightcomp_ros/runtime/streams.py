@@ -1,7 +1,5 @@
 """Publishers and subscriptions of the contract's streams, as serialised bytes of a fixed layout."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 

@@ -5,8 +5,6 @@ every timer again that is due at that moment. These fire several times at once, 
 schedule catches up: for seconds, after a slow start. A single timer on the steady clock is never queued twice.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Asks the driver to switch the amplifier off."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus

@@ -3,8 +3,6 @@
 The driver, `safety_state`, OPC UA and the table in ``docs/safety.md`` take them from here.
 """
 
-from __future__ import annotations
-
 import enum
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 OFF ──enable──▶ ON ──disable──▶ OFF         OFF, ON ──trip──▶ FAULT ──reset──▶ OFF
 """
 
-from __future__ import annotations
-
 import enum
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Plausibility checks of samples, commands and clocks."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable

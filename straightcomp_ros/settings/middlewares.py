@@ -1,7 +1,5 @@
 """ROS 2's middlewares that we know: the profile of ours that each gets, and what differs under it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Finds the files that the package installs: config/, launch/."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

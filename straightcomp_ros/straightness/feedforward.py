@@ -10,8 +10,6 @@ continuous, and for maps that differ by D and a time T the speed changes by at m
 5.774 D/T², beside the maps' own rates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar

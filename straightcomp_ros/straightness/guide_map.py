@@ -1,7 +1,5 @@
 """The map of the guide: where the platform must be for each slider position, r(x) = const − δ(x)."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass

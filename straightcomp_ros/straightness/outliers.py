@@ -5,8 +5,6 @@ standard deviations, 1.4826 times the median absolute deviation (F. R. Hampel, J
 the median nor that deviation moves with the outliers themselves, as mean and standard deviation do.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -12,8 +12,6 @@ of the one along it. The standard asks for five runs each way; fewer make the fi
 count: nothing is removed from a run before.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ The minimum zone line gives the smallest extent, by definition. The least square
 is the one that this project reports.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -14,8 +14,6 @@ g-h-k filter, expanding- and fading-memory polynomial filters); N. Morrison, Int
 Smoothing and Prediction, 1969.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -12,8 +12,6 @@ tells its direction. Rows with the same run and direction belong to one run, so 
 backward as one. Other columns are ignored.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

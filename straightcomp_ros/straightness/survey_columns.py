@@ -1,7 +1,5 @@
 """The columns of a survey: which lengths they hold, in which unit, and how large those of a guide are."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The text files of a survey: lines, cells and numbers, with errors that name the file, the line and the value."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ The count (the second number in ``/proc/PID/task/TID/schedstat``) grows while a 
 hypervisor takes from the whole machine is not in it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 from pathlib import Path

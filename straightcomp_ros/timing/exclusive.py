@@ -6,8 +6,6 @@ when its standard input does, so that a killed node leaves nothing behind. Where
 service or a container that is killed whole), its note of the state before remains, and the next process restores that.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Counts the samples that are missing between those that came."""
 
-from __future__ import annotations
-
 _RESTART_NS = 10_000_000_000
 
 

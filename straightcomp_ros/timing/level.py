@@ -1,7 +1,5 @@
 """Level of a node's diagnostics, with hysteresis, so that it does not change each second."""
 
-from __future__ import annotations
-
 import enum
 
 _CLEAN_REPORTS = 5

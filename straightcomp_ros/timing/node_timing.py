@@ -1,8 +1,6 @@
 """The timing of a node in its diagnostics, written by nodes and read from bags: names of the values, and what held a
 node up."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A node runs without what the system does not permit, and reports it with the remedy.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

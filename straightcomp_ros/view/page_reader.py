@@ -1,7 +1,5 @@
 """Reads a view's news as an open page does, for measuring: python -m straightcomp_ros.view.page_reader PORT"""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

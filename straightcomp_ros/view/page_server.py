@@ -4,8 +4,6 @@ Reading needs the page's address alone. Buttons need the token that `straightcom
 requests of JSON: another site's page can send neither the token nor, without asking first, JSON.
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 import threading

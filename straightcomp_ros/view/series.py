@@ -1,7 +1,5 @@
 """Decimated series of the plots, kept for a while, and handed out to each page as far as it has not got them."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque

@@ -1,7 +1,5 @@
 """A made-up machine for the tests of the analysis: guide, map and records whose figures are known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The judgement of a run: figures against closed forms, limits, report."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """A bag's streams put together by their stamps: the run, its counts, its delays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

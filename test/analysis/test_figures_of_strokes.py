@@ -1,7 +1,5 @@
 """Figures of one stroke, limits, and what the pictures show: numbers whose right value is known."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

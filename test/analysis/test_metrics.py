@@ -1,7 +1,5 @@
 """The figures of a run, on records whose figures are known."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

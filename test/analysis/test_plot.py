@@ -1,7 +1,5 @@
 """The picture of a run: it is made, it shows every curve whole, it leaves no global state."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """When the stage moved: from first to last motion, whatever the encoder's last digit does."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

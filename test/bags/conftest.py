@@ -1,7 +1,5 @@
 """A small bag of all streams."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

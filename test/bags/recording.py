@@ -1,7 +1,5 @@
 """Messages of all streams with numbers of any bit pattern, and a bag that has them."""
 
-from __future__ import annotations
-
 import random
 import struct
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Damaged and cut-off bags: a clear refusal, or a warning and what is whole; never a wrong number."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """Definitions and hashes of message types, against those that ROS 2 itself ships."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

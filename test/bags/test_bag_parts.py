@@ -1,7 +1,5 @@
 """The small parts of a bag's reading and writing, each by itself: what they let through, refuse and count."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import struct

@@ -1,7 +1,5 @@
 """Reading streams: to the last bit what rosbags decodes, whoever wrote the bag."""
 
-from __future__ import annotations
-
 import random
 import struct
 import warnings

@@ -1,7 +1,5 @@
 """A recovered bag holds what was sound in the original, to the byte, and nothing else."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """A written bag, as other software finds it."""
 
-from __future__ import annotations
-
 import errno
 import sys
 import tracemalloc

@@ -1,7 +1,5 @@
 """What is said of a damaged bag: where the damage is, in bytes, and what is wrong there."""
 
-from __future__ import annotations
-
 import re
 import struct
 import warnings

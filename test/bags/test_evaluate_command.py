@@ -1,7 +1,5 @@
 """`straightcomp evaluate` on finished, unfinished and damaged bags."""
 
-from __future__ import annotations
-
 import json
 import random
 import subprocess

@@ -1,7 +1,5 @@
 """One number of every message of a topic, by name, whatever its type and whichever file it lies in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore

@@ -1,7 +1,5 @@
 """What a recording keeps, passes over, counts as lost, and when it stops."""
 
-from __future__ import annotations
-
 import random
 import re
 import subprocess

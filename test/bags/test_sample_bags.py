@@ -1,7 +1,5 @@
 """The sample bags in bags/: small, made by their script, and fit for what their README shows."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`straightcomp simulate --bag` writes what the graph would have recorded."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bags of several files: what the writer splits, how others see it, and what readers make of it when a part is gone."""
 
-from __future__ import annotations
-
 import errno
 import shutil
 import warnings

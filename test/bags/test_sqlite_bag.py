@@ -1,7 +1,5 @@
 """Bags that others recorded as SQLite."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from recording import messages

@@ -3,8 +3,6 @@
 This tests the tests. A criterion that a law with a wrong sign meets is none.
 """
 
-from __future__ import annotations
-
 import ast
 import math
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Each check of `straightcomp doctor` on made machines: what it calls ok, warn and fail, and what it advises."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

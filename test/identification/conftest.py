@@ -1,7 +1,5 @@
 """Bags of simulated runs, on plants that differ from the one at which the search starts."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """Plants that differ from the one at which the search starts, and a short run."""
 
-from __future__ import annotations
-
 SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
 STIFF = {
     "mass": 3.4,

@@ -1,7 +1,5 @@
 """Amplifier and delay are found from commands and measured currents, also where the latency jitters."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

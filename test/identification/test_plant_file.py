@@ -1,7 +1,5 @@
 """The answer as JSON and as a parameter file that simulate takes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The truth lies in the intervals, and the intervals are as narrow as they should be, or said to be wide."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What cannot be identified is refused, with what is wrong and what to do."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

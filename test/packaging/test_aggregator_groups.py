@@ -1,7 +1,5 @@
 """The groups of config/diagnostic_aggregator.yaml take each status that our nodes publish, and no other."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Builds the package with colcon in a scratch workspace and starts everything that `ros2 run` would find there."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

@@ -1,7 +1,5 @@
 """First contact: help that reads well, completion, version, and a pipe that is closed early."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

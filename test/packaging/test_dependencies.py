@@ -1,7 +1,5 @@
 """Dependencies are told once: what is imported, setup.py and package.xml agree, by the names in dependencies.yaml."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

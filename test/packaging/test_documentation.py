@@ -1,7 +1,5 @@
 """The pages: made from the code where they repeat it, and without a broken link."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What CI asks of every commit beside the tests: types, lint, format, and a manifest that ROS's tools accept."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re

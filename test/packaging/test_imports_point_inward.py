@@ -1,7 +1,5 @@
 """Imports point downward through the rooms that docs/architecture.md draws, and only the outer rooms know ROS."""
 
-from __future__ import annotations
-
 import ast
 import itertools
 import re

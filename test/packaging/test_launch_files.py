@@ -4,8 +4,6 @@ The stand-in knows exactly the names that the launch files may use, as they are 
 fails here. What launch does with the actions is not tested.
 """
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

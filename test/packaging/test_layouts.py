@@ -1,7 +1,5 @@
 """The layouts for Foxglove and PlotJuggler show what there is: every topic and number in them is in the contract."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the pages say of topics, parameters and commands is what the code has."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The script that runs tests as on other processors: what it sets, and what it reads of pytest's last line."""
 
-from __future__ import annotations
-
 import importlib.util
 import platform
 import subprocess

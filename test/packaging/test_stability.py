@@ -1,7 +1,5 @@
 """What docs/stability.md promises is there, and what must never be given to something else is not."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import re

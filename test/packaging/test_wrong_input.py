@@ -1,7 +1,5 @@
 """What a verb is given by mistake: each is refused in one sentence that names it and says what is allowed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

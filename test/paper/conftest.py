@@ -1,7 +1,5 @@
 """The shipped machine, and what is computed with it once for all tests."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """docs/paper.md prints what `straightcomp reproduce` computes."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

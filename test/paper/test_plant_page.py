@@ -1,7 +1,5 @@
 """The result of docs/plant.md is what scripts/fit_paper_plant.py finds."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import re

@@ -1,7 +1,5 @@
 """The feedforward: chain rule on the map, estimates from the stamps, no trap in lost or repeated samples."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

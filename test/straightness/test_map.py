@@ -1,7 +1,5 @@
 """The map: an exact cubic where the guide is one, smooth everywhere, within the platform's travel."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

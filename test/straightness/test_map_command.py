@@ -1,7 +1,5 @@
 """`straightcomp map`: from the map to a controller's table and back, and its refusals."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is an outlier within a run and among runs: Hampel's identifier, on made-up deviations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

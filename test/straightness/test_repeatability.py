@@ -1,7 +1,5 @@
 """Repeatability by its definition, and which readings and runs are outliers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

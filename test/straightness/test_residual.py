@@ -1,7 +1,5 @@
 """Reference lines of ISO 230-1 on shapes whose straightness is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

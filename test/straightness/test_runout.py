@@ -1,7 +1,5 @@
 """The run-out: it starts as the survey ends, and ends flat."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

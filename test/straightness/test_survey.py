@@ -1,7 +1,5 @@
 """Reading a survey: what is accepted, and how each fault is named."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

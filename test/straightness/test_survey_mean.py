@@ -1,7 +1,5 @@
 """The mean over the runs and the figures of their agreement."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

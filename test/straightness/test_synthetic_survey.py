@@ -1,7 +1,5 @@
 """The synthetic guide: what it claims to be, and made again to the byte."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Files of instruments and controllers: what the makers' own examples say, and that nothing is lost on the way."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

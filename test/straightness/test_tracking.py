@@ -1,7 +1,5 @@
 """The tracking filter: exact on what it models, critically damped, right after three samples."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The bench of the bags measures what it says; live parts are left out here."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The board on CAN behind the hardware interface: handshake, monitoring, latched faults."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 

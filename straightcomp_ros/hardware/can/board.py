@@ -4,8 +4,6 @@ Frames go out through the caller's function and come in through :meth:`Board.rec
 clock, in ns, and passed in by the caller.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 Neither blocks. With the hub in its own process, no other process has to wake up between board and host.
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

@@ -6,8 +6,6 @@ revisited and revised", Real-Time Systems 35 (2007): a frame waits for at most o
 be interrupted.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from straightcomp_ros.contract import DEFAULT_RATE

@@ -1,7 +1,5 @@
 """Fault injection on a bus: frames suffer faults at given rates, repeatable by a seed."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Mapping
 

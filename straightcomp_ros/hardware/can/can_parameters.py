@@ -1,7 +1,5 @@
 """Parameters of a board on CAN."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from straightcomp_ros.contract import DEFAULT_RATE

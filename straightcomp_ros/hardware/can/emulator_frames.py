@@ -6,8 +6,6 @@ last frame with a checksum starts the motion. These are classic frames on either
 The truth of a sample comes right before its encoder frame, on CAN FD only: it fills the longest frame there is.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Sequence

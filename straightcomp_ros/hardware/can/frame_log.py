@@ -1,7 +1,5 @@
 """Recorded buses: candump's ``.log`` or Vector's ``.blf``, written beside the loop, read and played by python-can."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import re

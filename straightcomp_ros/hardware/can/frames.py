@@ -12,8 +12,6 @@ profile 1, E2E_P01_DATAID_BOTH.
 Numbers are in counts: positions 0.1 µm, currents 0.1 mA.
 """
 
-from __future__ import annotations
-
 import enum
 import struct
 from typing import NamedTuple

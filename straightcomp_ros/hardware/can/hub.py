@@ -5,8 +5,6 @@ frames; the others go on. Of each node's oldest waiting frame, the one of highes
 Frames take no time on this bus.
 """
 
-from __future__ import annotations
-
 import contextlib
 import enum
 import select

@@ -4,8 +4,6 @@ The channel is the path of the hub's socket, see :mod:`straightcomp_ros.hardware
 in the order of sending; a receiver that does not keep up loses frames, as with an adapter.
 """
 
-from __future__ import annotations
-
 import contextlib
 import select
 import socket

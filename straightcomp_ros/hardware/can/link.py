@@ -5,8 +5,6 @@ then less often. Opening may take seconds and has its own thread. The caller's t
 thread would cost a wake-up and the interpreter's lock for each.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

@@ -4,8 +4,6 @@ Payloads and times of arrival go in, samples come out; neither python-can nor th
 order: length, CRC with data id, range of the alive counter, state, number, plausibility.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -5,8 +5,6 @@ each block. A first-order correction of its offset and an integral correction of
 is off by 100 ppm and more. The line bends but never jumps: stamps rise by about a period each.
 """
 
-from __future__ import annotations
-
 BLOCK = 128
 """Samples of a block: 64 ms at 2 kHz."""
 _PLACE_GAIN, _RATE_GAIN = 0.5, 0.1

@@ -5,8 +5,6 @@ while by the host's clock fewer than ten samples passed since the last frame. Af
 the next frame with the full counter, at most ten samples later: numbers are never guessed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, COUNTER_MODULUS, Encoder

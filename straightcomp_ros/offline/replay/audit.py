@@ -4,8 +4,6 @@ The law's state depends on its samples, their order, and the reference of each. 
 all three: it has one message for each step of the law, with the age of its reference.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Mapping

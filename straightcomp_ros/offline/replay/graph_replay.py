@@ -1,7 +1,5 @@
 """Plays recorded samples to the real feedforward, controller and logger, without a driver."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """Simulates the loop over a recorded motion of the stage, with the recorded law or another."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Only a first cycle without learning: the compiled loop starts from rest and keeps no state.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

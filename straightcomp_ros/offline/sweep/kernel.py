@@ -4,8 +4,6 @@ It gives, bit for bit, what :class:`straightcomp_ros.offline.simulation.Simulati
 some ten times faster. References are computed beforehand, since the stage's motion does not depend on the platform.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable

@@ -11,8 +11,6 @@ Quantisation, slips of friction and the guide also move the platform. A limit cy
 Slow hunting below that frequency is not detected: it shows in the peak-to-peak error.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

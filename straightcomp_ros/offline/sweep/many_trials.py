@@ -1,7 +1,5 @@
 """Many trials, on this machine's cores by joblib or on others by Dask, with the same numbers; and their figures."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections import Counter

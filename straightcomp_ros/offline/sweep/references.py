@@ -1,7 +1,5 @@
 """The references of a whole cycle at once, bit for bit those of `Feedforward.step`, by the same functions."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """What all trials of a sweep have in common: the nominal machine, the motion, the survey and the laws' design."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The picture of a sweep: the fraction of the machines at or below an error, for each law."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import cycle

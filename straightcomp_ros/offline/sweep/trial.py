@@ -1,7 +1,5 @@
 """One trial: one machine within the uncertainty, one cycle of the stage under each law."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

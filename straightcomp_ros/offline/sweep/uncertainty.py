@@ -5,8 +5,6 @@ Trial k of a seed is the same in any process and order: its random numbers come 
 other quantity. numpy promises the bits of its distributions within a version only.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar

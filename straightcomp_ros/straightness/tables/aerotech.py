@@ -13,8 +13,6 @@ stands at i · SampDistCol − OFFSETCOL. A negative distance counts from the ho
 alone does not tell, and is refused. Here the two rows are the same: the correction does not depend on the row axis.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

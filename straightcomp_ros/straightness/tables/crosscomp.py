@@ -13,8 +13,6 @@ count 0.1 µm. Corrections may have decimals since version 3.1.3132; before, who
 1001 points unless P-COMP-00060 says otherwise.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -13,8 +13,6 @@ in mm. EYX is the straightness error in Y of a motion along X, EZX the one in Z.
 are skipped.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -10,8 +10,6 @@ LinuxCNC looks a joint's table up at the joint's own position. Moving Y by the p
 reads this file and drives ``axis.y.eoffset-counts``.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table

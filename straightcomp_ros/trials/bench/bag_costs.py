@@ -3,8 +3,6 @@
 Every number is measured in this call; None stands for what cannot be measured here (no ROS, a package that is absent).
 """
 
-from __future__ import annotations
-
 import random
 import signal
 import statistics

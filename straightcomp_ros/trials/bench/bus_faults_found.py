@@ -1,7 +1,5 @@
 """How many injected faults of a bus are found, and what the machine does about them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

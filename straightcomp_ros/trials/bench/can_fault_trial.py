@@ -1,7 +1,5 @@
 """Sends a known machine's frames through faults into the receiver, and compares what comes out with the truth."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What it costs to pack and to unpack the frames of the wire contract."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

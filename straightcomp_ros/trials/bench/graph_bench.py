@@ -1,7 +1,5 @@
 """Measures the running graph: rate, lateness, CPU, memory of each node; latency and losses of the whole."""
 
-from __future__ import annotations
-
 import math
 import socket
 import sys

@@ -1,7 +1,5 @@
 """CPU time and memory of other processes, from Linux's /proc."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Mapping

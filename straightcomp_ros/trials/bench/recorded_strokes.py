@@ -9,8 +9,6 @@ same direction that covers more than half of its time and takes no more than hal
 missing within it are not judged here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """What a bag says of a window of its run: which samples are missing on which topic, and the loop's latency."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

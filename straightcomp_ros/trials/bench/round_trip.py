@@ -1,7 +1,5 @@
 """Times the way from an emulated board to its host and back, with hub, board and host in processes of their own."""
 
-from __future__ import annotations
-
 import json
 import signal
 import statistics

@@ -4,8 +4,6 @@ It never ends by itself.
 python -m straightcomp_ros.trials.bench.steady_cell --ros-args …
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import replace

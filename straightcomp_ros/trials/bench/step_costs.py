@@ -1,7 +1,5 @@
 """What the parts cost that are called once in each cycle: laws, messages, and a cycle of the simulation."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable, Mapping

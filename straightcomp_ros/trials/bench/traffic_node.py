@@ -3,8 +3,6 @@
 python -m straightcomp_ros.trials.bench.traffic_node --ros-args -p seconds:=20.0
 """
 
-from __future__ import annotations
-
 import random
 import sys
 import time

@@ -1,7 +1,5 @@
 """The logger under load: eight topics at 2 kHz from a process of their own, recorded by the real node."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,5 @@
 """The part of a run that is measured: begins and ends between reports of progress, looks at the processes in it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -6,8 +6,6 @@ The name `new_machine` asks for another simulated machine, at rest in the middle
     python -m straightcomp_ros.trials.faults.faulty_driver --ros-args …
 """
 
-from __future__ import annotations
-
 import sys
 import time
 

@@ -1,7 +1,5 @@
 """A machine that fails on demand: between another machine and who uses it, for trials of what finds faults."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 

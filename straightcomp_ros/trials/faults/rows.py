@@ -1,7 +1,5 @@
 """What a trial of faults found: how often, how fast, and whether that is fast enough."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What a soak run does to the running graph, and what must follow: each action returns what was not so, in words."""
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Mapping

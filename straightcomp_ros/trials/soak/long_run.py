@@ -1,7 +1,5 @@
 """Runs the graph for a long time, does random things to it, and sees whether it is at work again after each."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import time

@@ -1,7 +1,5 @@
 """The stand in a soak run: sees how the stage moves and what the logger writes, and brings all back to work."""
 
-from __future__ import annotations
-
 import math
 import random
 import time

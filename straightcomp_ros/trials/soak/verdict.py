@@ -1,7 +1,5 @@
 """What a soak run found: actions by kind, processes that grew, strokes, bags; and whether all was as it must be."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence

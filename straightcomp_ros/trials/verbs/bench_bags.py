@@ -1,7 +1,5 @@
 """What recording, reading and judging bags costs, what a SIGKILL takes, and whether an audit finds all the same."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -4,8 +4,6 @@ The round trip runs from an emulated board through the hub to a host and back to
 process of its own. The fault run sends frames of known samples through injected faults, each kind alone and all
 together with the closed loop, on both kinds of bus; cuts are made on the link of the round trip."""
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from pathlib import Path

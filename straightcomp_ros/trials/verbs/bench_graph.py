@@ -3,8 +3,6 @@
 Prints for each node its rate, overruns, how late its loop woke up, CPU and memory; for the graph the latency from
 sample to command and what was lost. The window begins when all nodes are connected and have settled."""
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from contextlib import ExitStack

@@ -1,8 +1,6 @@
 """Time the parts that are called once in each cycle: a step of each control law, packing and unpacking each stream's
 messages, and one sample of `straightcomp simulate`. Medians over repeats; the least is the machine at its best."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

@@ -3,8 +3,6 @@
 Starts driver, feedforward, controller and logger on the simulated machine, and injects each fault with the stage moving
 and the amplifier on. Exit code 0 if every row is green."""
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import tempfile

@@ -5,8 +5,6 @@ amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL
 state and the work of the whole graph are checked; at the end bags, strokes, descriptors, threads and memory. Exit code
 0 only if nothing failed."""
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A recorded run computed again."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
