@@ -144,7 +144,7 @@ def view_beside(priority: int) -> dict[str, Sequence[str]]:
         port = str(probe.getsockname()[1])
     return {
         "view": verb_command("view", "--port", port, "--priority", str(priority)),
-        "page": [sys.executable, "-m", f"{PACKAGE}.view.page_reader", port],
+        "page": [sys.executable, "-m", f"{PACKAGE}.trials.bench.page_reader", port],
     }
 
 

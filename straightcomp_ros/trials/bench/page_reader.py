@@ -1,4 +1,4 @@
-"""Reads a view's news as an open page does, for measuring: python -m straightcomp_ros.view.page_reader PORT"""
+"""Reads a view's news as an open page does, for measuring: python -m straightcomp_ros.trials.bench.page_reader PORT"""
 
 import contextlib
 import sys
