@@ -40,19 +40,13 @@ class DriverNodeParameters:
     current_limit: float = parameter(
         1.0,
         "Largest magnitude of a commanded control current; beyond it the amplifier is switched off and a fault latched",
-        unit="A",
-        above=0.0,
-        maximum=100.0,
+        "(0, 100] A",
     )
     lockstep: bool = parameter(
         False, "Advance the simulated machine only when the command for its last sample has come, not in real time"
     )
     lockstep_delay: float = parameter(
-        0.5,
-        "Time from a sample until its command takes effect while 'lockstep' is true",
-        unit="samples",
-        minimum=0.0,
-        maximum=10.0,
+        0.5, "Time from a sample until its command takes effect while 'lockstep' is true", "[0, 10] samples"
     )
     simulated: SimulatedParameters = group(SimulatedParameters, "Simulated board")
     guide: MapParameters = group(MapParameters, "Simulated guide", file="config/guide_synthetic.csv")
@@ -90,7 +84,7 @@ class FeedforwardNodeParameters:
     map: MapParameters = group(MapParameters, "Map of the guide")
     feedforward: FeedforwardParameters = group(FeedforwardParameters, "Tracking of the stage")
     interval: float = parameter(
-        0.002, "Time between two cycles; each answers all samples since the last", unit="s", above=0.0, maximum=0.01
+        0.002, "Time between two cycles; each answers all samples since the last", "(0, 0.01] s"
     )
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
@@ -103,7 +97,7 @@ class ControllerNodeParameters:
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
-    rate: int = parameter(DEFAULT_RATE, "Control cycles per second", unit="Hz", minimum=10, maximum=20_000)
+    rate: int = parameter(DEFAULT_RATE, "Control cycles per second", "[10, 20000] Hz")
     trigger: str = parameter(
         "sample",
         "What begins a control cycle. sample: the arrival of an encoder sample. timer: a timer at 'rate'; each cycle "
@@ -114,12 +108,10 @@ class ControllerNodeParameters:
     reference_lead: int = parameter(
         12,
         "Age of a sample's reference, in samples; the controller extrapolates it to the sample's time",
-        unit="samples",
-        minimum=0,
-        maximum=100,
+        "[0, 100] samples",
     )
     sample_timeout: float = parameter(
-        1.0, "Time without a sample after which the driver is asked to switch off", unit="s", above=0.0, maximum=60.0
+        1.0, "Time without a sample after which the driver is asked to switch off", "(0, 60] s"
     )
     control: ControlParameters = group(ControlParameters)
     learning: LearningParameters = group(LearningParameters, "Learned correction")
@@ -142,10 +134,10 @@ class LoggerNodeParameters:
     output: str = parameter("", "Folder of the bag; empty: a new one, named after the time of the start")
     compression: str = parameter("zstd", "Compression of the bag's chunks", choices=("zstd", "lz4", "none"))
     queue_depth: int = parameter(
-        8000, "Messages of each topic that may wait in the middleware while the logger is held up", minimum=1
+        8000, "Messages of each topic that may wait in the middleware while the logger is held up", "[1, inf)"
     )
     queue_limit: int = parameter(
-        200_000, "Messages that may wait in memory for the disk; further ones are dropped and counted", minimum=1000
+        200_000, "Messages that may wait in memory for the disk; further ones are dropped and counted", "[1000, inf)"
     )
     topics: str = parameter(
         ".*", "Regular expression for the whole names of this package's topics to record, e.g. 'encoder|command'"
@@ -157,23 +149,20 @@ class LoggerNodeParameters:
     )
     record_at_start: bool = parameter(True, "Record from the node's start on; false: from the service ~/start on")
     max_file_bytes: int = parameter(
-        0, "Size of a file at which the bag continues in a new one; 0 for one file", unit="byte", minimum=0
+        0, "Size of a file at which the bag continues in a new one; 0 for one file", "[0, inf) byte"
     )
     max_file_duration: float = parameter(
         0.0,
         "Time from a file's first message after which the bag continues in a new file; 0 for one file",
-        unit="s",
-        minimum=0.0,
+        "[0, inf) s",
     )
     snapshot: float = parameter(
         0.0,
         "Length of the recording that stays in memory until the service ~/snapshot writes it; 0 writes all at once",
-        unit="s",
-        minimum=0.0,
-        maximum=600.0,
+        "[0, 600] s",
     )
     min_free_bytes: int = parameter(
-        200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", minimum=0
+        200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", "[0, inf)"
     )
     nodes: str = parameter(
         "driver feedforward controller", "Nodes whose parameters are attached to the bag, separated by blanks"
@@ -188,17 +177,15 @@ class CellNodeParameters:
     nodes: str = parameter(
         "driver feedforward controller logger", "Nodes to wait for and to watch, separated by blanks"
     )
-    start_timeout: float = parameter(30.0, "Longest wait for the nodes, and for the amplifier", unit="s", above=0.0)
-    sample_timeout: float = parameter(2.0, "Time without a sample that ends the run", unit="s", above=0.0)
-    heartbeat_timeout: float = parameter(
-        3.0, "Time without a heartbeat of a node that ends the run", unit="s", minimum=0.5, maximum=60.0
-    )
-    strokes: int = parameter(1, "Number of strokes, each forward and back", minimum=1, maximum=1000)
+    start_timeout: float = parameter(30.0, "Longest wait for the nodes, and for the amplifier", "(0, inf) s")
+    sample_timeout: float = parameter(2.0, "Time without a sample that ends the run", "(0, inf) s")
+    heartbeat_timeout: float = parameter(3.0, "Time without a heartbeat of a node that ends the run", "[0.5, 60] s")
+    strokes: int = parameter(1, "Number of strokes, each forward and back", "[1, 1000]")
     home: bool = parameter(
         False, "Before the strokes move the platform to the middle of its travel, then to the map; takes some 2 s"
     )
     recoveries: int = parameter(
-        0, "Faults in mid-cycle after which the cell switches the amplifier on again; one more ends the run", minimum=0
+        0, "Faults in mid-cycle after which the cell switches the amplifier on again; one more ends the run", "[0, inf)"
     )
     progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output while the stage moves")
     motion: MotionParameters = group(MotionParameters, "Strokes of the stage")
@@ -211,15 +198,13 @@ class PlayerNodeParameters:
 
     bag: str = parameter("", "Bag whose encoder samples are played: a rosbag2 folder or MCAP file")
     topic: str = parameter("encoder", "Name of the topic with the encoder samples in the bag")
-    speed: float = parameter(1.0, "Speed of the playback; 1 is as recorded", above=0.0, maximum=100.0)
-    subscribers: int = parameter(2, "Subscribers of the samples that the player waits for", minimum=0, maximum=100)
-    start_timeout: float = parameter(30.0, "Longest wait for the subscribers", unit="s", above=0.0)
+    speed: float = parameter(1.0, "Speed of the playback; 1 is as recorded", "(0, 100]")
+    subscribers: int = parameter(2, "Subscribers of the samples that the player waits for", "[0, 100]")
+    start_timeout: float = parameter(30.0, "Longest wait for the subscribers", "(0, inf) s")
     ahead: int = parameter(
         0,
         "Samples without a command beyond which the player waits, so that slow nodes lose none; 0 never waits",
-        unit="samples",
-        minimum=0,
-        maximum=500,
+        "[0, 500] samples",
     )
     clock: bool = parameter(False, "Publish the time of the samples on /clock, for nodes with use_sim_time")
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
@@ -231,10 +216,10 @@ class OpcuaNodeParameters:
 
     nodes: str = parameter("driver feedforward controller logger", "Nodes that must work, separated by blanks")
     start_timeout: float = parameter(
-        30.0, "Longest wait for the nodes, for the amplifier, and for a fault to be cleared", unit="s", above=0.0
+        30.0, "Longest wait for the nodes, for the amplifier, and for a fault to be cleared", "(0, inf) s"
     )
     error_limit: float = parameter(
-        2e-6, "Peak-to-peak error of one motion of the stage above which there is an alarm", unit="m", above=0.0
+        2e-6, "Peak-to-peak error of one motion of the stage above which there is an alarm", "(0, inf) m"
     )
     opcua: OpcuaParameters = group(OpcuaParameters, "OPC UA server")
     motion: MotionParameters = group(MotionParameters, "Strokes of the stage")

@@ -19,13 +19,13 @@ from straightcomp_ros.settings.declaration import group, parameter
 class NominalPlant:
     """Nominal model of the plant (5)."""
 
-    mass: float = parameter(3.0, "Moving mass M of the platform", unit="kg", above=0.0, maximum=1e4)
+    mass: float = parameter(3.0, "Moving mass M of the platform", "(0, 10000] kg")
     friction: float = parameter(
-        0.645, "Largest friction force expected, for the check of smc.rho by (11)", unit="N", minimum=0.0
+        0.645, "Largest friction force expected, for the check of smc.rho by (11)", "[0, inf) N"
     )
-    travel: float = parameter(25e-6, "Largest |y| in operation, for the check of smc.rho", unit="m", above=0.0)
+    travel: float = parameter(25e-6, "Largest |y| in operation, for the check of smc.rho", "(0, inf) m")
     amplifier_bandwidth: float = parameter(
-        500.0, "Bandwidth of the amplifier, for the laws with an observer", unit="Hz", above=0.0, maximum=1e6
+        500.0, "Bandwidth of the amplifier, for the laws with an observer", "(0, 1e6] Hz"
     )
     actuator: ActuatorParameters = group(ActuatorParameters, "Nominal magnets of the laws")
 
@@ -34,23 +34,17 @@ class NominalPlant:
 class SlidingDesign:
     """Sliding surface and reaching law of (8) and (9), for 'smc', and without switching for 'linear'."""
 
-    zeta: float = parameter(0.8, "Damping ratio ζ on the sliding surface", above=0.0, maximum=10.0)
-    natural_frequency: float = parameter(
-        35.0, "Natural frequency ωn/2π on the sliding surface", unit="Hz", above=0.0, maximum=1e4
-    )
-    phi: float = parameter(100.0, "Rate φ at which the sliding variable σ decays", unit="1/s", above=0.0, maximum=1e5)
-    rho: float = parameter(1.0, "Switching gain ρ, of smc alone", unit="m/s²", above=0.0, maximum=1e4)
-    gamma: float = parameter(0.1, "Margin γ of the reaching condition (11)", unit="m/s²", minimum=0.0, maximum=1e4)
+    zeta: float = parameter(0.8, "Damping ratio ζ on the sliding surface", "(0, 10]")
+    natural_frequency: float = parameter(35.0, "Natural frequency ωn/2π on the sliding surface", "(0, 10000] Hz")
+    phi: float = parameter(100.0, "Rate φ at which the sliding variable σ decays", "(0, 100000] 1/s")
+    rho: float = parameter(1.0, "Switching gain ρ, of smc alone", "(0, 10000] m/s²")
+    gamma: float = parameter(0.1, "Margin γ of the reaching condition (11)", "[0, 10000] m/s²")
     enforce_reaching: bool = parameter(True, "Refuse a rho that does not fulfil the reaching condition (11)")
     boundary_layer: float = parameter(
-        4e-3,
-        "Half width of the boundary layer around σ = 0, of smc alone; 0 switches with sgn σ",
-        unit="m/s",
-        minimum=0.0,
-        maximum=10.0,
+        4e-3, "Half width of the boundary layer around σ = 0, of smc alone; 0 switches with sgn σ", "[0, 10] m/s"
     )
     velocity_bandwidth: float = parameter(
-        1000.0, "Bandwidth of the estimate of the platform's velocity", unit="Hz", above=0.0, maximum=1e5
+        1000.0, "Bandwidth of the estimate of the platform's velocity", "(0, 100000] Hz"
     )
     feedforward: bool = parameter(
         True, "Let smc follow the reference's rates; false: the paper's (9), which lags by 2ζ/ωn"

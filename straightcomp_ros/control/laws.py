@@ -15,18 +15,15 @@ LAWS = ("linear", "smc", "super_twisting", "smc_observer")
 class ObserverDesign:
     """Observer and reaching law of 'smc_observer'."""
 
-    bandwidth: float = parameter(545.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
-    delay: float = parameter(1.0, "Loop delay that the observer assumes", unit="samples", minimum=0.0, maximum=1.0)
-    surface: float = parameter(
-        545.0, "Rate λ at which the error decays on the sliding surface", unit="1/s", above=0.0, maximum=1e5
-    )
-    reaching: float = parameter(600.0, "Rate κ at which σ decays near the surface", unit="1/s", above=0.0, maximum=1e5)
-    rho: float = parameter(5.0, "Largest reaching acceleration ρ", unit="m/s²", above=0.0, maximum=1e4)
+    bandwidth: float = parameter(545.0, "Bandwidth of the extended state observer", "(0, 10000] Hz")
+    delay: float = parameter(1.0, "Loop delay that the observer assumes", "[0, 1] samples")
+    surface: float = parameter(545.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
+    reaching: float = parameter(600.0, "Rate κ at which σ decays near the surface", "(0, 100000] 1/s")
+    rho: float = parameter(5.0, "Largest reaching acceleration ρ", "(0, 10000] m/s²")
     gain_allowance: float = parameter(
         2.3,
         "Factor by which a current is assumed to accelerate more than nominal; above 1 leaves gain margin",
-        minimum=0.1,
-        maximum=10.0,
+        "[0.1, 10]",
     )
 
 
@@ -34,12 +31,10 @@ class ObserverDesign:
 class TwistingDesign:
     """Observer and gains of 'super_twisting'."""
 
-    bandwidth: float = parameter(200.0, "Bandwidth of the extended state observer", unit="Hz", above=0.0, maximum=1e4)
-    delay: float = parameter(0.5, "Loop delay that the observer assumes", unit="samples", minimum=0.0, maximum=1.0)
-    surface: float = parameter(
-        500.0, "Rate λ at which the error decays on the sliding surface", unit="1/s", above=0.0, maximum=1e5
-    )
-    disturbance_rate: float = parameter(10.0, "Bound L of the disturbance's rate", unit="m/s³", above=0.0, maximum=1e6)
+    bandwidth: float = parameter(200.0, "Bandwidth of the extended state observer", "(0, 10000] Hz")
+    delay: float = parameter(0.5, "Loop delay that the observer assumes", "[0, 1] samples")
+    surface: float = parameter(500.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
+    disturbance_rate: float = parameter(10.0, "Bound L of the disturbance's rate", "(0, 1e6] m/s³")
 
 
 @dataclass(frozen=True)
@@ -47,7 +42,7 @@ class ControlParameters:
     """Law, its design, and the nominal plant."""
 
     law: str = parameter("smc_observer", "Control law", choices=LAWS)
-    current_limit: float = parameter(0.9, "Largest control current |i_c| of a law", unit="A", above=0.0, maximum=100.0)
+    current_limit: float = parameter(0.9, "Largest control current |i_c| of a law", "(0, 100] A")
     smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
     super_twisting: TwistingDesign = group(TwistingDesign, "Law super_twisting")
     smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")

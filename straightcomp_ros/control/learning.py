@@ -55,23 +55,18 @@ class LearningParameters:
     file: str = parameter(
         "", "File of the learned correction: read at the start if it exists, written at the end; empty: memory only"
     )
-    gain: float = parameter(
-        0.3, "Fraction of a pass's error that is learned, once many were averaged", above=0.0, maximum=1.0
-    )
-    forgetting: float = parameter(0.01, "Fraction of the correction that each pass forgets", minimum=0.0, maximum=0.5)
+    gain: float = parameter(0.3, "Fraction of a pass's error that is learned, once many were averaged", "(0, 1]")
+    forgetting: float = parameter(0.01, "Fraction of the correction that each pass forgets", "[0, 0.5]")
     cutoff: float = parameter(
-        35.0, "Errors up to this frequency are learned; below the servo's bandwidth", unit="Hz", above=0.0, maximum=1e3
+        35.0, "Errors up to this frequency are learned; below the servo's bandwidth", "(0, 1000] Hz"
     )
-    limit: float = parameter(2e-6, "Largest correction of the reference", unit="m", above=0.0, maximum=1e-4)
-    spacing: float = parameter(0.25e-3, "Distance of the nodes along x", unit="m", minimum=1e-5, maximum=1e-2)
-    fade_speed: float = parameter(
-        0.02, "Speed of the stage below which the correction fades", unit="m/s", above=0.0, maximum=1.0
-    )
+    limit: float = parameter(2e-6, "Largest correction of the reference", "(0, 0.0001] m")
+    spacing: float = parameter(0.25e-3, "Distance of the nodes along x", "[1e-5, 0.01] m")
+    fade_speed: float = parameter(0.02, "Speed of the stage below which the correction fades", "(0, 1] m/s")
     margin: float = parameter(
         0.05,
         "Fraction by which a pass's RMS error may exceed the best one's; beyond it the last update is taken back",
-        minimum=0.0,
-        maximum=1.0,
+        "[0, 1]",
     )
 
 

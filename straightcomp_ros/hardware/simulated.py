@@ -30,44 +30,32 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 class SimulatedParameters:
     """The simulated machine."""
 
-    rate: int = parameter(DEFAULT_RATE, "Samples per second", unit="Hz", minimum=10, maximum=20_000)
-    command_timeout: float = parameter(
-        0.005, "Age of the newest command at which the board switches off", unit="s", above=0.0, maximum=1.0
-    )
+    rate: int = parameter(DEFAULT_RATE, "Samples per second", "[10, 20000] Hz")
+    command_timeout: float = parameter(0.005, "Age of the newest command at which the board switches off", "(0, 1] s")
     actuation_delay: float = parameter(
         1.0,
         "A command takes effect this long after its sample, or on arrival if that is later, so that the host's jitter"
         " does not change the loop's delay. 0: always on arrival. Lockstep uses lockstep_delay instead",
-        unit="samples",
-        minimum=0.0,
-        maximum=1.0,
+        "[0, 1] samples",
     )
     hold_after: float = parameter(
         1.25,
         "Time after the last command took effect at which the board begins to hold the platform by itself",
-        unit="samples",
-        minimum=1.1,
-        maximum=1e6,
+        "[1.1, 1e6] samples",
     )
-    hold_mean: float = parameter(
-        0.015, "Time constant of the mean command, held when commands stop", unit="s", above=0.0, maximum=10.0
-    )
+    hold_mean: float = parameter(0.015, "Time constant of the mean command, held when commands stop", "(0, 10] s")
     hold_braking: float = parameter(
-        0.5, "While holding: share of the last commands' impulse taken back per sample", minimum=0.0, maximum=1.0
+        0.5, "While holding: share of the last commands' impulse taken back per sample", "[0, 1]"
     )
-    hold_memory: float = parameter(
-        0.001, "Time constant with which friction ends an impulse", unit="s", above=0.0, maximum=1.0
-    )
+    hold_memory: float = parameter(0.001, "Time constant with which friction ends an impulse", "(0, 1] s")
     hold_stiffness: float = parameter(
         7000.0,
         "Stiffness of the board's hold, as control current per displacement; the magnets' negative stiffness is"
         " I0/y0 = 667 A/m",
-        unit="A/m",
-        minimum=0.0,
-        maximum=1e6,
+        "[0, 1e6] A/m",
     )
-    sample_memory: int = parameter(256, "Samples that the board keeps for a late host", minimum=1, maximum=100_000)
-    initial_y: float = parameter(0.0, "Platform's position at the start", unit="m", minimum=-1e-2, maximum=1e-2)
+    sample_memory: int = parameter(256, "Samples that the board keeps for a late host", "[1, 100000]")
+    initial_y: float = parameter(0.0, "Platform's position at the start", "[-0.01, 0.01] m")
     plant: PlantParameters = group(PlantParameters, "Simulated plant")
 
     @property

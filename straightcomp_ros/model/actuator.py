@@ -25,10 +25,10 @@ class Actuator(NamedTuple):
 class ActuatorParameters:
     """Opposed electromagnets with a common bias current."""
 
-    turns: float = parameter(400.0, "Turns N of each coil", above=0.0, maximum=1e5)
-    pole_area: float = parameter(5e-4, "Pole area A of each magnet", unit="m²", above=0.0, maximum=1.0)
-    air_gap: float = parameter(1.5e-3, "Air gap y0, platform in the middle", unit="m", above=0.0, maximum=0.1)
-    bias_current: float = parameter(1.0, "Bias current I0 of both coils", unit="A", above=0.0, maximum=100.0)
+    turns: float = parameter(400.0, "Turns N of each coil", "(0, 100000]")
+    pole_area: float = parameter(5e-4, "Pole area A of each magnet", "(0, 1] m²")
+    air_gap: float = parameter(1.5e-3, "Air gap y0, platform in the middle", "(0, 0.1] m")
+    bias_current: float = parameter(1.0, "Bias current I0 of both coils", "(0, 100] A")
 
     @property
     def current_stiffness(self) -> float:

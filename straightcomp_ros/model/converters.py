@@ -25,7 +25,7 @@ def nearest_step(step: float, half_codes: int, current: float) -> float:
 class EncoderParameters:
     """Incremental linear encoder."""
 
-    resolution: float = parameter(1e-7, "One count of the encoder", unit="m", above=0.0, maximum=1e-3)
+    resolution: float = parameter(1e-7, "One count of the encoder", "(0, 0.001] m")
 
     @cached_property  # a partial: no second Python call at each sample
     def reading(self) -> Callable[[float], float]:
@@ -37,10 +37,10 @@ class EncoderParameters:
 class DriveParameters:
     """D/A converter and current amplifier: i_c = K_a u."""
 
-    dac_bits: int = parameter(12, "Resolution of the D/A converter", unit="bit", minimum=4, maximum=24)
-    dac_range: float = parameter(10.0, "Output range ± of the D/A converter", unit="V", above=0.0, maximum=1e3)
-    gain: float = parameter(0.1, "Gain K_a of the amplifier", unit="A/V", above=0.0, maximum=1e3)
-    bandwidth: float = parameter(500.0, "Bandwidth of the amplifier (first order)", unit="Hz", above=0.0, maximum=1e6)
+    dac_bits: int = parameter(12, "Resolution of the D/A converter", "[4, 24] bit")
+    dac_range: float = parameter(10.0, "Output range ± of the D/A converter", "(0, 1000] V")
+    gain: float = parameter(0.1, "Gain K_a of the amplifier", "(0, 1000] A/V")
+    bandwidth: float = parameter(500.0, "Bandwidth of the amplifier (first order)", "(0, 1e6] Hz")
 
     @cached_property
     def current_step(self) -> float:

@@ -28,12 +28,12 @@ class LuGre(NamedTuple):
 class FrictionParameters:
     """LuGre friction between slider and platform."""
 
-    coulomb: float = parameter(0.43, "Coulomb friction F_C", unit="N", above=0.0, maximum=1e3)
-    static: float = parameter(0.645, "Static friction F_S, at least F_C", unit="N", above=0.0, maximum=1e3)
-    stribeck_velocity: float = parameter(20e-6, "Stribeck velocity v_s", unit="m/s", above=0.0, maximum=1.0)
-    bristle_stiffness: float = parameter(1e6, "Bristle stiffness σ0", unit="N/m", above=0.0, maximum=1e10)
-    bristle_damping: float = parameter(1000.0, "Bristle damping σ1", unit="N·s/m", minimum=0.0, maximum=1e6)
-    viscous: float = parameter(10.0, "Viscous friction σ2", unit="N·s/m", minimum=0.0, maximum=1e5)
+    coulomb: float = parameter(0.43, "Coulomb friction F_C", "(0, 1000] N")
+    static: float = parameter(0.645, "Static friction F_S, at least F_C", "(0, 1000] N")
+    stribeck_velocity: float = parameter(20e-6, "Stribeck velocity v_s", "(0, 1] m/s")
+    bristle_stiffness: float = parameter(1e6, "Bristle stiffness σ0", "(0, 1e+10] N/m")
+    bristle_damping: float = parameter(1000.0, "Bristle damping σ1", "[0, 1e6] N·s/m")
+    viscous: float = parameter(10.0, "Viscous friction σ2", "[0, 100000] N·s/m")
 
     def __post_init__(self) -> None:
         if self.static < self.coulomb:

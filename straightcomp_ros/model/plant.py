@@ -48,8 +48,8 @@ class Plant(NamedTuple):
 class PlantParameters:
     """Platform, magnets, friction, drive and encoder of the simulated machine."""
 
-    mass: float = parameter(3.0, "Moving mass M of the platform", unit="kg", above=0.0, maximum=1e4)
-    stop: float = parameter(1.2e-3, "Mechanical stop at ± this position, inside the air gap", unit="m", above=0.0)
+    mass: float = parameter(3.0, "Moving mass M of the platform", "(0, 10000] kg")
+    stop: float = parameter(1.2e-3, "Mechanical stop at ± this position, inside the air gap", "(0, inf) m")
     actuator: ActuatorParameters = group(ActuatorParameters, "Simulated magnets")
     friction: FrictionParameters = group(FrictionParameters, "Simulated friction (LuGre)")
     drive: DriveParameters = group(DriveParameters, "Simulated drive")

@@ -28,12 +28,12 @@ class Waypoint(NamedTuple):
 class MotionParameters:
     """A cycle of the stage: settle, forward stroke, pause, backward stroke, settle."""
 
-    start: float = parameter(0.0, "Position at which the stroke starts", unit="m", minimum=-100.0, maximum=100.0)
-    stroke: float = parameter(STROKE, "Length of the stroke", unit="m", above=0.0, maximum=100.0)
-    speed: float = parameter(0.3, "Cruising speed", unit="m/s", above=0.0, maximum=20.0)
-    acceleration: float = parameter(0.2, "Acceleration and deceleration", unit="m/s²", above=0.0, maximum=200.0)
-    settle: float = parameter(1.0, "Time at rest before and after each stroke", unit="s", minimum=0.0, maximum=60.0)
-    pause: float = parameter(0.5, "Time at rest between forward and back", unit="s", minimum=0.0, maximum=60.0)
+    start: float = parameter(0.0, "Position at which the stroke starts", "[-100, 100] m")
+    stroke: float = parameter(STROKE, "Length of the stroke", "(0, 100] m")
+    speed: float = parameter(0.3, "Cruising speed", "(0, 20] m/s")
+    acceleration: float = parameter(0.2, "Acceleration and deceleration", "(0, 200] m/s²")
+    settle: float = parameter(1.0, "Time at rest before and after each stroke", "[0, 60] s")
+    pause: float = parameter(0.5, "Time at rest between forward and back", "[0, 60] s")
 
 
 def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -> list[Waypoint]:

@@ -13,7 +13,7 @@ class OpcuaParameters:
     """Where the server listens and whom it lets in."""
 
     host: str = parameter("127.0.0.1", "Address to listen on; 0.0.0.0 for all of this machine's addresses")
-    port: int = parameter(4840, "TCP port to listen on", minimum=1, maximum=65535)
+    port: int = parameter(4840, "TCP port to listen on", "[1, 65535]")
     security: str = parameter(
         AUTO,
         "encrypted: only signed and encrypted connections of known users; none: no encryption, anybody may read and "
@@ -27,7 +27,7 @@ class OpcuaParameters:
     trusted: str = parameter(
         "", "Folder of certificates (.der, .pem) of the clients, or of their issuers, that may connect; empty: any"
     )
-    max_clients: int = parameter(20, "Largest number of connections at one time", minimum=1, maximum=1000)
+    max_clients: int = parameter(20, "Largest number of connections at one time", "[1, 1000]")
 
     def __post_init__(self) -> None:
         if self.security == NONE and not self.on_loopback:

@@ -19,27 +19,17 @@ _ERROR_STEP, _ERROR_LIMIT = 4, 16
 class WatchParameters:
     """Limits that a working machine does not exceed."""
 
-    max_speed: float = parameter(
-        2.0, "Speed of the stage beyond which x has jumped", unit="m/s", above=0.0, maximum=100.0
-    )
-    y_limit: float = parameter(
-        1e-3,
-        "Largest |y|, once y was within it with the amplifier on",
-        unit="m",
-        above=0.0,
-        maximum=0.1,
-    )
-    frozen_time: float = parameter(
-        0.01, "Time without a change of y after which it may count as frozen", unit="s", above=0.0, maximum=10.0
-    )
+    max_speed: float = parameter(2.0, "Speed of the stage beyond which x has jumped", "(0, 100] m/s")
+    y_limit: float = parameter(1e-3, "Largest |y|, once y was within it with the amplifier on", "(0, 0.1] m")
+    frozen_time: float = parameter(0.01, "Time without a change of y after which it may count as frozen", "(0, 10] s")
     frozen_current: float = parameter(
-        0.08, "Change of the mean control current that must move y by a count", unit="A", above=0.0, maximum=100.0
+        0.08, "Change of the mean control current that must move y by a count", "(0, 100] A"
     )
     follow_distance: float = parameter(
-        0.02, "Length of the stage's trajectory over which x must move by a count", unit="m", above=0.0, maximum=10.0
+        0.02, "Length of the stage's trajectory over which x must move by a count", "(0, 10] m"
     )
     clock_step: float = parameter(
-        0.05, "Step of the system's clock that is a fault; a slewed clock is not", unit="s", above=0.0, maximum=3600.0
+        0.05, "Step of the system's clock that is a fault; a slewed clock is not", "(0, 3600] s"
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import re
 import typing
 from collections.abc import Iterator, Mapping
 from functools import cache, partial
@@ -100,25 +101,23 @@ class Declaration:
 _KIND_WORDS = {bool: "a truth value", int: "an integer", float: "a number", str: "a text"}
 
 
-def parameter(
-    default: Any,
-    description: str,
-    *,
-    unit: str = "",
-    minimum: float | None = None,
-    above: float | None = None,
-    maximum: float | None = None,
-    choices: tuple[str, ...] = (),
-) -> Any:
-    """Declare a field: ``minimum`` is inclusive, ``above`` exclusive, ``maximum`` inclusive."""
+_ALLOWED = re.compile(r"([\[(])(\S+), (\S+)[\])](?: (.+))?")
+
+
+def parameter(default: Any, description: str, allowed: str = "(-inf, inf)", *, choices: tuple[str, ...] = ()) -> Any:
+    """Declare a field. ``allowed`` is its range and its unit, e.g. ``"(0, 60] s"``: more than 0 and at most 60 s."""
+    parts = _ALLOWED.fullmatch(allowed)
+    if parts is None:
+        raise ValueError(f"allowed {allowed!r} is no interval with a unit, such as '[0, 60] s'")
+    low, high = float(parts[2]), float(parts[3])
     return dataclasses.field(
         default=default,
         metadata={
             "description": description,
-            "unit": unit,
-            "minimum": above if above is not None else minimum,
-            "exclusive_minimum": above is not None,
-            "maximum": maximum,
+            "unit": parts[4] or "",
+            "minimum": low if math.isfinite(low) else None,
+            "exclusive_minimum": parts[1] == "(",
+            "maximum": high if math.isfinite(high) else None,
             "choices": choices,
         },
     )

@@ -38,25 +38,13 @@ class FeedforwardParameters:
     """Tracking of the stage."""
 
     bandwidth: float = parameter(
-        30.0,
-        "Bandwidth of the filter that estimates speed and acceleration of the stage",
-        unit="Hz",
-        minimum=0.1,
-        maximum=500.0,
+        30.0, "Bandwidth of the filter that estimates speed and acceleration of the stage", "[0.1, 500] Hz"
     )
     restart_gap: float = parameter(
-        0.05,
-        "Time without a sample after which the estimate of speed and acceleration restarts",
-        unit="s",
-        above=0.0,
-        maximum=10.0,
+        0.05, "Time without a sample after which the estimate of speed and acceleration restarts", "(0, 10] s"
     )
     max_speed: float = parameter(
-        1.0,
-        "Speed that the stage cannot reach; a jump of x that would need more restarts the estimate",
-        unit="m/s",
-        above=0.0,
-        maximum=100.0,
+        1.0, "Speed that the stage cannot reach; a jump of x that would need more restarts the estimate", "(0, 100] m/s"
     )
 
     @property

@@ -26,15 +26,11 @@ class MapParameters:
         "config/survey_synthetic.csv",
         "Survey file; a relative name is looked up in the working directory, then in the package's share",
     )
-    min_points: int = parameter(20, "Fewest points that a run of the survey may have", minimum=4, maximum=1_000_000)
-    max_gap: float = parameter(0.05, "Widest distance between neighbouring points", unit="m", above=0.0, maximum=1.0)
-    travel: float = parameter(100e-6, "Usable travel of the platform, to each side", unit="m", above=0.0, maximum=1e-2)
+    min_points: int = parameter(20, "Fewest points that a run of the survey may have", "[4, 1e6]")
+    max_gap: float = parameter(0.05, "Widest distance between neighbouring points", "(0, 1] m")
+    travel: float = parameter(100e-6, "Usable travel of the platform, to each side", "(0, 0.01] m")
     runout: float = parameter(
-        0.02,
-        "Length beyond the survey over which the reference runs out to a constant",
-        unit="m",
-        above=0.0,
-        maximum=1.0,
+        0.02, "Length beyond the survey over which the reference runs out to a constant", "(0, 1] m"
     )
 
 

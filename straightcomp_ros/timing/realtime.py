@@ -29,10 +29,7 @@ class RealtimeParameters:
     """Scheduling of a node's process."""
 
     priority: int = parameter(
-        0,
-        "SCHED_FIFO priority, the same for all nodes that talk to each other; 0: normal scheduling",
-        minimum=0,
-        maximum=98,
+        0, "SCHED_FIFO priority, the same for all nodes that talk to each other; 0: normal scheduling", "[0, 98]"
     )
     cpus: str = parameter(
         "",

@@ -23,13 +23,13 @@ from straightcomp_ros.settings.share import share_path
 
 @dataclass(frozen=True)
 class Inner:
-    gain: float = parameter(2.0, "Gain", unit="N/A", above=0.0, maximum=10.0)
+    gain: float = parameter(2.0, "Gain", "(0, 10] N/A")
     name: str = parameter("a", "Name", choices=("a", "b"))
 
 
 @dataclass(frozen=True)
 class Outer:
-    count: int = parameter(3, "Count", minimum=1)
+    count: int = parameter(3, "Count", "[1, inf)")
     on: bool = parameter(False, "On")
     inner: Inner = group(Inner, "Coil", gain=5.0)
 

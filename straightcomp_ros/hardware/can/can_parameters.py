@@ -14,40 +14,24 @@ class CanParameters:
 
     interface: str = parameter("socketcan", "Interface of python-can, e.g. socketcan, pcan, kvaser")
     channel: str = parameter("can0", "Channel of the interface, as python-can names it")
-    bitrate: int = parameter(
-        1_000_000, "Bit rate; socketcan uses the system's", unit="bit/s", minimum=10_000, maximum=1_000_000
-    )
+    bitrate: int = parameter(1_000_000, "Bit rate; socketcan uses the system's", "[10000, 1e6] bit/s")
     fd: bool = parameter(True, "Use frames of CAN FD, in which the encoder frame has the coil current too")
-    data_bitrate: int = parameter(
-        5_000_000, "Bit rate of the data phase of CAN FD", unit="bit/s", minimum=10_000, maximum=8_000_000
-    )
+    data_bitrate: int = parameter(5_000_000, "Bit rate of the data phase of CAN FD", "[10000, 8e6] bit/s")
     options: str = parameter("", "Further arguments for python-can, as NAME=VALUE separated by blanks")
-    node: int = parameter(1, "Node id of the board", minimum=1, maximum=127)
-    rate: int = parameter(
-        DEFAULT_RATE, "Samples per second that the board takes", unit="Hz", minimum=10, maximum=20_000
-    )
-    command_timeout: float = parameter(
-        0.005, "Age of a command from which it is not sent any more", unit="s", above=0.0, maximum=1.0
-    )
+    node: int = parameter(1, "Node id of the board", "[1, 127]")
+    rate: int = parameter(DEFAULT_RATE, "Samples per second that the board takes", "[10, 20000] Hz")
+    command_timeout: float = parameter(0.005, "Age of a command from which it is not sent any more", "(0, 1] s")
     sample_timeout: float = parameter(
-        0.005, "Time without a sample that latches a fault while the amplifier is on", unit="s", above=0.0, maximum=1.0
+        0.005, "Time without a sample that latches a fault while the amplifier is on", "(0, 1] s"
     )
-    heartbeat_timeout: float = parameter(
-        0.15, "Time without the board's heartbeat that latches a fault", unit="s", above=0.0, maximum=10.0
-    )
-    answer_timeout: float = parameter(
-        0.1, "Longest wait for the board to switch on or to clear a fault", unit="s", above=0.0, maximum=10.0
-    )
+    heartbeat_timeout: float = parameter(0.15, "Time without the board's heartbeat that latches a fault", "(0, 10] s")
+    answer_timeout: float = parameter(0.1, "Longest wait for the board to switch on or to clear a fault", "(0, 10] s")
     strike_limit: int = parameter(
-        16, "Error counter that latches a fault: a bad frame adds 4, a good one subtracts 1", minimum=4, maximum=1000
+        16, "Error counter that latches a fault: a bad frame adds 4, a good one subtracts 1", "[4, 1000]"
     )
-    x_speed: float = parameter(
-        2.0, "A change of x faster than this is a wrong frame", unit="m/s", above=0.0, maximum=100.0
-    )
-    y_speed: float = parameter(
-        0.5, "A change of y faster than this is a wrong frame", unit="m/s", above=0.0, maximum=100.0
-    )
-    sample_memory: int = parameter(256, "Samples kept for a late driver", minimum=1, maximum=100_000)
+    x_speed: float = parameter(2.0, "A change of x faster than this is a wrong frame", "(0, 100] m/s")
+    y_speed: float = parameter(0.5, "A change of y faster than this is a wrong frame", "(0, 100] m/s")
+    sample_memory: int = parameter(256, "Samples kept for a late driver", "[1, 100000]")
     simulated_stage: bool = parameter(
         False, "The board is the emulator: send it stage trajectories, take the simulation's truth on CAN FD"
     )

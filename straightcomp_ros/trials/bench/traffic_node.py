@@ -36,8 +36,8 @@ _ROWS = 1000
 class TrafficParameters:
     """Parameters of the node `traffic`."""
 
-    seconds: float = parameter(20.0, "Time for which it publishes", unit="s", above=0.0)
-    start_timeout: float = parameter(60.0, "Longest wait for a subscriber of each topic", unit="s", above=0.0)
+    seconds: float = parameter(20.0, "Time for which it publishes", "(0, inf) s")
+    start_timeout: float = parameter(60.0, "Longest wait for a subscriber of each topic", "(0, inf) s")
     realtime: RealtimeParameters = group(RealtimeParameters)
 
 
