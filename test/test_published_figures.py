@@ -104,7 +104,7 @@ def test_the_tuning_guides_laws_are_those_of_the_page_on_accuracy():
 
 
 def test_the_page_on_surveys_tells_how_far_an_error_table_lies_beside_the_map(capsys, tmp_path):
-    told = re.search(r"beside the map: ([\d.]+) µm for the shipped\s+survey at 10 mm", SURVEYS)
+    told = re.search(r"between the\s+points: ([\d.]+) µm for the shipped\s+survey at 10 mm", SURVEYS)
     assert main(["map", "export", "-o", str(tmp_path / "table.cal"), "--spacing", "10", "--json"]) == 0
     assert float(told[1]) == pytest.approx(json.loads(capsys.readouterr().out)["interpolation_error_um"], abs=0.001)
 

@@ -29,7 +29,18 @@ _UNITS = {
 
 
 @dataclass(frozen=True)
-class Metrics:
+class _Figures:
+    def to_display(self) -> dict[str, Any]:
+        """The figures as a person reads them: lengths in µm, the travel in mm, the unit in each name."""
+        shown = {}
+        for name, value in asdict(self).items():
+            suffix, factor = _UNITS.get(name, ("_um", 1e6))
+            shown[name + suffix] = value * factor if isinstance(value, float) else value
+        return shown
+
+
+@dataclass(frozen=True)
+class Metrics(_Figures):
     """Figures of one run; lengths in m, currents in A, None where the record holds no truth.
 
     The compensation error is taken from the first to the last sample of motion, with the pauses between the strokes;
@@ -65,13 +76,9 @@ class Metrics:
     samples: int
     duration: float
 
-    def to_display(self) -> dict[str, Any]:
-        """The figures as a person reads them: lengths in µm, the unit in each name."""
-        return _displayed(self)
-
 
 @dataclass(frozen=True)
-class StrokeFigures:
+class StrokeFigures(_Figures):
     """Figures of one movement one way; s, m.
 
     Attributes:
@@ -95,10 +102,6 @@ class StrokeFigures:
     before_end_points: float
     after_least_squares: float
     after_end_points: float
-
-    def to_display(self) -> dict[str, Any]:
-        """The figures as a person reads them: lengths in µm, the travel in mm, the unit in each name."""
-        return _displayed(self)
 
 
 def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
@@ -182,14 +185,6 @@ def residual_over(
     moving = motion.samples()
     speed = np.abs(np.gradient(x, record.time))
     return least_squares_residual(x[moving], deviation[moving], speed[moving])
-
-
-def _displayed(figures: Metrics | StrokeFigures) -> dict[str, Any]:
-    shown = {}
-    for name, value in asdict(figures).items():
-        suffix, factor = _UNITS.get(name, ("_um", 1e6))
-        shown[name + suffix] = value * factor if isinstance(value, float) else value
-    return shown
 
 
 def _rms(values: NDArray[np.float64]) -> float:

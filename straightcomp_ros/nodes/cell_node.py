@@ -19,7 +19,7 @@ from straightcomp_ros.model.stage import cycles
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.graph_services import GraphServices
 from straightcomp_ros.runtime.graph_watch import GraphWatch
-from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
+from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
 
 _TICK_S = 0.05
@@ -32,7 +32,7 @@ class CycleFailed(Exception):
     """The cycle cannot go on; the message says why."""
 
 
-class CellNode:
+class CellNode(Runnable):
     """Has the sequencer run one cycle: see :meth:`_cycle`, where each ``yield`` waits for the next tick."""
 
     def __init__(self, node: Node, make_sequence: Callable[..., CellSequence] = CellSequence) -> None:
@@ -114,9 +114,6 @@ class CellNode:
         except CycleFailed as failure:
             self.node.get_logger().error(f"cycle failed: {failure}")
             self.done.set_result(EXIT_FAILURE)
-
-    def close(self) -> None:
-        """Nothing to make safe: the driver switches off when commands cease."""
 
 
 def main() -> int:

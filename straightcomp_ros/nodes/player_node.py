@@ -17,7 +17,7 @@ from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.periodic import PeriodicLoop
-from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
+from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.runtime.streams import Inbox, message_type, stream_qos, unspun_node
 
 _AFTERPLAY_S = 0.5
@@ -26,7 +26,7 @@ _SILENCE_NS = 1_000_000_000
 """Silence after which the play goes on without answers."""
 
 
-class PlayerNode:
+class PlayerNode(Runnable):
     """The stamps stay those of the bag: they are what pairs samples, references and commands."""
 
     def __init__(self, node: Node) -> None:
@@ -108,9 +108,6 @@ class PlayerNode:
                 f"{self._subscribers} are asked for (subscribers)"
             )
             self.done.set_result(EXIT_FAILURE)
-
-    def close(self) -> None:
-        """Nothing to make safe."""
 
 
 def main() -> int:

@@ -40,7 +40,7 @@ class Runnable(Protocol):
     loop: Loop | None  # runs in the place of the executor, which then gets the idle time
 
     def close(self) -> None:
-        """Leave everything safe and saved. The ROS context may be gone already."""
+        """Leave everything safe and saved; here nothing. The ROS context may be gone already."""
 
 
 def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | None = None) -> int:

@@ -9,7 +9,7 @@ PATIENCE_S = 60.0
 
 
 class Participant:
-    """A node in this process; :meth:`close` ends it."""
+    """A node in this process, while it is entered as a context."""
 
     def __init__(self, name):
         rclpy.init()
@@ -30,6 +30,9 @@ class Participant:
         self.until(future.done)
         return future.result()
 
-    def close(self):
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
         self.node.destroy_node()
         rclpy.shutdown()

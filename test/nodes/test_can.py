@@ -55,9 +55,8 @@ class Operator(Participant):
 
 @pytest.fixture
 def operator():
-    operator = Operator()
-    yield operator
-    operator.close()
+    with Operator() as operator:
+        yield operator
 
 
 @pytest.fixture

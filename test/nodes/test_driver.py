@@ -5,7 +5,6 @@ import math
 import os
 import random
 import time
-from contextlib import contextmanager
 
 import pytest
 import rclpy
@@ -66,19 +65,10 @@ def domain(tmp_path_factory):
         yield domain
 
 
-@contextmanager
-def peer_in_this_domain():
-    peer = Peer()
-    try:
-        yield peer
-    finally:
-        peer.close()
-
-
 @pytest.fixture
 def peer(domain, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-    with peer_in_this_domain() as peer:
+    with Peer() as peer:
         # As the test before found it: off, and no fault.
         assert peer.enable(False).success
         peer.call(Trigger, "driver/reset_fault", Trigger.Request())
@@ -90,7 +80,7 @@ def peer(domain, monkeypatch):
 def pushing_peer(graph):
     """Of a driver of its own: a constant current leaves the platform where the next test could not use it."""
     graph.start("driver", PARAMETERS)
-    with peer_in_this_domain() as peer:
+    with Peer() as peer:
         yield peer
 
 

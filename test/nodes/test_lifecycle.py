@@ -81,9 +81,8 @@ class Manager(Participant):
 
 @pytest.fixture
 def manager():
-    manager = Manager()
-    yield manager
-    manager.close()
+    with Manager() as manager:
+        yield manager
 
 
 @pytest.fixture

@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.paper import beyond_figure_4
+from straightcomp_ros.paper import beyond_figure_4, recovery_region
 from straightcomp_ros.paper.figure_4 import RELEASED_AT
-from straightcomp_ros.paper.recovery_region import (
-    fastest_outward,
-    largest_release,
-    least_peak,
-    peak,
-    possible,
-    recovers,
-)
 
 
 @pytest.fixture(scope="module")
@@ -37,23 +29,27 @@ def test_the_physical_limit_is_what_full_current_does_in_a_machine_without_lag_a
     plant = dataclasses.replace(machine.plant, drive=drive)
     ideal = dataclasses.replace(machine, plant=plant, rate=100_000, delay=0.0).without_friction()
     y = a * ideal.plant.actuator.air_gap
-    limit = fastest_outward(ideal, y)
-    assert least_peak(ideal, y, 0.99 * limit) < ideal.plant.stop < least_peak(ideal, y, 1.01 * limit)
-    assert possible(ideal, y, 0.99 * limit) and not possible(ideal, y, 1.01 * limit)
+    limit = recovery_region.fastest_outward(ideal, y)
+    assert (
+        recovery_region.least_peak(ideal, y, 0.99 * limit)
+        < ideal.plant.stop
+        < recovery_region.least_peak(ideal, y, 1.01 * limit)
+    )
+    assert recovery_region.possible(ideal, y, 0.99 * limit) and not recovery_region.possible(ideal, y, 1.01 * limit)
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_recovers_from_the_centre_and_from_fig_4_but_not_from_beyond_the_stop(limited, law):
     one = limited.with_law(law)
-    assert peak(one, 0.0) < 1e-6
-    assert recovers(one, RELEASED_AT * one.plant.actuator.air_gap)
-    assert not recovers(one, 1.05 * one.plant.stop)
+    assert recovery_region.peak(one, 0.0) < 1e-6
+    assert recovery_region.recovers(one, RELEASED_AT * one.plant.actuator.air_gap)
+    assert not recovery_region.recovers(one, 1.05 * one.plant.stop)
 
 
 def test_more_current_recovers_from_further_out(limited):
     one = limited.with_law("smc")
     full = one.plant.actuator.bias_current
-    reached = [largest_release(one.with_limit(part * full)) for part in (0.4, 0.7, 1.0)]
+    reached = [recovery_region.largest_release(one.with_limit(part * full)) for part in (0.4, 0.7, 1.0)]
     assert reached == sorted(reached) and reached[0] < 0.9 * reached[-1] < one.plant.stop
 
 
@@ -70,7 +66,7 @@ def test_what_is_mirrored_is_what_is_computed(data):
     one = data.machine.with_law("smc_observer")
     row, column = 7, 12
     assert data.grid.velocities[row] < 0.0
-    computed = peak(one, data.grid.positions[column], data.grid.velocities[row])
+    computed = recovery_region.peak(one, data.grid.positions[column], data.grid.velocities[row])
     assert np.isfinite(computed)
     assert data.peaks["smc_observer"][row, column] == pytest.approx(computed, abs=1e-6)
 

@@ -119,11 +119,7 @@ class _Trial:
         """Nothing to close."""
 
     def _link(
-        self,
-        parameters: CanParameters,
-        identifiers: Sequence[int],
-        receive: Callable[[Frame, int], None],
-        clock: Callable[[], int],
+        self, _: CanParameters, identifiers: Sequence[int], receive: Callable[[Frame, int], None], *__: object
     ) -> _Trial:
         self._identifiers, self._receive = identifiers, receive
         return self

@@ -104,17 +104,17 @@ def pause_and_resume(scene: Scene) -> list[str]:
     return _recorded_in_parts(scene, "pause", "resume", (0.1, 0.5))
 
 
+def another_bag(scene: Scene) -> list[str]:
+    """The recorder finishes its bag and begins another."""
+    return _recorded_in_parts(scene, "stop", "start", (0.0, 0.3))
+
+
 def split(scene: Scene) -> list[str]:
     """The bag goes on in a new file; nothing is lost, so the recording is not taken for interrupted."""
     failures: list[str] = []
     _recorder(scene, "split", failures)
     scene.must_be_on(failures)
     return failures
-
-
-def another_bag(scene: Scene) -> list[str]:
-    """The recorder finishes its bag and begins another."""
-    return _recorded_in_parts(scene, "stop", "start", (0.0, 0.3))
 
 
 def kill(scene: Scene) -> list[str]:
