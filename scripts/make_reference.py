@@ -9,7 +9,7 @@ from pathlib import Path
 
 from straightcomp_ros import contract
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.messages.batch import BURST_TYPE
+from straightcomp_ros.messages.batch import BATCH_TYPE
 from straightcomp_ros.settings.declaration import declarations
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -42,8 +42,8 @@ def reference() -> str:
         numbers = ", ".join(f"`{name}`" for name in stream.layout.columns)
         lines.append(f"| `{stream.topic}` | {stream.layout.type_name} | {numbers} | {stream.description} |")
     for stream in contract.STREAMS:
-        text = f"The messages of `{stream.topic}` in bursts; see `straightcomp_ros/messages/batch.py`."
-        lines.append(f"| `{stream.burst_topic}` | {BURST_TYPE} | | {text} |")
+        text = f"The messages of `{stream.topic}` in batches; see `straightcomp_ros/messages/batch.py`."
+        lines.append(f"| `{stream.batch_topic}` | {BATCH_TYPE} | | {text} |")
     for constant, text in _texts_below_constants(contract).items():
         found = SLOW_TOPIC.fullmatch(text)
         if found:
@@ -63,7 +63,7 @@ def reference() -> str:
 
 
 def _other_streams() -> list[contract.Stream]:
-    """Those of the contract that go out neither at the control rate nor in bursts."""
+    """Those of the contract that go out neither at the control rate nor in batches."""
     found = [one for one in vars(contract).values() if isinstance(one, contract.Stream)]
     return [one for one in found if one not in contract.STREAMS]
 

@@ -26,9 +26,9 @@ class Stream:
     description: str
 
     @property
-    def burst_topic(self) -> str:
+    def batch_topic(self) -> str:
         """Topic on which a stream in :data:`STREAMS` goes out some messages at a time."""
-        return f"{self.topic}_bursts"
+        return f"{self.topic}_batches"
 
 
 ENCODER = Stream(
@@ -80,7 +80,7 @@ TRUTH = Stream(
 ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)
 """Streams of every graph."""
 STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
-"""Each goes out in bursts too, for who can wait; see :mod:`straightcomp_ros.messages.batch`."""
+"""Each goes out in batches too, for who can wait; see :mod:`straightcomp_ros.messages.batch`."""
 
 DISPLACEMENT = Stream(
     "displacement",

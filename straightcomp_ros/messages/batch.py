@@ -1,6 +1,6 @@
 """Several messages of a stream in one: to publish, to wake for and to take a message costs more than all else about it.
 
-A burst is a std_msgs/UInt8MultiArray whose data are the messages one after the other, each as it would be published by
+A batch is a std_msgs/UInt8MultiArray whose data are the messages one after the other, each as it would be published by
 itself, behind the time at which it was made: int64, ns since the epoch, little endian. All messages of a stream are of
 the same size.
 """
@@ -10,14 +10,14 @@ from collections.abc import Sequence
 
 from straightcomp_ros.messages.cdr import ENCAPSULATION, LayoutMismatch
 
-BURST_TYPE = "std_msgs/msg/UInt8MultiArray"
+BATCH_TYPE = "std_msgs/msg/UInt8MultiArray"
 _HEAD = struct.Struct("<4sIII")
 """Encapsulation, number of dimensions, data_offset, number of bytes."""
 _TIME = struct.Struct("<q")
 
 
-def pack_burst(messages: Sequence[tuple[int, bytes]]) -> bytes:
-    """Serialise a burst of messages: when each was made, in ns since the epoch, and its serialised bytes."""
+def pack_batch(messages: Sequence[tuple[int, bytes]]) -> bytes:
+    """Serialise a batch of messages: when each was made, in ns since the epoch, and its serialised bytes."""
     parts = [b""]
     for made_ns, data in messages:
         parts.append(_TIME.pack(made_ns))
@@ -27,22 +27,22 @@ def pack_burst(messages: Sequence[tuple[int, bytes]]) -> bytes:
     return b"".join(parts)
 
 
-def unpack_burst(burst: bytes, size: int) -> list[tuple[int, bytes]]:
-    """The messages of a serialised burst, as :func:`pack_burst` took them; ``size`` is that of one message.
+def unpack_batch(batch: bytes, size: int) -> list[tuple[int, bytes]]:
+    """The messages of a serialised batch, as :func:`pack_batch` took them; ``size`` is that of one message.
 
     Raises:
-        LayoutMismatch: these are not the bytes of a burst of such messages.
+        LayoutMismatch: these are not the bytes of a batch of such messages.
     """
     step = _TIME.size + size
-    if len(burst) < _HEAD.size:
-        raise LayoutMismatch(f"{BURST_TYPE}: {len(burst)} bytes, {_HEAD.size} expected at least")
-    encapsulation, dimensions, offset, length = _HEAD.unpack_from(burst)
+    if len(batch) < _HEAD.size:
+        raise LayoutMismatch(f"{BATCH_TYPE}: {len(batch)} bytes, {_HEAD.size} expected at least")
+    encapsulation, dimensions, offset, length = _HEAD.unpack_from(batch)
     plain = (encapsulation, dimensions, offset) == (ENCAPSULATION, 0, 0)
     # The middleware may pad a message to a multiple of 4 bytes.
-    padding = len(burst) - _HEAD.size - length
+    padding = len(batch) - _HEAD.size - length
     if not plain or not 0 <= padding < 4:
-        raise LayoutMismatch(f"{BURST_TYPE}: not a plain array of bytes")
+        raise LayoutMismatch(f"{BATCH_TYPE}: not a plain array of bytes")
     if length % step:
-        raise LayoutMismatch(f"{BURST_TYPE}: {length} bytes are no multiple of {step}, the size of one message")
+        raise LayoutMismatch(f"{BATCH_TYPE}: {length} bytes are no multiple of {step}, the size of one message")
     at = range(_HEAD.size, _HEAD.size + length, step)
-    return [(_TIME.unpack_from(burst, k)[0], burst[k + _TIME.size : k + step]) for k in at]
+    return [(_TIME.unpack_from(batch, k)[0], batch[k + _TIME.size : k + step]) for k in at]

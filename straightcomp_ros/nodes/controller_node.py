@@ -15,14 +15,14 @@ from straightcomp_ros.control.laws import make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
-from straightcomp_ros.runtime.batch_streams import BurstPublisher, BurstQueue, CopiedPublisher
+from straightcomp_ros.runtime.batch_streams import BatchPublisher, BatchQueue, CopiedPublisher
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.periodic import Loop, PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.streams import Inbox, subscribe, unspun_node
+from straightcomp_ros.runtime.streams import SubscriptionQueue, subscribe, unspun_node
 from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.settings.declaration import ParameterError
@@ -37,7 +37,7 @@ Answer = tuple[int, Command, float]
 """Stamp of the sample in ns, the law's command, age of the reference in s."""
 
 
-class ControllerPart:
+class ControllerComponent:
     """Pairs each sample with its reference and steps the law.
 
     ``trigger`` says what begins a cycle: the arrival of a sample, a timer, or in lockstep each message. When a cycle
@@ -63,7 +63,7 @@ class ControllerPart:
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()
         self._publish_command = CopiedPublisher(node, COMMAND, copied=not lockstep)
-        self._publish_state = BurstPublisher(node, CONTROLLER_STATE)
+        self._publish_state = BatchPublisher(node, CONTROLLER_STATE)
         self._samples_seen = self._commands = self._refused = 0
         self._gaps = StampGaps()
         self._trip = tripper(node)
@@ -75,8 +75,10 @@ class ControllerPart:
             subscribe(node, REFERENCE, self._on_reference)
         else:
             self._unspun = unspun_node(node)
-            self._samples = Inbox(node, self._unspun, ENCODER)
-            self._references = Inbox(node, self._unspun, REFERENCE, BurstQueue(node, self._unspun, REFERENCE))
+            self._samples = SubscriptionQueue(node, self._unspun, ENCODER)
+            self._references = SubscriptionQueue(
+                node, self._unspun, REFERENCE, BatchQueue(node, self._unspun, REFERENCE)
+            )
             period_ns = round(1e9 / parameters.rate)
             self._spare_ns = _SPARE_REFERENCES * period_ns
             self._apart_ns = period_ns // 2
@@ -213,7 +215,7 @@ class ControllerPart:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros controller_node`."""
-    return run_managed("controller", ControllerNodeParameters, ControllerPart)
+    return run_managed("controller", ControllerNodeParameters, ControllerComponent)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.runtime.batch_streams import BurstPublisher, CopiedPublisher
+from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher
 from straightcomp_ros.runtime.clock import from_monotonic, now_ns
 from straightcomp_ros.runtime.command_intake import CommandIntake
 from straightcomp_ros.runtime.locked_loop import LockedLoop
@@ -33,7 +33,7 @@ from straightcomp_ros.runtime.periodic import Loop, PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import SafetyPanel
 from straightcomp_ros.runtime.stage_trajectory import trajectory_from_message
-from straightcomp_ros.runtime.streams import Inbox, publisher, subscribe, unspun_node
+from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subscribe, unspun_node
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
@@ -49,7 +49,7 @@ _TURNS_OF_OTHERS = 3
 """The middleware's thread that receives the sample, the controller, and our own thread that receives the command."""
 
 
-class DriverPart:
+class DriverComponent:
     """Polls the hardware at its sampling rate, or runs it in lockstep with the controller.
 
     Args:
@@ -74,8 +74,8 @@ class DriverPart:
         self._publish_position = publisher(node, POSITION)
         # In lockstep no sample need follow the one that ends a motion.
         self._position_every = 1 if parameters.lockstep else POSITION_EVERY
-        self._publish_truth = BurstPublisher(node, TRUTH)
-        self._publish_state = BurstPublisher(node, DRIVER_STATE)
+        self._publish_truth = BatchPublisher(node, TRUTH)
+        self._publish_state = BatchPublisher(node, DRIVER_STATE)
         self._samples = 0
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)
@@ -96,7 +96,7 @@ class DriverPart:
             self._lockstep = Lockstep(node, self._hardware, period_ns, parameters.lockstep_delay, self._publish)
         else:
             self._unspun = unspun_node(node)
-            self._inbox = Inbox(node, self._unspun, COMMAND)
+            self._queue = SubscriptionQueue(node, self._unspun, COMMAND)
             if self._hardware.newest_arrival_ns is None:
                 self.loop = PeriodicLoop(period_ns, self._cycle, punctual=True)
             else:
@@ -112,7 +112,7 @@ class DriverPart:
         self._clock_watch.restart()
         self._sample_watch.restart()
         if self.loop:
-            self._inbox.fetch()
+            self._queue.fetch()
 
     def deactivate(self) -> None:
         """Amplifier off; no samples any more. A fault stays latched."""
@@ -173,7 +173,7 @@ class DriverPart:
     def _fetch_commands(self, now: int, system_now: int) -> None:
         if self._newest is not None and self._commands.stamp_ns == self._newest.stamp_ns:
             return  # the newest sample is answered
-        for stamp_ns, numbers, received_ns in self._inbox.fetch():
+        for stamp_ns, numbers, received_ns in self._queue.fetch():
             self._commands.accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
 
     def _publish(self, sample: Sample, truth: Truth | None) -> None:
@@ -281,7 +281,7 @@ def make_hardware(parameters: DriverNodeParameters) -> Hardware:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros driver_node`."""
-    return run_managed("driver", DriverNodeParameters, DriverPart)
+    return run_managed("driver", DriverNodeParameters, DriverComponent)
 
 
 if __name__ == "__main__":

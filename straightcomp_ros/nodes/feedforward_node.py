@@ -10,13 +10,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
-from straightcomp_ros.runtime.batch_streams import BurstPublisher, BurstQueue
+from straightcomp_ros.runtime.batch_streams import BatchPublisher, BatchQueue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.periodic import PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.streams import Inbox, unspun_node
+from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
 from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.settings.declaration import ParameterError
@@ -34,7 +34,7 @@ def _middle(_: float) -> tuple[float, float, float]:
     return 0.0, 0.0, 0.0
 
 
-class FeedforwardPart:
+class FeedforwardComponent:
     """Looks the reference up in the map for each sample, some samples at a time.
 
     The controller extrapolates an earlier reference, so nobody waits for this node.
@@ -46,14 +46,14 @@ class FeedforwardPart:
         self._map = load_map(parameters.map)
         node.get_logger().info(f"map {parameters.map.file}: {self._map.report}")
         self._feedforward = Feedforward(self._map, parameters.feedforward)
-        self._publish = BurstPublisher(node, REFERENCE, flushed=True)
+        self._publish = BatchPublisher(node, REFERENCE, flushed=True)
         self._trip = tripper(node)
         self._samples = 0
         self._x = math.nan
         self._centred = False
         self._gaps = StampGaps()
         self._unspun = unspun_node(node)
-        self._inbox = Inbox(node, self._unspun, ENCODER, BurstQueue(node, self._unspun, ENCODER))
+        self._queue = SubscriptionQueue(node, self._unspun, ENCODER, BatchQueue(node, self._unspun, ENCODER))
         self.loop = PeriodicLoop(round(parameters.interval * 1e9), self._cycle)
         node.create_service(Trigger, "~/reload_map", self._on_reload_map)
         node.create_service(SetBool, "~/center", self._on_center)
@@ -62,7 +62,7 @@ class FeedforwardPart:
 
     def activate(self) -> None:
         """Begin with the samples that come from now on."""
-        self._inbox.fetch()
+        self._queue.fetch()
         self._feedforward.reset()
         self._x = math.nan
 
@@ -134,7 +134,7 @@ class FeedforwardPart:
             )
 
     def _cycle(self, _: int) -> None:
-        for stamp_ns, numbers, _ in self._inbox.fetch():
+        for stamp_ns, numbers, _ in self._queue.fetch():
             self._samples += 1
             self._gaps.see(stamp_ns)
             self._x = numbers[0]
@@ -152,7 +152,7 @@ class FeedforwardPart:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros feedforward_node`."""
-    return run_managed("feedforward", FeedforwardNodeParameters, FeedforwardPart)
+    return run_managed("feedforward", FeedforwardNodeParameters, FeedforwardComponent)
 
 
 if __name__ == "__main__":

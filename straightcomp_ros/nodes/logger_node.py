@@ -20,7 +20,7 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.configuration.node_parameters import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.messages.cdr import header_stamp_ns
-from straightcomp_ros.runtime.batch_streams import BurstQueue
+from straightcomp_ros.runtime.batch_streams import BatchQueue
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.other_topics import OtherTopics, stored
@@ -36,7 +36,7 @@ from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, TIMER_E
 _FETCH_INTERVAL_NS = 20_000_000
 
 
-class LoggerPart:
+class LoggerComponent:
     """Fetches all messages 50 times a second; a recorder writes them on a thread of its own."""
 
     def __init__(self, node: ManagedNode, parameters: LoggerNodeParameters) -> None:
@@ -55,13 +55,13 @@ class LoggerPart:
         self._recorder = Recorder(_options(parameters), stamped, self._describe)
         for stream in STREAMS:
             depth = parameters.queue_depth
-            bursts = partial(BurstQueue, node, self._unspun, stream, depth, complete=True)
-            self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(depth), bursts)
+            batches = partial(BatchQueue, node, self._unspun, stream, depth, complete=True)
+            self._record(message_type(stream.layout.type_name), stream.topic, stream_qos(depth), batches)
         self._record(JointTrajectory, STAGE_TRAJECTORY, QoSProfile(depth=10))
         self._record(DiagnosticArray, DIAGNOSTICS, QoSProfile(depth=100))
-        bursts_of_ours = [node.resolve_topic_name(stream.burst_topic) for stream in STREAMS]
+        batches_of_ours = [node.resolve_topic_name(stream.batch_topic) for stream in STREAMS]
         self._others = OtherTopics(
-            node, self._unspun, others, [*self._topics, *bursts_of_ours], self._recorder.announce
+            node, self._unspun, others, [*self._topics, *batches_of_ours], self._recorder.announce
         )
         serve_recorder(node, self._recorder, self._start, self._fetch)
         Diagnostics(node, self._counters)
@@ -85,7 +85,7 @@ class LoggerPart:
         return self._recorder.other_min_free(parameters.min_free_bytes)
 
     def _record(
-        self, kind: Any, topic: str, qos: QoSProfile, make_queue: Callable[[], BurstQueue] | None = None
+        self, kind: Any, topic: str, qos: QoSProfile, make_queue: Callable[[], BatchQueue] | None = None
     ) -> None:
         if not self._chosen.fullmatch(topic.lstrip("/")):
             return
@@ -205,7 +205,7 @@ def _pattern(name: str, text: str) -> re.Pattern[str]:
 
 def main() -> int:
     """Entry point of `ros2 run straightcomp_ros logger_node`."""
-    return run_managed("logger", LoggerNodeParameters, LoggerPart)
+    return run_managed("logger", LoggerNodeParameters, LoggerComponent)
 
 
 if __name__ == "__main__":

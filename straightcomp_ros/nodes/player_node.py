@@ -18,7 +18,7 @@ from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.periodic import PeriodicLoop
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
-from straightcomp_ros.runtime.streams import Inbox, message_type, stream_qos, unspun_node
+from straightcomp_ros.runtime.streams import SubscriptionQueue, message_type, stream_qos, unspun_node
 
 _AFTERPLAY_S = 0.5
 """Time for the others to answer the last samples."""
@@ -62,7 +62,7 @@ class PlayerNode(Runnable):
         self._ahead = parameters.ahead or len(stamps)
         self._places = {stamp: place for place, stamp in enumerate(stamps)}
         self._answered, self._progress_ns = 0, 0
-        self._inbox = Inbox(node, unspun_node(node), COMMAND) if parameters.ahead else None
+        self._queue = SubscriptionQueue(node, unspun_node(node), COMMAND) if parameters.ahead else None
         period = sorted(b - a for a, b in zip(self._due_ns, self._due_ns[1:], strict=False))
         self.loop = PeriodicLoop(max(period[len(period) // 2] if period else 0, 50_000), self._cycle)
         Diagnostics(node, lambda: {"samples": self._next, "overruns": self.loop.overruns})
@@ -88,9 +88,9 @@ class PlayerNode(Runnable):
             self.done.set_result(0)
 
     def _see_answers(self, now_ns: int) -> None:
-        if self._inbox is None:
+        if self._queue is None:
             return
-        for stamp_ns, _, _ in self._inbox.fetch():
+        for stamp_ns, _, _ in self._queue.fetch():
             self._answered = max(self._answered, self._places.get(stamp_ns, -1) + 1)
             self._progress_ns = now_ns
         if now_ns - self._progress_ns > _SILENCE_NS:

@@ -1,8 +1,8 @@
-"""Streams in bursts: the same messages, eight in one, for readers that can wait.
+"""Streams in batches: the same messages, eight in one, for readers that can wait.
 
 To publish a message, to wake its reader and to take it costs either side some 20 µs, more than all else about it. The
 controller's samples and the driver's commands must come one by one. Whoever only records, looks on or looks ahead takes
-the bursts, and leaves the loop alone; a stream that nobody acts on is published one by one only where somebody has
+the batches, and leaves the loop alone; a stream that nobody acts on is published one by one only where somebody has
 subscribed to it.
 """
 
@@ -15,7 +15,7 @@ from rclpy.node import Node
 from std_msgs.msg import UInt8MultiArray
 
 from straightcomp_ros.contract import Stream
-from straightcomp_ros.messages.batch import pack_burst, unpack_burst
+from straightcomp_ros.messages.batch import pack_batch, unpack_batch
 from straightcomp_ros.messages.cdr import LayoutMismatch, header_stamp_ns
 from straightcomp_ros.runtime.inside_rclpy import raw_publish
 from straightcomp_ros.runtime.streams import (
@@ -26,32 +26,32 @@ from straightcomp_ros.runtime.streams import (
     stream_qos,
 )
 
-_BURST = 8
-"""Messages of a burst: 4 ms at 2 kHz."""
+_BATCH = 8
+"""Messages of a batch: 4 ms at 2 kHz."""
 _LONGEST = 64
 """The same after a stall, when many wait: what loopback sockets take in one packet."""
-_first_bursts = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
-"""Lengths of the first bursts of a process's streams: those of a node must not all fall into the same cycle."""
+_first_batches = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
+"""Lengths of the first batches of a process's streams: those of a node must not all fall into the same cycle."""
 _FLUSH_S = 0.5
-"""For the last samples, when no more come: a burst that nothing fills waits for so long at most."""
+"""For the last samples, when no more come: a batch that nothing fills waits for so long at most."""
 _DELIVERY = Duration(seconds=0.2)
-"""For readers to say that they have the last bursts; one that stands still is not waited for any longer."""
+"""For readers to say that they have the last batches; one that stands still is not waited for any longer."""
 _LOOK_NS = 200_000_000
 _LONGEST_DELAY_NS = 1_000_000_000
 
 
-class _Bursts:
-    """What goes out in bursts: serialised messages, and when each was made."""
+class _Batches:
+    """What goes out in batches: serialised messages, and when each was made."""
 
     def __init__(self, node: Node, stream: Stream) -> None:
-        self._publisher = node.create_publisher(UInt8MultiArray, stream.burst_topic, stream_qos(reliable=True))
+        self._publisher = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(reliable=True))
         self._publish = raw_publish(self._publisher)
         self._waiting: list[tuple[int, bytes]] = []
-        self._room = next(_first_bursts)
+        self._room = next(_first_batches)
 
     @property
     def full(self) -> bool:
-        """Whether the burst has all its messages."""
+        """Whether the batch has all its messages."""
         return self._room <= 0
 
     def add(self, data: bytes) -> None:
@@ -62,9 +62,9 @@ class _Bursts:
         """Publish what waits, and return it."""
         waiting, self._waiting = self._waiting, []
         if self._room <= 0:
-            self._room = _BURST
+            self._room = _BATCH
         for first in range(0, len(waiting), _LONGEST):
-            self._publish(pack_burst(waiting[first : first + _LONGEST]))
+            self._publish(pack_batch(waiting[first : first + _LONGEST]))
         return waiting
 
     def delivered(self) -> None:
@@ -72,8 +72,8 @@ class _Bursts:
         self._publisher.wait_for_all_acked(_DELIVERY)
 
 
-class BurstPublisher:
-    """A stream that nobody acts on at once: in bursts, and one by one while somebody subscribes to it.
+class BatchPublisher:
+    """A stream that nobody acts on at once: in batches, and one by one while somebody subscribes to it.
 
     Args:
         node: publishes.
@@ -83,7 +83,7 @@ class BurstPublisher:
 
     def __init__(self, node: Node, stream: Stream, flushed: bool = False) -> None:
         self._pack, self._flushed = stream.layout.pack, flushed
-        self._bursts = _Bursts(node, stream)
+        self._batches = _Batches(node, stream)
         self._publisher = stream_publisher(node, stream)
         self._publish = raw_publish(self._publisher)
         if not flushed:
@@ -91,13 +91,13 @@ class BurstPublisher:
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
         """Publish one message, now or with those that follow it."""
-        self._bursts.add(self._pack(stamp_ns, *numbers))
-        if self._bursts.full and not self._flushed:
+        self._batches.add(self._pack(stamp_ns, *numbers))
+        if self._batches.full and not self._flushed:
             self.flush()
 
     def flush(self) -> None:
         """Publish what waits."""
-        messages = self._bursts.flush()
+        messages = self._batches.flush()
         if messages and self._publisher.get_subscription_count():
             for _, data in messages:
                 self._publish(data)
@@ -105,21 +105,21 @@ class BurstPublisher:
     def finish(self) -> None:
         """Publish what waits, and see it delivered: before the node ends."""
         self.flush()
-        self._bursts.delivered()
+        self._batches.delivered()
 
 
 class CopiedPublisher:
-    """A stream that somebody waits for: each message at once, and a little later in a burst.
+    """A stream that somebody waits for: each message at once, and a little later in a batch.
 
     Args:
         node: publishes.
         stream: what it publishes.
-        copied: false for no bursts: where the next message may depend on the answer of somebody who reads them.
+        copied: false for no batches: where the next message may depend on the answer of somebody who reads them.
     """
 
     def __init__(self, node: Node, stream: Stream, copied: bool) -> None:
         self._pack, self._publish = stream.layout.pack, raw_publish(stream_publisher(node, stream))
-        self._bursts = _Bursts(node, stream) if copied else None
+        self._batches = _Batches(node, stream) if copied else None
         if copied:
             node.create_timer(_FLUSH_S, self.flush)
 
@@ -127,34 +127,34 @@ class CopiedPublisher:
         """Publish one message."""
         data = self._pack(stamp_ns, *numbers)
         self._publish(data)
-        if self._bursts is not None:
-            self._bursts.add(data)
+        if self._batches is not None:
+            self._batches.add(data)
 
     def copy(self) -> None:
-        """Publish the burst if it is full: when those who wait for the messages have got them."""
-        if self._bursts is not None and self._bursts.full:
-            self._bursts.flush()
+        """Publish the batch if it is full: when those who wait for the messages have got them."""
+        if self._batches is not None and self._batches.full:
+            self._batches.flush()
 
     def flush(self) -> None:
-        """Publish what no burst has had yet."""
-        if self._bursts is not None:
-            self._bursts.flush()
+        """Publish what no batch has had yet."""
+        if self._batches is not None:
+            self._batches.flush()
 
     def finish(self) -> None:
         """The same, and see it delivered: before the node ends."""
-        if self._bursts is not None:
-            self._bursts.flush()
-            self._bursts.delivered()
+        if self._batches is not None:
+            self._batches.flush()
+            self._batches.delivered()
 
 
-class BurstQueue:
-    """Messages of a stream from its bursts, or from the stream itself as long as nobody publishes any.
+class BatchQueue:
+    """Messages of a stream from its batches, or from the stream itself as long as nobody publishes any.
 
     Args:
         node: resolves the names.
         unspun: from :func:`straightcomp_ros.runtime.streams.unspun_node`.
         stream: what to receive.
-        depth: messages, or bursts, that may wait.
+        depth: messages, or batches, that may wait.
         complete: whatever is lost on the way is asked for again.
     """
 
@@ -165,23 +165,23 @@ class BurstQueue:
         kind = message_type(stream.layout.type_name)
         self._make_direct: Callable[[], RawQueue] = lambda: queue(kind, stream.topic)
         self._node, self._stream = node, stream
-        self._bursts = queue(UInt8MultiArray, stream.burst_topic, complete)
+        self._batches = queue(UInt8MultiArray, stream.batch_topic, complete)
         self._direct: RawQueue | None = self._make_direct()
         self._warned = False
         self._newest_ns: int | None = None
-        """Stamp of the last message that came directly; those of bursts up to it have been had."""
+        """Stamp of the last message that came directly; those of batches up to it have been had."""
         self._looked_ns = 0
 
     @property
     def connected(self) -> bool:
         """Whether a publisher is there, and the middleware has connected it."""
-        return self._bursts.connected or (self._direct is not None and self._direct.connected)
+        return self._batches.connected or (self._direct is not None and self._direct.connected)
 
     def fetch(self) -> Messages:
         """Messages since the last call, each once."""
         if self._direct is None:
             self._look()
-        copies = self._unpacked(self._bursts.fetch())
+        copies = self._unpacked(self._batches.fetch())
         messages: Messages = []
         if self._direct is not None:
             messages = self._direct.fetch()
@@ -196,31 +196,31 @@ class BurstQueue:
                 self._newest_ns = None
         return messages + copies
 
-    def _unpacked(self, bursts: Messages) -> Messages:
+    def _unpacked(self, batches: Messages) -> Messages:
         """The messages, with the time at which each was made as that of its source."""
         size, messages = self._stream.layout.size, Messages()
-        for burst, info in bursts:
+        for batch, info in batches:
             received_ns = info["received_timestamp"]
             try:
                 messages += [
                     (data, {"received_timestamp": received_ns, "source_timestamp": made_ns})
-                    for made_ns, data in unpack_burst(burst, size)
+                    for made_ns, data in unpack_batch(batch, size)
                 ]
             except LayoutMismatch as error:
                 if not self._warned:
-                    self._node.get_logger().warning(f"bursts on '{self._stream.burst_topic}' are dropped: {error}")
+                    self._node.get_logger().warning(f"batches on '{self._stream.batch_topic}' are dropped: {error}")
                     self._warned = True
         return messages
 
     @staticmethod
     def _came_directly(stamp_ns: int, newest_ns: int) -> bool:
-        # Bursts are late by some milliseconds: one that seems later is of another source, with another clock.
+        # Batches are late by some milliseconds: one that seems later is of another source, with another clock.
         return 0 <= newest_ns - stamp_ns < _LONGEST_DELAY_NS
 
     def _look(self) -> None:
-        """Now and then: is the bursts' publisher still there?"""
+        """Now and then: is the batches' publisher still there?"""
         now_ns = time.monotonic_ns()
         if now_ns - self._looked_ns >= _LOOK_NS:
             self._looked_ns = now_ns
-            if not self._bursts.connected:
+            if not self._batches.connected:
                 self._direct = self._make_direct()

@@ -13,7 +13,7 @@ Prepare = Callable[[Any], Callable[[], None]]
 
 
 class ParameterChanges:
-    """Refuses what the parameter set refuses, and what the part cannot do; the reason goes back to who asked.
+    """Refuses what the parameter set refuses, and what the component cannot do; the reason goes back to who asked.
 
     While the node is unconfigured any parameter may be changed: it is read by the next configuration. Later only those
     may that the set names in its ``dynamic``.
@@ -21,7 +21,7 @@ class ParameterChanges:
     Args:
         node: whose parameters have been declared.
         parameter_set: of the node.
-        refusals: what the part raises where it cannot.
+        refusals: what the component raises where it cannot.
     """
 
     def __init__(self, node: Node, parameter_set: type, refusals: tuple[type[Exception], ...]) -> None:
@@ -41,7 +41,7 @@ class ParameterChanges:
         return from_mapping(self._parameter_set, self._values())
 
     def follow(self, prepare: Prepare | None) -> None:
-        """From now on ``prepare`` (see :class:`~.managed.Part`) decides on changes; None: the node is unconfigured."""
+        """From now on ``prepare`` of the component decides on changes; None: the node is unconfigured."""
         self._prepare = prepare
 
     def _values(self) -> dict[str, Any]:

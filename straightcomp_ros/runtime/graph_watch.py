@@ -21,9 +21,9 @@ from straightcomp_ros.contract import (
     SAFETY_STATE,
     UNCONNECTED,
 )
-from straightcomp_ros.runtime.batch_streams import BurstQueue
+from straightcomp_ros.runtime.batch_streams import BatchQueue
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
-from straightcomp_ros.runtime.streams import Inbox, unspun_node
+from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES, reporting_node
 
 _REPORT_LASTS_S = 5.0
@@ -32,7 +32,7 @@ _DRIVER = "driver"
 _ERROR = CONTROLLER_STATE.layout.columns.index("error")
 _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
 Messages = Sequence[tuple[int, Sequence[float], int]]
-"""As :meth:`Inbox.fetch` gives them."""
+"""As :meth:`SubscriptionQueue.fetch` gives them."""
 
 
 class Fetched(NamedTuple):
@@ -56,10 +56,12 @@ class GraphWatch:
     def __init__(self, node: Node, *, batches: bool = True, fresh: float = 0.5, patient: bool = False) -> None:
         self._node, self._fresh = node, fresh
         unspun = unspun_node(node)
-        self._inboxes = [Inbox(node, unspun, POSITION)]
+        self._queues = [SubscriptionQueue(node, unspun, POSITION)]
         if batches:
             streams = (CONTROLLER_STATE, DRIVER_STATE)
-            self._inboxes += [Inbox(node, unspun, stream, BurstQueue(node, unspun, stream)) for stream in streams]
+            self._queues += [
+                SubscriptionQueue(node, unspun, stream, BatchQueue(node, unspun, stream)) for stream in streams
+            ]
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._safety = SafetyState()
@@ -75,7 +77,7 @@ class GraphWatch:
 
     def fetch(self) -> Fetched:
         """Take what has come; call it some ten times a second or more."""
-        fetched = Fetched(*(inbox.fetch() for inbox in self._inboxes))
+        fetched = Fetched(*(queue.fetch() for queue in self._queues))
         for number, (stamp_ns, (x, y), _) in enumerate(fetched.positions, 1):
             self._strokes.add_position(stamp_ns, x)
             if number % _YIELD_EVERY == 0 or number == len(fetched.positions):

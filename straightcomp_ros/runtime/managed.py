@@ -1,10 +1,10 @@
-"""A lifecycle node (ROS 2 managed node) around one part that does the work.
+"""A lifecycle node (ROS 2 managed node) around one component that does the work.
 
     unconfigured ──configure──▶ inactive ──activate──▶ active
                  ◀──cleanup────          ◀─deactivate─
 
-*Configure* reads the parameters and makes the part: files, hardware, topics, services. *Activate* starts it,
-*deactivate* stops it with its outputs safe, *cleanup* and *shutdown* release all that the part has made. A part that
+*Configure* reads the parameters and makes the component: files, hardware, topics, services. *Activate* starts it,
+*deactivate* stops it with its outputs safe, *cleanup* and *shutdown* release all that it has made. A component that
 fails is released too, and the node is unconfigured again. With the parameter ``autostart`` the node goes to active by
 itself, and its process ends when it fails, as that of a plain node does.
 """
@@ -40,7 +40,7 @@ EXIT_FAILURE = 1
 _HEARTBEAT_S = 0.1
 
 
-class Part(Protocol):
+class Component(Protocol):
     """What a managed node does. It is made by *configure*, and is at rest then."""
 
     loop: Loop | None
@@ -63,19 +63,19 @@ class Part(Protocol):
         """Release everything, saved and safe. The ROS context may be gone already."""
 
 
-MakePart = Callable[["ManagedNode", Any], Part]
+MakeComponent = Callable[["ManagedNode", Any], Component]
 
 
 class ManagedNode(WithSteadyTimers, LifecycleNode):
-    """The transitions; what they mean is the part's.
+    """The transitions; what they mean is the component's.
 
     Args:
         name: of the node.
         parameter_set: of the node, with a field ``autostart`` and one ``realtime``.
-        make: ``make(node, parameters)`` makes the part.
+        make: ``make(node, parameters)`` makes the component.
     """
 
-    def __init__(self, name: str, parameter_set: type, make: MakePart) -> None:
+    def __init__(self, name: str, parameter_set: type, make: MakeComponent) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.node = self
         self.done = Future()
@@ -83,7 +83,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         self.turn = Future()
         """Done when the state has changed: another loop, or none, is to run."""
         self._parameter_set, self._make = parameter_set, make
-        self._part: Part | None = None
+        self._component: Component | None = None
         self._active = False
         self._failure: Exception | None = None
         self._own: dict[str, set[Any]] = {}
@@ -106,7 +106,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         self.create_timer(_HEARTBEAT_S, self._beat)
         if self._autostart:
             self.trigger_configure()
-            if self._part is not None:
+            if self._component is not None:
                 self.trigger_activate()
             if self._failure is not None:
                 raise self._failure
@@ -114,7 +114,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
     @property
     def loop(self) -> Loop | None:
         """What is to run now in the place of the executor."""
-        return self._part.loop if self._part is not None and self._active else None
+        return self._component.loop if self._component is not None and self._active else None
 
     @property
     def active(self) -> bool:
@@ -122,7 +122,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         return self._active
 
     def fail(self, error: Exception) -> None:
-        """The part has failed: end the process, or, where somebody manages this node, become unconfigured."""
+        """The component has failed: end the process, or, where somebody manages this node, become unconfigured."""
         if self._failure is not None:
             return
         self._failure = error
@@ -133,32 +133,32 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
             self.trigger_deactivate()
 
     def close(self) -> None:
-        """Stop and release the part, where there is one."""
-        if self._active and self._part is not None:
+        """Stop and release the component, where there is one."""
+        if self._active and self._component is not None:
             self._active = False
-            self._part.deactivate()
+            self._component.deactivate()
         self._release()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._failure = None
-        # What the node has of its own stays when the part goes.
+        # What the node has of its own stays when the component goes.
         self._own = {kind: set(map(id, getattr(self, kind))) for kind in _DESTROY}
         self._own_timers = self.steady_timers.mark()
 
         def configure() -> None:
-            self._part = self._make(self, self._changes.parameters())
+            self._component = self._make(self, self._changes.parameters())
 
         code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
-        if code is TransitionCallbackReturn.SUCCESS and self._part is not None:
-            self._changes.follow(self._part.prepare)
+        if code is TransitionCallbackReturn.SUCCESS and self._component is not None:
+            self._changes.follow(self._component.prepare)
         else:
             self._destroy_entities()
         return code
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         def activate() -> None:
-            assert self._part is not None
-            self._part.activate()
+            assert self._component is not None
+            self._component.activate()
             self._active = True
 
         code = self._attempt(activate, TransitionCallbackReturn.ERROR)
@@ -171,7 +171,9 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._active = False
         self._turn()
-        code = self._attempt(self._part.deactivate if self._part is not None else None, TransitionCallbackReturn.ERROR)
+        code = self._attempt(
+            self._component.deactivate if self._component is not None else None, TransitionCallbackReturn.ERROR
+        )
         return TransitionCallbackReturn.ERROR if self._failure is not None else code
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -184,7 +186,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._turn()
         self._attempt(self.close, TransitionCallbackReturn.ERROR)
-        # Whatever happened, nothing of the part is left: the node can be configured anew.
+        # Whatever happened, nothing of the component is left: the node can be configured anew.
         return TransitionCallbackReturn.SUCCESS
 
     def _attempt(self, work: Callable[[], None] | None, otherwise: Any) -> TransitionCallbackReturn:
@@ -199,12 +201,12 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _release(self) -> None:
-        part, self._part = self._part, None
+        component, self._component = self._component, None
         self._active = False
         self._changes.follow(None)
         try:
-            if part is not None:
-                part.close()
+            if component is not None:
+                component.close()
         finally:
             self._destroy_entities()
             # What activation froze is to be found again.
@@ -239,7 +241,7 @@ _DESTROY = {
     "subscriptions": "destroy_subscription",
     "publishers": "destroy_publisher",
 }
-"""Kinds of entities that a part makes, and what destroys one."""
+"""Kinds of entities that a component makes, and what destroys one."""
 
 
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:

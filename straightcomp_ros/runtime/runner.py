@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakePart, ManagedNode
+from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakeComponent, ManagedNode
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
@@ -55,7 +55,7 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
     )
 
 
-def run_managed(name: str, parameter_set: type, make: MakePart, arguments: Sequence[str] | None = None) -> int:
+def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: Sequence[str] | None = None) -> int:
     """The same for a lifecycle node, whose work is made by its configuration; see :mod:`~.managed`."""
 
     def begun(node: ManagedNode) -> ManagedNode:

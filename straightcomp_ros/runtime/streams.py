@@ -23,8 +23,8 @@ def message_type(type_name: str) -> Any:
 
 
 def stream_qos(depth: int = 1000, reliable: bool = False) -> QoSProfile:
-    """Best effort: a late sample is worth nothing to a servo. Reliable: bursts for who records; the depth outlasts some
-    seconds of a process that is held up, where a socket's buffer is full after a twentieth of one."""
+    """Best effort: a late sample is worth nothing to a servo. Reliable: batches for who records; the depth outlasts
+    some seconds of a process that is held up, where a socket's buffer is full after a twentieth of one."""
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
     return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
 
@@ -74,14 +74,14 @@ class Fetched(Protocol):
         """Messages since the last call."""
 
 
-class Inbox:
+class SubscriptionQueue:
     """A stream whose messages wait in the middleware until they are fetched.
 
-    Nothing wakes this process when a message comes: where a loop looks into its inbox anyway, that saves two
+    Nothing wakes this process when a message comes: where a loop looks into its queue anyway, that saves two
     context switches a message. The subscription belongs to a node that no executor spins.
 
     Args:
-        node: for whose topic names and warnings the inbox stands.
+        node: for whose topic names and warnings the queue stands.
         unspun: from :func:`unspun_node`.
         stream: what to receive.
         queue: where its messages wait, if not in a queue of the stream's own topic.
@@ -152,7 +152,7 @@ class RawQueue:
 def unspun_node(node: Node) -> Node:
     """A hidden node (a leading underscore hides it in `ros2 node list`) for subscriptions that no executor serves."""
     return Node(
-        f"_{node.get_name()}_inbox",
+        f"_{node.get_name()}_subscriptions",
         namespace=node.get_namespace(),
         use_global_arguments=False,
         enable_rosout=False,

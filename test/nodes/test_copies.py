@@ -1,4 +1,4 @@
-"""Streams in bursts: each message comes once, whoever publishes."""
+"""Streams in batches: each message comes once, whoever publishes."""
 
 import time
 
@@ -7,8 +7,8 @@ import rclpy
 from rclpy.node import Node
 
 from straightcomp_ros.contract import ENCODER, TRUTH
-from straightcomp_ros.runtime.batch_streams import BurstPublisher, BurstQueue, CopiedPublisher
-from straightcomp_ros.runtime.streams import Inbox, unspun_node
+from straightcomp_ros.runtime.batch_streams import BatchPublisher, BatchQueue, CopiedPublisher
+from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
 
 pytestmark = pytest.mark.live
 
@@ -22,8 +22,8 @@ class Pair:
         rclpy.init()
         self.reader, self.writer = Node("reader"), Node("writer")
         self.unspun = unspun_node(self.reader)
-        self.queue = BurstQueue(self.reader, self.unspun, ENCODER)
-        self.inbox = Inbox(self.reader, self.unspun, ENCODER, self.queue)
+        self.queue = BatchQueue(self.reader, self.unspun, ENCODER)
+        self.received = SubscriptionQueue(self.reader, self.unspun, ENCODER, self.queue)
         self.stamps, self.sent = [], 0
 
     def wait(self, condition):
@@ -35,7 +35,7 @@ class Pair:
             self.fetch()
 
     def fetch(self):
-        self.stamps += [stamp for stamp, _, _ in self.inbox.fetch()]
+        self.stamps += [stamp for stamp, _, _ in self.received.fetch()]
 
     def direct_readers(self):
         return self.writer.count_subscribers(ENCODER.topic)
@@ -74,7 +74,7 @@ def test_a_reader_goes_over_to_the_copy_and_has_each_message_once(pair):
     time.sleep(0.5)
     pair.send(publish, 1000)
     pair.wait(lambda: len(pair.stamps) >= 1000)
-    # What a burst still lacks comes with the next look of its timer.
+    # What a batch still lacks comes with the next look of its timer.
     assert pair.stamps == [k * PERIOD for k in range(1000)]
     pair.wait(lambda: pair.direct_readers() == 0)
 
@@ -96,8 +96,8 @@ def test_when_the_copy_s_publisher_goes_the_stream_itself_is_read_again(pair):
 
 
 def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to_it(pair):
-    publish, sent = BurstPublisher(pair.writer, TRUTH), 0
-    bursts = BurstQueue(pair.reader, pair.unspun, TRUTH)
+    publish, sent = BatchPublisher(pair.writer, TRUTH), 0
+    batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
     numbers = [0.0] * len(TRUTH.layout.columns)
 
     def send(count):
@@ -110,15 +110,15 @@ def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to
     received = []
 
     def look():
-        received.extend(TRUTH.layout.unpack(data)[0] // PERIOD for data, _ in bursts.fetch())
+        received.extend(TRUTH.layout.unpack(data)[0] // PERIOD for data, _ in batches.fetch())
         return received
 
-    pair.wait(lambda: bursts.connected and pair.writer.count_subscribers(TRUTH.topic) == 1)
+    pair.wait(lambda: batches.connected and pair.writer.count_subscribers(TRUTH.topic) == 1)
     time.sleep(0.5)
     send(100)
-    # Having had the first burst the reader leaves the stream itself, and nobody else reads that.
+    # Having had the first batch the reader leaves the stream itself, and nobody else reads that.
     pair.wait(lambda: look() == list(range(100)) and pair.writer.count_subscribers(TRUTH.topic) == 0)
-    direct = Inbox(pair.reader, pair.unspun, TRUTH)
+    direct = SubscriptionQueue(pair.reader, pair.unspun, TRUTH)
     pair.wait(lambda: pair.writer.count_subscribers(TRUTH.topic) == 1)
     time.sleep(0.5)
     send(20)
@@ -128,16 +128,16 @@ def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to
     pair.wait(lambda: look() == list(range(120)))
 
 
-def test_a_message_of_a_burst_says_when_it_was_made_and_not_when_the_burst_went_out(pair):
-    publish = BurstPublisher(pair.writer, TRUTH, flushed=True)
-    bursts = BurstQueue(pair.reader, pair.unspun, TRUTH)
+def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_out(pair):
+    publish = BatchPublisher(pair.writer, TRUTH, flushed=True)
+    batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
     numbers = [0.0] * len(TRUTH.layout.columns)
-    pair.wait(lambda: bursts.connected)
+    pair.wait(lambda: batches.connected)
     time.sleep(0.5)
     publish(0, *numbers)
     publish.flush()
     first = []
-    pair.wait(lambda: first.extend(bursts.fetch()) or (first and not pair.writer.count_subscribers(TRUTH.topic)))
+    pair.wait(lambda: first.extend(batches.fetch()) or (first and not pair.writer.count_subscribers(TRUTH.topic)))
     made = []
     for k in range(1, 4):
         made.append(time.time_ns())
@@ -146,7 +146,7 @@ def test_a_message_of_a_burst_says_when_it_was_made_and_not_when_the_burst_went_
     flushed = time.time_ns()
     publish.flush()
     messages = []
-    pair.wait(lambda: messages.extend(bursts.fetch()) or len(messages) >= 3)
+    pair.wait(lambda: messages.extend(batches.fetch()) or len(messages) >= 3)
     for (_, times), at in zip(messages, made, strict=True):
         assert at <= times["source_timestamp"] < at + 50_000_000
         assert times["received_timestamp"] >= flushed

@@ -142,6 +142,6 @@ def test_once_the_amplifier_is_off_its_record_says_no_current_whatever_is_comman
     peer.until(lambda: not peer.amplifier_on())
     peer.states.clear()
     peer.until(lambda: len(peer.states) > 20)
-    # The first burst may have begun with the amplifier on.
+    # The first batch may have begun with the amplifier on.
     assert {state[_APPLIED] for state in peer.states if not state[_ENABLED]} == {0.0}
     assert not any(state[_ENABLED] for state in peer.states[8:])

@@ -117,8 +117,8 @@ def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order() -> None
     drawn = re.findall(r"── (\w+) ──", PATH_OF_A_SAMPLE.split("```")[1])
     assert drawn == [
         contract.ENCODER.topic,
-        contract.ENCODER.burst_topic,
-        contract.REFERENCE.burst_topic,
+        contract.ENCODER.batch_topic,
+        contract.REFERENCE.batch_topic,
         contract.COMMAND.topic,
     ]
 

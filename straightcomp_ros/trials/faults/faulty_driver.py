@@ -12,7 +12,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
-from straightcomp_ros.nodes.driver_node import DriverPart, make_hardware
+from straightcomp_ros.nodes.driver_node import DriverComponent, make_hardware
 from straightcomp_ros.runtime.clock import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.runner import run_managed
@@ -23,7 +23,7 @@ CLOCK_STEP, LATE_COMMANDS, NEW_MACHINE = "clock_step", "late_commands", "new_mac
 _STEP_NS = 1_000_000_000
 
 
-class FaultyDriver(DriverPart):
+class FaultyDriver(DriverComponent):
     """The driver, with faults of its machine (see :mod:`~.faulty_machine`), clock and connection."""
 
     def __init__(self, node: ManagedNode, parameters: DriverNodeParameters) -> None:

@@ -26,7 +26,7 @@ from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints, trajectory_from_message
-from straightcomp_ros.runtime.streams import Inbox, publisher, unspun_node
+from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, unspun_node
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
@@ -79,7 +79,7 @@ class Stand:
         self.condition, self.fault, self.tripped = "", None, None
         self.injected_ns = 0
         self._sends = 0
-        self._echoed: Inbox | None = None
+        self._echoed: SubscriptionQueue | None = None
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             self.node = Node("fault_stand")
@@ -160,7 +160,7 @@ class Stand:
         """Be a second controller, or no longer: say each command again."""
         if on:
             self._unspun = unspun_node(self.node)
-            self._echoed = Inbox(self.node, self._unspun, COMMAND)
+            self._echoed = SubscriptionQueue(self.node, self._unspun, COMMAND)
         elif self._echoed is not None:
             self._echoed = None
             self._unspun.destroy_node()
