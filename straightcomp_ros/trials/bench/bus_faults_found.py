@@ -1,4 +1,4 @@
-"""How many injected faults of a bus are found, and what the machine does about them."""
+"""Counts how many injected bus faults are detected, and how the machine reacts to them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,9 +10,9 @@ from straightcomp_ros.trials.bench.can_servo_trial import run_servo_trial
 
 _RATE = 0.02
 _TOGETHER, _CUT = 0.002, 0.0002
-"""Rates of each kind when all come together, in a closed loop that is to be on for most of the time."""
+"""Rates of all kinds together, for a closed loop that stays on most of the time."""
 COUNTED = tuple(kind for kind in KINDS if kind != "cut")
-"""Kinds that hurt one frame. A cut hurts the link, and is tried on a real one."""
+"""Kinds that damage one frame. A cut affects the link, and is tested on a real one."""
 _BUSES = {"classic": False, "fd": True}
 
 

@@ -23,21 +23,21 @@ from straightcomp_ros.trials.bench.recorded_window import Recording, read_window
 from straightcomp_ros.trials.bench.window import Window, growth_mb_per_hour
 
 _SETTLE_S = 1.5
-"""Motion before the window: the caches are filled by then, and the loops are locked to each other."""
+"""Motion before the window, in which caches fill and loops lock to each other."""
 _REST_S = 1.0
-"""Time after the window, so that its last samples are answered and recorded."""
+"""Time after the window in which its last samples are answered and recorded."""
 _PAUSE_S = 0.5
 _DRIVER_TIMEOUT_S = 1.0
-"""The machine forgives this much: a stall is to be measured, not to switch the law off."""
+"""Command timeout of the machine: a stall must be measured, not switch the amplifier off."""
 _SCALED = {
     "driver": {"simulated.sample_memory": SimulatedParameters().sample_memory},
     "controller": {"reference_lead": ControllerNodeParameters().reference_lead},
 }
-"""Lengths of time that are given in samples: they stay what they are in seconds."""
+"""Durations that are parameters in samples; they are converted so that they stay the same in seconds."""
 
 
 class BenchFailed(RuntimeError):
-    """There is nothing to measure; the message says which node failed, and how."""
+    """The measurement failed; the message names the node and the reason."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def bench_parameters(
     chosen["controller"]["rate"] = rate
     stroke_s = 0.5 * (_SETTLE_S + seconds + _REST_S - _PAUSE_S)
     stroke, acceleration = min(STROKE, 0.2 * stroke_s), 1.0
-    # A trapezoid takes stroke/speed + speed/acceleration.
+    # A trapezoidal motion takes stroke/speed + speed/acceleration.
     speed = 0.5 * acceleration * (stroke_s - math.sqrt(stroke_s**2 - 4.0 * stroke / acceleration))
     chosen["cell"] |= {
         "motion.start": 0.0,
@@ -185,7 +185,7 @@ def measure(
         progress(fraction)
         if window.finished:
             finished.append(now)
-        # The window's last samples are answered and recorded then.
+        # By then the window's last samples are answered and recorded.
         return bool(finished) and now >= finished[0] + _REST_S
 
     try:

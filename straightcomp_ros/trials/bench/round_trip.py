@@ -1,4 +1,4 @@
-"""Times the way from an emulated board to its host and back, with hub, board and host in processes of their own."""
+"""Times the round trip from an emulated board to its host and back, with hub, board and host as separate processes."""
 
 import json
 import signal
@@ -33,7 +33,7 @@ _LOOK_S = 0.1
 
 
 class RoundTripFailed(RuntimeError):
-    """There is nothing to measure; the message says what failed."""
+    """The measurement failed; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
 
 
 class _Host:
-    """Answers each sample with "off" in a thread of its own, as the driver's loop does."""
+    """Answers each sample with "off" in a separate thread, like the driver's loop."""
 
     def __init__(self, parameters: CanParameters) -> None:
         self.receiver = Receiver(parameters)
@@ -160,7 +160,7 @@ def _bus(parameters: CanParameters, identifier: int) -> can.BusABC:
 
 
 def _costs(parameters: CanParameters) -> tuple[float, float]:
-    """Median µs of a frame for sender and receiver; the receiver finds its frames waiting."""
+    """Median µs of a frame for sender and receiver; the receiver's frames have arrived before."""
     identifier, payload = 0x123, bytes(16 if parameters.fd else 8)
     sending, receiving = [], []
     with _bus(parameters, identifier) as sender, _bus(parameters, identifier) as receiver:
