@@ -23,7 +23,7 @@ SUMMARY = "run the graph for a long time under random actions and check it after
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_parameter_options(parser)
-    parser.add_argument("--minutes", type=float, default=30.0, help="duration of the actions (default: 30)")
+    parser.add_argument("--minutes", type=float, default=30.0, help="duration of the actions in minutes (default: 30)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the random choices (default: 1)")
     parser.add_argument(
         "--output",
