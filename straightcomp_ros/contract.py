@@ -45,7 +45,7 @@ REFERENCE = Stream(
 COMMAND = Stream(
     "command",
     joint_state([PLATFORM], effort=["control_current"]),
-    "Control current i_c in A, stamped as the sample that it was computed from.",
+    "Control current i_c in A, with the stamp of the sample that it was computed from.",
 )
 _CONTROLLER_VARIABLES = (
     "error",
@@ -60,16 +60,16 @@ CONTROLLER_STATE = Stream(
     "controller_state",
     joint_state(_CONTROLLER_VARIABLES, position=_CONTROLLER_VARIABLES),
     "Inner variables of the control law: error in m, sliding variable in m/s, the two parts of the control current "
-    "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN where the law has none), age of the reference "
+    "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN if the law has none), age of the reference "
     "in s: stamp of the sample minus stamp of its reference.",
 )
 _DRIVER_VARIABLES = ("command_latency", "lateness", "applied_current", "enabled")
 DRIVER_STATE = Stream(
     "driver_state",
     joint_state(_DRIVER_VARIABLES, position=_DRIVER_VARIABLES),
-    "The driver's own record of each sample: time from the sample that the newest command belongs to until that "
-    "command came in, s (NaN when none came since the last sample); time from this sample until it was published, "
-    "s; control current asked of the amplifier, A; amplifier on (1) or off (0).",
+    "The driver's record of each sample: time from the newest command's sample until that command arrived, s (NaN if "
+    "none arrived since the last sample); time from this sample until it was published, s; control current requested "
+    "from the amplifier, A; amplifier on (1) or off (0).",
 )
 _TRUTH_VARIABLES = ("true_x", "true_y", "true_y_dot", "friction_force", "magnetic_force", "guide_deviation")
 TRUTH = Stream(
@@ -85,8 +85,8 @@ STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
 DISPLACEMENT = Stream(
     "displacement",
     joint_state(["displacement"], position=["deviation"]),
-    "Surveys only: reading of the displacement sensor that looks from the slider at a straight edge, in m. Its own "
-    "node publishes it; no node of ours needs it.",
+    "Surveys only: reading in m of a displacement sensor on the slider that measures against a straight edge. A "
+    "separate node publishes it; no node of this package needs it.",
 )
 
 POSITION = Stream(

@@ -15,7 +15,7 @@ class StrokeErrors:
     """
 
     def __init__(self) -> None:
-        self.still = True  # the stage stands
+        self.still = True  # the stage is at rest
         self.last_pp = math.nan  # error over the last finished movement, m
         self.finished = 0  # movements so far
         self._positions: deque[tuple[int, float]] = deque()

@@ -102,7 +102,7 @@ class SafetyPanel:
             self._node.get_logger().error(f"fault, amplifier off: {self._safety.reason}")
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Switch the amplifier on (refused while a fault is latched or no fresh command comes in), or off."""
+        """Switch the amplifier on (refused while a fault is latched or fresh commands are missing), or off."""
         if not request.data:
             self._safety.disable()
             response.success, response.message = True, "amplifier off"

@@ -152,7 +152,7 @@ def _others() -> Iterator[tuple[int, set[int]]]:
     """Threads of normal priority, with the CPUs that they may use."""
     for task in _PROCESSES.glob("[0-9]*/task/[0-9]*"):
         thread = int(task.name)
-        # It may have ended meanwhile.
+        # The thread may have ended.
         with suppress(OSError):
             if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK not in _REAL_TIME:
                 yield thread, os.sched_getaffinity(thread)

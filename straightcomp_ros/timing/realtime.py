@@ -81,7 +81,7 @@ def _set_cpus(names: str) -> None:
     rest = permitted - loop or loop
     cpus = {"loop": loop, "rest": rest}.get(names) or {int(cpu) for cpu in names.split(",")}
     for thread in map(int, os.listdir(_THREADS)):
-        # A thread may end meanwhile.
+        # A thread may have ended.
         with suppress(ProcessLookupError):
             os.sched_setaffinity(thread, cpus)
 

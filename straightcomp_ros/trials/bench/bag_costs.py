@@ -44,21 +44,21 @@ def run(
     record_s: float = 20.0,
     progress: Callable[[str, float], None] = lambda text, done: None,
 ) -> dict[str, Any]:
-    """Measure all.
+    """Measure everything.
 
     Args:
         bag: a recorded stroke; a full stroke forward and back is simulated if None.
-        kill_runs: recordings that are killed.
+        kill_runs: number of recordings to kill.
         record_s: length in s of the live recording, 16,000 messages a second on 8 topics.
-        progress: called with what comes next, and the fraction that is done.
+        progress: called with the name of the next step, and the finished fraction.
 
     Returns:
-        ``record`` {lost, cpu_cores, us_per_message, bytes_per_message}: the first two of the live recording by the
-        logger's process, the others of writing ``bag`` again; ``read`` {ours_us, rosbags_us, mcap_ros2_us,
+        ``record`` {lost, cpu_cores, us_per_message, bytes_per_message}: the first two for the live recording by the
+        logger's process, the others for writing ``bag`` again; ``read`` {ours_us, rosbags_us, mcap_ros2_us,
         equal} (µs per message), ``evaluate_s``, ``kill`` {runs, max_lost_s}, ``audit`` {commands, different}.
 
     Raises:
-        BagError: the bag is refused.
+        BagError: the bag cannot be used.
         LaunchError: a node could not be started.
     """
     if bag is not None:

@@ -19,17 +19,17 @@ _BUSES = {"classic": False, "fd": True}
 def fault_run(
     guide: StraightnessMap, frames: int, seed: int, progress: Callable[[float], object]
 ) -> tuple[dict[str, dict[str, int]], dict[str, dict[str, Any]], int]:
-    """Try each kind of fault alone on the receiver, and all together on the closed loop, on both kinds of bus.
+    """Test each kind of fault alone on the receiver, and all together on the closed loop, on both kinds of bus.
 
     Args:
         guide: of the simulated machine.
-        frames: for each kind and bus, and for each closed loop.
+        frames: number for each kind and bus, and for each closed loop.
         seed: of the faults.
-        progress: called with the share that is done.
+        progress: called with the finished fraction.
 
     Returns:
-        By kind ``injected`` and ``detected``, both buses together; by bus what the closed loop did; wrong samples
-        that were used unflagged, in all of it.
+        By kind the counts ``injected`` and ``detected`` on both buses; by bus the result of the closed loop; the total
+        of wrong samples that were used unflagged.
     """
     counts = {kind: {"injected": 0, "detected": 0} for kind in COUNTED}
     loops: dict[str, dict[str, Any]] = {}

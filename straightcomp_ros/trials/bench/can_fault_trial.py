@@ -69,7 +69,7 @@ def _to_and_fro(way: int, length: int) -> int:
 def run_trial(
     rates: Mapping[str, float], *, fd: bool, frames: int = 20_000, first: int = 0, drift: float = 100e-6, seed: int = 1
 ) -> Trial:
-    """Send ``frames`` samples, of which those after the clock has settled suffer faults.
+    """Send ``frames`` samples, and inject faults after the clock has settled.
 
     Args:
         rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.

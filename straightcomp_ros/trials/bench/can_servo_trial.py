@@ -37,17 +37,17 @@ _REFERENCE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class ServoTrial:
-    """What the machine did.
+    """Result of a trial of the closed loop.
 
     Attributes:
         frames: samples that the board sent.
         injected: faults by kind, both directions together.
         state: of the amplifier at the end, as the host sees it.
-        on: share of the time in which the servo was on.
-        latched: how often a fault was latched, by its words without times.
+        on: fraction of the time in which the servo was on.
+        latched: number of latched faults, by their texts without times.
         unsafe: samples that the board took with the amplifier on although the host had latched a fault longer ago than
             the board's command timeout.
-        unflagged_wrong: samples that the servo was given and that the board had not taken so, or at another time.
+        unflagged_wrong: samples that the servo got with values or times other than those that the board sampled.
     """
 
     frames: int
@@ -62,9 +62,9 @@ class ServoTrial:
 def run_servo_trial(
     rates: Mapping[str, float], guide: StraightnessMap, *, fd: bool, frames: int = 20_000, seed: int = 1
 ) -> ServoTrial:
-    """Hold the platform for ``frames`` samples while the stage moves and each frame of either side suffers faults.
+    """Hold the platform for ``frames`` samples while the stage moves, with faults in the frames of both sides.
 
-    The amplifier is switched on as soon as that is allowed, and again after each latched fault.
+    The trial switches the amplifier on as soon as possible, and again after each latched fault.
 
     Args:
         rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.

@@ -48,8 +48,8 @@ class Measurement:
         timing: each node in the window, from its diagnostics.
         cpu_cores: CPU cores that each node kept busy.
         rss_mb: resident memory of each node at begin and end, MB.
-        growth_mb_per_hour: slope of that memory; says something only over many minutes.
-        recording: what the bag has of the window.
+        growth_mb_per_hour: slope of that memory; meaningful only over many minutes.
+        recording: the bag's streams in the window.
         seconds: length of the window.
     """
 
@@ -93,9 +93,9 @@ def bench_parameters(
     """Parameters of a measured run.
 
     Args:
-        values: by node and dotted name, what the run starts from.
+        values: parameters to start from, by node and dotted name.
         rate: samples per second, of machine and controller.
-        seconds: that are measured; the stage moves all the time, and a little longer.
+        seconds: length of the window; the stage moves a little longer.
         priority: SCHED_FIFO priority of all nodes, with CPUs kept awake; 0 for normal scheduling.
 
     Raises:
@@ -134,10 +134,10 @@ _CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}
 
 
 def view_beside(priority: int) -> dict[str, Sequence[str]]:
-    """The live view and a page that is open on it, as programs to run beside the graph.
+    """Commands of the live view and of a client that reads its page, to run beside the graph.
 
     Args:
-        priority: SCHED_FIFO priority of the graph's nodes, and so of the view's.
+        priority: SCHED_FIFO priority of the graph's nodes, which the view needs too.
     """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -163,8 +163,8 @@ def measure(
         values: from :func:`bench_parameters`, for the same ``seconds``.
         folder: gets bag, logs and parameter file; must not hold a bag.
         seconds: length of the window.
-        progress: called with the fraction of the stage's motion that is done.
-        beside: further programs by name that run meanwhile.
+        progress: called with the finished fraction of the stage's motion.
+        beside: further programs to run during the measurement, by name.
         look_interval: time between two looks at the nodes' memory, s.
 
     Raises:

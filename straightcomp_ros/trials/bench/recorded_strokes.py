@@ -39,7 +39,7 @@ class Commanded:
 
     Args:
         stroke_ns: duration of a stroke; forward and backward in turn, the first forward.
-        strokes: how many a motion has.
+        strokes: number of strokes in a motion.
     """
 
     def __init__(self, stroke_ns: int, strokes: int) -> None:

@@ -18,8 +18,8 @@ class Recording:
 
     Attributes:
         expected: samples that the sampling clock took in the window.
-        missing: by topic, how many of them have no message there.
-        amplifier_on: fraction of the recorded samples with the amplifier on; the law is at work only there.
+        missing: by topic, the number of these samples without a message.
+        amplifier_on: fraction of the recorded samples with the amplifier on, which the law acts on.
         latency: (n,) time in s from each sample to the arrival of its command at the driver, as far as recorded.
     """
 

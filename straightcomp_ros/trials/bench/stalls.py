@@ -48,7 +48,7 @@ class Stalls:
                 process.stdin.close()
 
     def total_ms(self, begin_ns: int, end_ns: int) -> float:
-        """How long the CPU that stood still for longest did so, in ms, by all stalls that reach into this time.
+        """Total stall time in ms of the CPU with the longest, over all stalls that overlap this time.
 
         Args:
             begin_ns, end_ns: ns since the epoch.

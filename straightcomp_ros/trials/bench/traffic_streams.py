@@ -31,11 +31,11 @@ def record_traffic(work: Path, seconds: float) -> tuple[int, float]:
     """Record for ``seconds``; the bag is ``traffic`` in the folder ``work``.
 
     Returns:
-        How many of the published messages the bag lacks, and how many CPU cores the logger took meanwhile.
+        Number of published messages that the bag lacks, and number of CPU cores that the logger used.
 
     Raises:
         LaunchError: a node could not be started.
-        BagError: the machine was too busy to publish at the rate.
+        BagError: the computer was too busy to publish at the rate.
     """
     bag = work / "traffic"
     others = "|".join(f"/{stream.topic}" for stream in BESIDE_THE_STREAMS)

@@ -251,11 +251,11 @@ def run_trials(
         values: from :func:`trial_parameters`.
         folder: for bags and logs.
         repeats: injections of each fault.
-        progress: called before each injection with the row's name and the fraction that is done.
-        trials: which.
+        progress: called before each injection with the row's name and the finished fraction.
+        trials: the trials to run.
 
     Raises:
-        LaunchError: the graph does not come up, or not again.
+        LaunchError: the graph does not start, or not again.
     """
     rows = []
     with Stand(folder, values) as stand:

@@ -37,20 +37,20 @@ def run_soak(
     seed: int,
     progress: Callable[[str, float], None] = lambda kind, fraction: None,
 ) -> Soak:
-    """Run.
+    """Run the graph with actions for ``seconds``, then check what it left.
 
-    In the first half two of the nodes are killed, in the second the two others, so that each has a process that lives
-    for half of the time. All kinds of action are done equally often, in random order.
+    Only two of the nodes are killed in the first half, and only the other two in the second, so that each has a process
+    that lives for half of the time. All kinds of action are done equally often, in random order.
 
     Args:
         values: from :func:`straightcomp_ros.trials.faults.injections.trial_parameters`.
         folder: for bags and logs.
-        seconds: that actions are done; the start, the end and the reading of the bags come on top.
-        seed: of the choices. What the machine does with them differs from run to run.
-        progress: called before each action with its kind and the fraction of the time that is over.
+        seconds: duration of the actions; start, end and reading of the bags take extra time.
+        seed: of the random choices. Their effects differ from run to run.
+        progress: called before each action with its kind and the elapsed fraction of the time.
 
     Raises:
-        LaunchError: the graph does not come up at all.
+        LaunchError: the graph does not start.
     """
     rng = random.Random(seed)
     result, lives = Soak(seed), Lives()

@@ -41,16 +41,16 @@ class _Report(NamedTuple):
 
 
 class Scene:
-    """What actions act on.
+    """Everything that actions act on.
 
     Args:
         stand: with the graph started.
-        rng: chooses.
+        rng: makes the random choices.
         rate: samples per second.
         result: gets faults and times.
-        stalls: tells whether this machine stood still.
-        log: file for what is done, and when.
-        maps: files with a map that the feedforward may be given.
+        stalls: tells whether this computer stalled.
+        log: file that lists the actions with their times.
+        maps: map files between which the feedforward may change.
 
     Attributes:
         killable: nodes that may be killed now.
