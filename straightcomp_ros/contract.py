@@ -1,7 +1,7 @@
-"""What the nodes say to each other: topics, joint names, columns. Each is written here and nowhere else.
+"""The interface between the nodes: topics, joint names, columns. This is their only definition.
 
-All numbers are SI (m, s, A, N). Every stream is stamped with the time of the encoder sample that it
-belongs to: the stamp is the sample's identity, so a command can be traced to its sample.
+All numbers are SI (m, s, A, N). Every stream carries the stamp of the encoder sample that it belongs to. The stamp
+identifies the sample, so a command can be traced to its sample.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class Stream:
 
     @property
     def batch_topic(self) -> str:
-        """Topic on which a stream in :data:`STREAMS` goes out some messages at a time."""
+        """Topic of the batches of a stream in :data:`STREAMS`."""
         return f"{self.topic}_batches"
 
 
@@ -45,7 +45,7 @@ REFERENCE = Stream(
 COMMAND = Stream(
     "command",
     joint_state([PLATFORM], effort=["control_current"]),
-    "Control current i_c in A, stamped as the sample that it was computed from.",
+    "Control current i_c in A, with the stamp of the sample that it was computed from.",
 )
 _CONTROLLER_VARIABLES = (
     "error",
@@ -60,16 +60,16 @@ CONTROLLER_STATE = Stream(
     "controller_state",
     joint_state(_CONTROLLER_VARIABLES, position=_CONTROLLER_VARIABLES),
     "Inner variables of the control law: error in m, sliding variable in m/s, the two parts of the control current "
-    "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN where the law has none), age of the reference "
+    "in A, velocity estimate in m/s, disturbance estimate in m/s² (NaN if the law has none), age of the reference "
     "in s: stamp of the sample minus stamp of its reference.",
 )
 _DRIVER_VARIABLES = ("command_latency", "lateness", "applied_current", "enabled")
 DRIVER_STATE = Stream(
     "driver_state",
     joint_state(_DRIVER_VARIABLES, position=_DRIVER_VARIABLES),
-    "The driver's own record of each sample: time from the sample that the newest command belongs to until that "
-    "command came in, s (NaN when none came since the last sample); time from this sample until it was published, "
-    "s; control current asked of the amplifier, A; amplifier on (1) or off (0).",
+    "The driver's record of each sample: time from the newest command's sample until that command arrived, s (NaN if "
+    "none arrived since the last sample); time from this sample until it was published, s; control current requested "
+    "from the amplifier, A; amplifier on (1) or off (0).",
 )
 _TRUTH_VARIABLES = ("true_x", "true_y", "true_y_dot", "friction_force", "magnetic_force", "guide_deviation")
 TRUTH = Stream(
@@ -78,15 +78,15 @@ TRUTH = Stream(
     "Simulation only: the plant's true state at the sample: m, m/s, N, and the guide's deviation δ(x) in m.",
 )
 ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)
-"""Streams of every graph."""
+"""Streams that every graph publishes."""
 STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
-"""Each goes out in batches too, for who can wait; see :mod:`straightcomp_ros.messages.batch`."""
+"""Each is also published in batches, for subscribers that can wait; see :mod:`straightcomp_ros.messages.batch`."""
 
 DISPLACEMENT = Stream(
     "displacement",
     joint_state(["displacement"], position=["deviation"]),
-    "Surveys only: reading of the displacement sensor that looks from the slider at a straight edge, in m. Its own "
-    "node publishes it; no node of ours needs it.",
+    "Surveys only: reading in m of a displacement sensor on the slider that measures against a straight edge. A "
+    "separate node publishes it; no node of this package needs it.",
 )
 
 POSITION = Stream(
@@ -95,20 +95,20 @@ POSITION = Stream(
     "Every twentieth sample of both encoders in m, for nodes that only watch. Not recorded.",
 )
 POSITION_EVERY = 20
-"""Samples to one message of ``position``; in lockstep each has its own."""
+"""Samples per message of ``position``; in lockstep every sample has one."""
 
 CLOCK = "/clock"
-"""rosgraph_msgs/Clock, from the player while its parameter `clock` is true: time of the played samples."""
+"""rosgraph_msgs/Clock, published by the player if its parameter `clock` is true: time of the played samples."""
 STAGE_TRAJECTORY = "stage_trajectory"
-"""trajectory_msgs/JointTrajectory: motion asked of the stage (joint `stage_x`)."""
+"""trajectory_msgs/JointTrajectory: requested motion of the stage (joint `stage_x`)."""
 DIAGNOSTICS = "/diagnostics"
-"""diagnostic_msgs/DiagnosticArray, 1 Hz, from each node of every namespace; a status is named ``namespace/node``."""
+"""diagnostic_msgs/DiagnosticArray, 1 Hz, from each node in any namespace; a status is named ``namespace/node``."""
 UNCONNECTED = "unconnected"
-"""Value in the logger's diagnostics: full names of the topics that nobody publishes yet, separated by blanks."""
+"""Value in the logger's diagnostics: full names of the topics that no node publishes yet, separated by blanks."""
 SAFETY_STATE = "safety_state"
 """diagnostic_msgs/DiagnosticStatus, latched, from the driver at each change: level, fault's name (empty without one),
-message; values `condition` (off, on, fault) and `time_ns`, when that began, ns since the epoch."""
+message; values `condition` (off, on, fault) and `time_ns`, when the condition began, ns since the epoch."""
 TRIP = "trip"
-"""diagnostic_msgs/DiagnosticStatus: a message switches the amplifier off; name: the fault, message: the reason."""
+"""diagnostic_msgs/DiagnosticStatus: makes the driver switch the amplifier off; name: the fault, message: the reason."""
 HEARTBEAT = "heartbeat"
-"""diagnostic_msgs/DiagnosticStatus, ten times a second from each lifecycle node: name, and its state as message."""
+"""diagnostic_msgs/DiagnosticStatus, ten times a second from each lifecycle node: its name, and its state as message."""

@@ -1,4 +1,4 @@
-"""The graph's processes for one cycle of the stage: started, followed to the cell's end, stopped."""
+"""Runs the graph's processes for one cycle of the stage: starts them, follows the cell to its end, stops them."""
 
 import select
 import sys
@@ -12,16 +12,16 @@ import yaml
 from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words
 
 RECORDED = ("driver", "feedforward", "controller", "logger")
-"""The nodes that run on as long as the cell does."""
+"""The nodes that must run as long as the cell does."""
 IN_THE_LOOP = ("driver", "feedforward", "controller")
-"""Those of them whose lateness moves the platform."""
+"""Those of them whose delays move the platform."""
 _SLACK_S = 90.0
-"""Start, discovery and a busy machine, beyond the duration of the cycle itself."""
+"""Time for start, discovery and delays of a busy machine, beyond the duration of the cycle itself."""
 
 
 def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     """Text of a ROS 2 parameter file with these values, by node and dotted name."""
-    # An empty section is refused by rcl.
+    # rcl refuses an empty section.
     tree = {f"/**/{node}": {"ros__parameters": dict(section)} for node, section in values.items() if section}
     return yaml.safe_dump(tree, sort_keys=False)
 
@@ -41,14 +41,14 @@ def run_cycle(
     """Run the graph until the cell has finished its cycle, and record it.
 
     Args:
-        bag, logs: folders that the logger makes, and that gets what the nodes print.
+        bag, logs: folder that the logger makes; folder for the output of the nodes.
         parameter_file: of all nodes.
         duration: of the cycle, s.
-        progress: called some 20 times a second with the fraction of the cycle that is done; True ends the cycle now.
+        progress: called about 20 times a second with the finished fraction of the cycle; True ends the cycle now.
         started: called once with the process id of each node.
-        commands: by node, what to start in its place.
+        commands: by node, a command to start instead of the node's executable.
         beside: by name, programs to start before the nodes, which need them: a bus, an emulated board.
-        in_place_of_cell: a program that runs the cycle from outside the graph and prints progress as the cell does.
+        in_place_of_cell: a program that runs the cycle from outside the graph and prints its progress like the cell.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
@@ -68,11 +68,11 @@ def run_cycle(
             cell = graph.start("cell", extra, parameter_file, command=command, read_output=True)
         started(ids)
         _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
-        # The others send what waits in their last batches as they end.
+        # The other nodes publish their last incomplete batches when they end.
         codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
         if codes["logger"] != 0:
             raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
-        # The bag is complete and the amplifier off by now: how the others ended does not touch the result.
+        # The bag is complete and the amplifier is off now, so how the other nodes ended does not affect the result.
         for name, code in codes.items():
             if code != 0:
                 print(f"node '{name}' did not stop cleanly: {exit_words(code)}", file=sys.stderr)
@@ -81,7 +81,7 @@ def run_cycle(
 def _follow(
     graph: Graph, cell: Any, watched: Sequence[str], deadline: float, progress: Callable[[float], object]
 ) -> None:
-    """Pass the cell's progress on until it ends or is enough; raise LaunchError if it or another node fails."""
+    """Pass on the cell's progress until the cell ends or ``progress`` returns True; LaunchError if a node fails."""
     while cell.poll() is None:
         graph.check(watched)
         if time.monotonic() > deadline:

@@ -1,4 +1,4 @@
-"""The whole graph once: five nodes as processes, one cycle of the stage, a bag, and its evaluation."""
+"""Demonstrates the whole graph: five nodes as processes, one cycle of the stage, a bag, and its evaluation."""
 
 import os
 import secrets
@@ -28,16 +28,16 @@ from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, blamed
 
 _USER, _PASSWORD = "demo", "STRAIGHTCOMP_OPCUA_PASSWORD"
 Values = Mapping[str, Mapping[str, Any]]
-"""Parameters by node and dotted name."""
+"""Parameter values by node and dotted name."""
 
 
 class DemonstrationFailed(RuntimeError):
-    """The run is not what was asked for; the message says which node or which figure, and why."""
+    """The run failed or its bag is incomplete; the message names the node or the figure, and the reason."""
 
 
 @dataclass(frozen=True)
 class Demonstration:
-    """A finished run: its bag, what it holds, the figures, and each node's timing while the amplifier was on."""
+    """A finished run: bag, evaluation, map, figures, and each node's timing while the amplifier was on."""
 
     bag: Path
     evaluation: BagEvaluation
@@ -46,7 +46,7 @@ class Demonstration:
     timing: Mapping[str, NodeTiming]
 
     def figures(self) -> dict[str, Any]:
-        """Display values by name, as `straightcomp demo --json` prints them."""
+        """Display values by name, as printed by `straightcomp demo --json`."""
         evaluation = self.evaluation
         return {
             "law": evaluation.record.law,
@@ -64,7 +64,7 @@ class Demonstration:
 
     @property
     def held_up(self) -> str:
-        """Who got no CPU while the amplifier was on, and for how long; empty where it was not for long."""
+        """What delayed the nodes in the loop while the amplifier was on; empty if nothing did for long."""
         return blamed({node: timing.held_up for node, timing in self.timing.items() if node in IN_THE_LOOP})
 
 
@@ -76,13 +76,13 @@ def demonstrate(
     Args:
         values: parameters of all nodes.
         output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; an earlier bag there is replaced.
-        progress: called with the fraction of the cycle that is done.
-        opcua_strokes: instead of one stroke run by the cell, so many run by a client of the OPC UA gateway.
+        progress: called with the finished fraction of the cycle.
+        opcua_strokes: number of strokes run by a client of the OPC UA gateway; 0: the cell runs one stroke.
 
     Raises:
         DemonstrationFailed: a node died, the cycle failed, or the bag is short.
         ParameterError: a parameter is refused.
-        SurveyError: the map is refused.
+        SurveyError: the map's survey file cannot be used.
     """
     bag, logs, parameter_file = output / "bag", output / "logs", output / "parameters.yaml"
     cell = node_parameters("cell", values["cell"])
@@ -104,7 +104,7 @@ def demonstrate(
     except (BagError, MetricsError) as error:
         raise DemonstrationFailed(str(error)) from error
     recorded = float(evaluation.record.time[-1])
-    # A client of the gateway switches on and off when it likes: the rests before and after are its own.
+    # A client of the gateway chooses when to switch on and off: the rests before and after the strokes are its own.
     least = 0.99 * duration - (2.0 * cell.motion.settle if opcua_strokes else 0.0)
     if recorded < least:
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
@@ -117,8 +117,8 @@ def demonstrate(
 def _driven_by_opcua(
     values: Values, parameter_file: Path, strokes: int
 ) -> Iterator[tuple[Values, Mapping[str, Sequence[str]], Sequence[str] | None]]:
-    """Parameters with a gateway's for this run alone, the gateway's command by name, and that of a client that runs
-    ``strokes``; with 0 strokes neither gateway nor client."""
+    """Parameters with a gateway for this run alone, the gateway's command by name, and the command of a client that
+    runs ``strokes``; with 0 strokes neither gateway nor client."""
     if not strokes:
         yield values, {}, None
         return
@@ -130,7 +130,7 @@ def _driven_by_opcua(
         command = [*executable_command("opcua_node"), "--ros-args", "--params-file", str(parameter_file)]
         url = OpcuaParameters(port=port).endpoint
         client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
-        # Programs inherit it; on a command line everybody could read it.
+        # Programs inherit the environment; on a command line every user could read the password.
         os.environ[_PASSWORD] = password
         try:
             yield {**values, "opcua": gateway}, {"opcua": command}, client
@@ -139,14 +139,14 @@ def _driven_by_opcua(
 
 
 def free_port() -> int:
-    """A TCP port of this machine that nobody listens on now."""
+    """A TCP port of this computer on which no program listens now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
-    """Parameters that take the driver's machine out of its process, to an emulated board on a hub at ``socket``."""
+    """Driver parameters that replace its simulated machine by an emulated board on a hub at ``socket``."""
     simulated = node_parameters("driver", driver).simulated
     timeout = simulated.command_timeout
     return {
@@ -155,7 +155,7 @@ def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
         "can.channel": socket,
         "can.simulated_stage": True,
         "can.rate": simulated.rate,
-        # A board that forgives a stalled desktop needs a driver that does.
+        # The driver's timeouts must be as long as the board's, which tolerates a stalled desktop.
         "can.command_timeout": timeout,
         "can.sample_timeout": timeout,
         "can.heartbeat_timeout": max(timeout, 3.0 * HEARTBEAT_PERIOD),
@@ -163,7 +163,7 @@ def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
 
 
 def emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
-    """Commands of the programs that stand for the board and its bus where that is a hub, by name."""
+    """Commands by name of the programs that emulate the board and its bus; empty unless the bus is a hub."""
     parameters = node_parameters("driver", driver)
     on_a_hub = parameters.hardware == "can" and parameters.can.interface == INTERFACE
     return {"board": verb_command("dsp", "--hub", "--params-file", str(parameter_file))} if on_a_hub else {}

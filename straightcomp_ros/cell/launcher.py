@@ -1,7 +1,7 @@
-"""Starts the nodes as processes of their own, watches them, and stops them: what `ros2 launch` does, without it.
+"""Starts the nodes as separate processes, watches them, and stops them, like `ros2 launch` but without it.
 
-It imports no ROS: executables are found as `ros2 run` finds them, through the ament index; without an
-installed package the modules are run by this Python.
+It imports no ROS: like `ros2 run` it finds executables through the ament index. If the package is not installed, this
+Python runs the modules.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 class LaunchError(RuntimeError):
-    """A node could not be started, died, or did not stop; the message says which, and how it ended."""
+    """A node could not be started, died, or did not stop; the message names the node and how it ended."""
 
 
 def ros_available() -> bool:
@@ -35,7 +35,7 @@ def ros_available() -> bool:
 
 
 def executable_command(executable: str) -> list[str]:
-    """How to start an executable of this package, e.g. ``driver_node``."""
+    """Command that starts an executable of this package, e.g. ``driver_node``."""
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         path = Path(prefix) / "lib" / PACKAGE / executable
         if prefix and os.access(path, os.X_OK):
@@ -44,15 +44,15 @@ def executable_command(executable: str) -> list[str]:
 
 
 def verb_command(verb: str, *arguments: str) -> list[str]:
-    """How to start a verb of `straightcomp` with this Python."""
+    """Command that starts a verb of `straightcomp` with this Python."""
     return [sys.executable, "-m", f"{PACKAGE}.cli.main", verb, *arguments]
 
 
 def isolated_environment() -> dict[str, str]:
-    """This environment, with traffic kept on this machine and, where none is set, a ROS domain of its own."""
+    """This environment, with discovery limited to this computer and, unless one is set, a random ROS domain."""
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    # 1 to 101 are free of the ports that Linux gives out by itself.
+    # The ports of domains 1 to 101 do not collide with Linux's ephemeral ports.
     environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
     return environment
 
@@ -60,7 +60,7 @@ def isolated_environment() -> dict[str, str]:
 class Graph:
     """Processes of one graph, by default in an :func:`isolated_environment`; as a context manager it stops them all.
 
-    ``log_folder`` gets a file for each node with what it printed.
+    ``log_folder`` gets a file with the output of each node.
     """
 
     def __init__(self, log_folder: Path, environment: Mapping[str, str] | None = None) -> None:
@@ -86,20 +86,20 @@ class Graph:
     ) -> subprocess.Popen[str]:
         """Start the node ``name`` by its executable ``<name>_node``, or by another ``command``.
 
-        ``parameters`` win over those of the ROS 2 ``parameter_file``; for ``read_output`` see :meth:`start_program`.
+        ``parameters`` override those of the ROS 2 ``parameter_file``; for ``read_output`` see :meth:`start_program`.
         """
         words = [*(command or executable_command(f"{name}_node")), "--ros-args"]
         if parameter_file:
             words += ["--params-file", str(parameter_file)]
         for key, value in parameters.items():
-            # Quoted, a text stays a text in the YAML of the command line ("1" or "on" would turn into something else).
+            # Quotes keep a text a text in the command line's YAML, which would convert "1" or "on".
             words += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
         return self.start_program(name, words, read_output=read_output)
 
     def start_program(self, name: str, command: Sequence[str], *, read_output: bool = False) -> subprocess.Popen[str]:
-        """Start a program under a ``name`` of its own; one that is started again goes on with its log.
+        """Start a program under the log name ``name``; a program that is started again appends to its log.
 
-        With ``read_output`` standard output is a pipe for the caller instead of going to the log.
+        With ``read_output`` its standard output is a pipe for the caller, and is not in the log.
         """
         with self.log(name).open("a" if name in self._processes else "w") as log:
             process = subprocess.Popen(
@@ -110,34 +110,34 @@ class Graph:
                 stderr=log,
                 text=True,
                 preexec_fn=_end_with_parent,
-                # Linux shares CPUs out among sessions first (sched_autogroup): in the terminal's own, all nodes
-                # together would get as much as one other program, of whatever niceness.
+                # Linux divides CPUs among sessions first (sched_autogroup): in the terminal's session, all nodes
+                # together would get as much CPU time as one other program, whatever its niceness.
                 start_new_session=True,
             )
         self._processes[name] = process
         return process
 
     def log(self, name: str) -> Path:
-        """The file with what the node printed."""
+        """The file with the node's output."""
         return self._log_folder / f"{name}.log"
 
     def check(self, names: Sequence[str]) -> None:
-        """Raise LaunchError if one of these nodes, which should run on, has ended."""
+        """Raise LaunchError if one of these nodes, which must keep running, has ended."""
         for name in names:
             if (code := self.exit_code(name)) is not None:
                 raise LaunchError(f"node '{name}' ended with {exit_words(code)}: {self.last_words(name)}")
 
     def exit_code(self, name: str) -> int | None:
-        """How a node has ended, None while it runs."""
+        """A node's exit code; None while it runs."""
         return self._processes[name].poll()
 
     def last_words(self, name: str) -> str:
-        """The last line that a node printed, for a message."""
+        """The last line of a node's output, for a message."""
         lines = [line for line in self.log(name).read_text(errors="replace").splitlines() if line.strip()]
         return lines[-1].strip() if lines else "it printed nothing"
 
     def stop(self, names: Sequence[str] | None = None) -> dict[str, int]:
-        """Interrupt the named nodes (all, if None), wait until they are gone; returns their exit codes."""
+        """Interrupt the named nodes (None: all) and wait for their ends; returns their exit codes."""
         stopping = {name: self._processes.pop(name) for name in (names or list(self._processes))}
         for process in stopping.values():
             if process.poll() is None:
@@ -160,6 +160,6 @@ def exit_words(code: int) -> str:
 
 
 def _end_with_parent() -> None:
-    # Nodes of a launcher that was killed must not run on: a spinning orphan spoils every later run.
+    # Nodes must not outlive a launcher that was killed: orphans would disturb every later run.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

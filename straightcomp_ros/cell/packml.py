@@ -1,6 +1,6 @@
-"""States, commands and transitions of PackML (ANSI/ISA-TR88.00.02), as far as the cell has them.
+"""States, commands and transitions of PackML (ANSI/ISA-TR88.00.02) that the cell has.
 
-Suspended and its two neighbours are left out: the cell knows of no machine before or behind it.
+Suspended and its two transient states are left out: the cell knows no machine upstream or downstream of it.
 """
 
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ class Command(IntEnum):
 
 
 class Order(Enum):
-    """A command that changes the reference and leaves the state as it is; the value is the name of its method."""
+    """A command that changes the reference and keeps the state; the value is the name of its OPC UA method."""
 
     RELOAD_MAP = "ReloadMap"
     CENTER = "Center"
@@ -59,9 +59,9 @@ ACCEPTED: Mapping[Command, Mapping[State, State]] = {
     Command.CLEAR: {State.ABORTED: State.CLEARING},
     Command.COMPLETE: {State.EXECUTE: State.COMPLETING},
 }
-"""By command, the states that accept it and where it leads."""
+"""By command: the states that accept it, each with the state that follows."""
 ORDERED_IN = (State.IDLE, State.EXECUTE, State.HELD, State.COMPLETE)
-"""States that accept an order: the nodes work and no other transition is under way."""
+"""States that accept an order: the nodes work and no other transition is running."""
 
 DONE: Mapping[State, State] = {
     State.RESETTING: State.IDLE,
@@ -74,17 +74,17 @@ DONE: Mapping[State, State] = {
     State.ABORTING: State.ABORTED,
     State.CLEARING: State.STOPPED,
 }
-"""Where a state leads when its work is done. All other states wait for a command."""
+"""The state that follows when a state's work is done. All other states wait for a command."""
 
 FAILED: Mapping[State, State] = {
     **dict.fromkeys((State.RESETTING, State.STARTING), State.STOPPING),
     **dict.fromkeys((State.CLEARING, State.EXECUTE, State.HOLDING, State.COMPLETING, State.STOPPING), State.ABORTING),
 }
-"""Where a state leads whose work cannot be done."""
+"""The state that follows when a state's work fails."""
 
 
 def refusal(asked: Command | Order, state: State) -> str:
-    """Why ``state`` does not accept a command or an order; empty where it does."""
+    """Why ``state`` does not accept a command or an order; empty if it does."""
     accepting = ORDERED_IN if isinstance(asked, Order) else tuple(ACCEPTED[asked])
     if state in accepting:
         return ""
@@ -92,5 +92,5 @@ def refusal(asked: Command | Order, state: State) -> str:
 
 
 def name(value: State | Command | Order) -> str:
-    """As PackML writes it, e.g. ``Execute``."""
+    """The name as PackML writes it, e.g. ``Execute``."""
     return value.value if isinstance(value, Order) else value.name.capitalize()

@@ -1,7 +1,7 @@
-"""The sequencer of the stage's cycle: PackML's state machine, run by the cell node and by the OPC UA gateway.
+"""The sequencer of the stage's cycle: PackML's state machine, for the cell node and the OPC UA gateway.
 
-The work of a state is the generator of its name, e.g. `_starting`. Each tick advances it once; it returns when the work
-is done, and raises when it cannot be done.
+The work of a state is the generator with its name, e.g. `_starting`. Each tick advances it once. It returns when the
+work is done, and raises if it cannot be done.
 """
 
 import math
@@ -16,26 +16,26 @@ from straightcomp_ros.model.stage import MotionParameters, Waypoint
 
 _ASK_AGAIN_S = 0.5
 _SETTLE_S = 1.5
-"""A node that has just come up allocates and connects for about a second more, and loses messages meanwhile."""
+"""A node that has just started needs about one more second to allocate and connect, and loses messages meanwhile."""
 _HOME_S = 1.0
-"""Time that the reference takes to the middle, or back to the map, and the platform to follow."""
+"""Time for the reference to fade to the middle or back to the map, and for the platform to follow."""
 _OFF_WITHIN_S = 2.0
-"""A driver that has not switched off by then is dead or deaf; its machine's own watchdog has switched off."""
+"""A driver that has not switched off within this time has failed; its machine's own watchdog has switched off."""
 _REPORTED_WITHIN_S = 1.5
-"""A fault that is there, or one that is gone, shows in the diagnostics by then."""
+"""Within this time the diagnostics show a new fault, or that a fault is gone."""
 MOST_STROKES = 1_000_000
 AMPLIFIER_OFF = "the amplifier went off"
 _WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
 _WITH_AMPLIFIER = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
 Answer = Callable[[str], None]
-"""Takes why something was refused, or an empty text."""
+"""Called with the reason for a refusal; an empty text means success."""
 
 
 class Machine(Protocol):
-    """What the sequence asks of the graph. Nothing here waits; answers show in the next observations."""
+    """What the sequence requests from the graph. No call waits; the next observations show the effect."""
 
-    refusal: str  # why the last switch_on was refused; empty while it is not answered, and when it was done
-    obstacle: str  # why the stage could not be moved; empty where it can
+    refusal: str  # why the last switch_on was refused; empty before the answer, and after success
+    obstacle: str  # why the stage cannot be moved; empty if it can
 
     def activate(self) -> None: ...
     def switch_on(self) -> None: ...
@@ -47,27 +47,27 @@ class Machine(Protocol):
 
 
 class _Failed(Exception):
-    """The work of a state cannot be done; the message says why."""
+    """The work of a state cannot be done; the message gives the reason."""
 
 
 class CellSequence:
     """State machine of the cell.
 
     Args:
-        machine: what acts.
+        machine: carries out the requests.
         motion: of each stroke.
-        start_timeout: longest Resetting, Starting, Clearing or step of a recovery, s.
+        start_timeout: longest time in Resetting, Starting, Clearing, or a step of a recovery, s.
         clock: monotonic time, s.
         as_one: all strokes are one trajectory; see :class:`StageMovements`.
-        home: before the first stroke, bring the platform to the middle of its travel, then back onto the map.
-        recoveries: how often the amplifier is switched on again after it went off in Execute.
+        home: before the first stroke, move the platform to the middle of its travel, then back to the map.
+        recoveries: how often to switch the amplifier on again after it went off in Execute.
 
     Attributes:
-        state: present state.
-        message: why the state is what it is, or why the last command was refused.
+        state: current state.
+        message: reason for the state, or for the refusal of the last command.
         movements: of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop.
-        centred: the reference is in the middle of the travel, or has been asked to go there.
-        recovered: how often the amplifier has been switched on again.
+        centred: the reference is in the middle of the travel, or was requested to go there.
+        recovered: number of times that the amplifier was switched on again.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class CellSequence:
     ) -> None:
         self._machine, self._start_timeout, self._clock = machine, start_timeout, clock
         self._home, self._recoveries = home, recoveries
-        # A trajectory as one ends with its own rest.
+        # A single trajectory contains its own rest at the end.
         self._settled, self._settle = as_one, 0.0 if as_one else motion.settle
         self.movements = StageMovements(motion, as_one)
         self.recovered, self.centred = 0, False
@@ -97,17 +97,17 @@ class CellSequence:
 
     @property
     def progress(self) -> float:
-        """Fraction of the present movement's time that has passed; 0 without a movement."""
+        """Elapsed fraction of the current movement's time; 0 without a movement."""
         return self.movements.progress(self._seen)
 
     def command(self, command: Command, strokes: int = 0) -> str:
-        """Take a command, with the number of ``strokes`` for Start; returns why it is refused, or an empty text."""
+        """Execute a command, with the number of ``strokes`` for Start; returns the reason for a refusal, or ``""``."""
         reason = refusal(command, self.state)
         to_be_run = {Command.START: strokes, Command.UNHOLD: self.movements.strokes}.get(command, 0)
         if not reason and not 0 <= to_be_run <= MOST_STROKES:
             reason = f"strokes {strokes} is out of range; allowed: 0 to {MOST_STROKES}"
         elif not reason and self.centred and to_be_run:
-            reason = f"{name(command)} is not accepted while the reference is in the middle; call Center(false) before"
+            reason = f"{name(command)} is not accepted while the reference is in the middle; call Center(false) first"
         if reason:
             self.message = reason
             return reason
@@ -117,9 +117,9 @@ class CellSequence:
         return ""
 
     def order(self, order: Order, middle: bool, then: Answer) -> None:
-        """Ask for another reference; with Center that of the ``middle`` of the travel, or, false, of the map.
+        """Request another reference: with Center that of the ``middle`` of the travel (True) or of the map (False).
 
-        ``then`` gets why it is refused, or an empty text, now or when the node has answered.
+        ``then`` is called with the reason for a refusal, or an empty text, now or when the node has answered.
         """
         reason = refusal(order, self.state)
         if not reason and order is Order.CENTER and middle and self.state is State.EXECUTE and self.movements.strokes:
@@ -145,7 +145,7 @@ class CellSequence:
             self._machine.center(middle, answered)
 
     def tick(self, seen: Observation) -> None:
-        """Go on, with the graph as it is ``seen`` now."""
+        """Continue with the graph as ``seen`` now."""
         self._now, self._seen = self._clock(), seen
         trouble = "" if self._recovering else self._trouble(seen)
         if trouble and self._recoverable(seen):
@@ -169,7 +169,7 @@ class CellSequence:
             self._machine.switch_off()
 
     def _trouble(self, seen: Observation) -> str:
-        # In Stopped the graph may be somebody else's: its faults show as alarms only.
+        # In Stopped another client may use the graph: its faults are only shown as alarms.
         if self.state in _WITHOUT_AMPLIFIER:
             return ""
         if seen.fault or self.state in (State.RESETTING, State.STOPPING, State.COMPLETE):
@@ -178,7 +178,7 @@ class CellSequence:
         return seen.absence or (AMPLIFIER_OFF if off else "")
 
     def _recoverable(self, seen: Observation) -> bool:
-        """Whether the trouble is an amplifier that is off, and it may be switched on again."""
+        """Whether the trouble is that the amplifier is off, and it may be switched on again."""
         allowed = self.state is State.EXECUTE and self.recovered < self._recoveries
         return allowed and not seen.absence and not seen.amplifier_on
 
@@ -199,7 +199,7 @@ class CellSequence:
                 if self._seen.missing and self._due():
                     self._machine.activate()
             elif self._due():
-                # Whoever left the reference in the middle. Refused while a change is under way: then again.
+                # Another client may have left the reference in the middle. Retried if refused during another change.
                 self._machine.center(False, self._back_on_the_map)
             if self._now - ready_since >= _SETTLE_S:
                 return
@@ -210,7 +210,7 @@ class CellSequence:
 
     def _starting(self) -> Iterator[None]:
         yield from self._switching_on()
-        # In lockstep no time passes before the motion.
+        # In lockstep no time passes before the motion, so the platform cannot be homed.
         for middle in (True, False) if self._home and self._seen.stamp_ns else ():
             answers: list[str] = []
             self._machine.center(middle, answers.append)
@@ -237,19 +237,19 @@ class CellSequence:
             yield
 
     def _completing(self) -> Iterator[None]:
-        # The stage's last movement is over; a stage that others move may still be on its way.
+        # The stage's last movement has ended; another client may still be moving the stage.
         while not (self._arrived() and (self._settled or self._seen.still) and self._overdue(self._settle)):
             yield
         yield from self._switching_off()
 
     def _stopping(self) -> Iterator[None]:
-        # Without samples nothing tells when the movement ends.
+        # Without samples the end of the movement cannot be seen.
         while self._seen.fresh and not self._arrived():
             yield
         yield from self._switching_off()
 
     def _aborting(self) -> Iterator[None]:
-        # The stage keeps its trajectory: it comes to rest where its movement ends.
+        # The stage keeps its trajectory and comes to rest at the end of its movement.
         self.movements.forget()
         for _ in self._switching_off():
             if self._overdue(_OFF_WITHIN_S):
@@ -277,7 +277,7 @@ class CellSequence:
             yield
 
     def _asking(self, ask: Callable[[], None], done: Callable[[], bool], why: Callable[[], str]) -> Iterator[None]:
-        """Ask again and again until it is done; fails after the start timeout with what ``why`` says."""
+        """Repeat a request until it is done; fails after the start timeout with the text of ``why``."""
         end, self._asked = self._now + self._start_timeout, -math.inf
         while not done():
             if self._now > end:
@@ -287,7 +287,7 @@ class CellSequence:
             yield
 
     def _due(self) -> bool:
-        """Whether to ask (again) now."""
+        """Whether to send the request (again) now."""
         if due := self._now - self._asked >= _ASK_AGAIN_S:
             self._asked = self._now
         return due

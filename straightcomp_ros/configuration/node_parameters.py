@@ -43,7 +43,7 @@ class DriverNodeParameters:
         "(0, 100] A",
     )
     lockstep: bool = parameter(
-        False, "Advance the simulated machine only when the command for its last sample has come, not in real time"
+        False, "Advance the simulated machine only when the command for its last sample has arrived, not in real time"
     )
     lockstep_delay: float = parameter(
         0.5, "Time from a sample until its command takes effect while 'lockstep' is true", "[0, 10] samples"
@@ -101,7 +101,7 @@ class ControllerNodeParameters:
     trigger: str = parameter(
         "sample",
         "What begins a control cycle. sample: the arrival of an encoder sample. timer: a timer at 'rate'; each cycle "
-        "answers all samples that came since the last. lockstep: as sample, but each sample waits for its own "
+        "answers all samples that arrived since the last. lockstep: as sample, but each sample waits for its own "
         "reference, for a driver in lockstep or a replay",
         choices=("sample", "timer", "lockstep"),
     )
@@ -131,7 +131,7 @@ class LoggerNodeParameters:
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
-    output: str = parameter("", "Folder of the bag; empty: a new one, named after the time of the start")
+    output: str = parameter("", "Folder of the bag; empty: a new one, named after the start time")
     compression: str = parameter("zstd", "Compression of the bag's chunks", choices=("zstd", "lz4", "none"))
     queue_depth: int = parameter(
         8000, "Messages of each topic that may wait in the middleware while the logger is held up", "[1, inf)"
@@ -214,7 +214,7 @@ class PlayerNodeParameters:
 class OpcuaNodeParameters:
     """Parameters of the node `opcua`."""
 
-    nodes: str = parameter("driver feedforward controller logger", "Nodes that must work, separated by blanks")
+    nodes: str = parameter("driver feedforward controller logger", "Nodes that must be working, separated by blanks")
     start_timeout: float = parameter(
         30.0, "Longest wait for the nodes, for the amplifier, and for a fault to be cleared", "(0, inf) s"
     )
@@ -242,7 +242,7 @@ def node_parameters(name: str, values: Mapping[str, Any]) -> Any:
     """Validated parameter set of the node ``name``.
 
     Raises:
-        ParameterError: a name is unknown or a value refused; the message names the node too.
+        ParameterError: a name is unknown or a value is refused; the message also names the node.
     """
     try:
         return from_mapping(NODE_PARAMETERS[name], values)

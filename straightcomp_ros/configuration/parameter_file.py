@@ -11,10 +11,10 @@ from straightcomp_ros.settings.declaration import ParameterError, flatten
 
 
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Values of a ROS 2 parameter file, by node and dotted name; every node of ours is a key.
+    """Values of a ROS 2 parameter file by node and dotted name, with a key for each node of this package.
 
     Raises:
-        ParameterError: the file is not there or no YAML, is empty, or is not laid out as a parameter file.
+        ParameterError: the file cannot be read, is not YAML, is empty, or does not have the layout of a parameter file.
     """
     try:
         tree = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
@@ -28,12 +28,12 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
 
 
 def _read_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
-    """Values of a parameter file's content; ``source`` names it in messages.
+    """Values in the content of a parameter file; ``source`` names the file in messages.
 
     A key is a node's name, with or without a namespace before it (``/**/driver``, ``driver``).
 
     Raises:
-        ParameterError: another layout, or a node that is not ours.
+        ParameterError: another layout, or an unknown node.
     """
     values: dict[str, dict[str, Any]] = {name: {} for name in NODE_PARAMETERS}
     if not isinstance(tree, Mapping):

@@ -1,8 +1,8 @@
-"""Several messages of a stream in one: to publish, to wake for and to take a message costs more than all else about it.
+"""Packs several messages of a stream into one; :mod:`straightcomp_ros.runtime.batch_streams` says why.
 
-A batch is a std_msgs/UInt8MultiArray whose data are the messages one after the other, each as it would be published by
-itself, behind the time at which it was made: int64, ns since the epoch, little endian. All messages of a stream are of
-the same size.
+A batch is a std_msgs/UInt8MultiArray. Its data are the messages one after the other, each serialised as if published
+alone and preceded by the time at which it was made: int64, ns since the epoch, little endian. All messages of a stream
+have the same size.
 """
 
 import struct
@@ -28,10 +28,10 @@ def pack_batch(messages: Sequence[tuple[int, bytes]]) -> bytes:
 
 
 def unpack_batch(batch: bytes, size: int) -> list[tuple[int, bytes]]:
-    """The messages of a serialised batch, as :func:`pack_batch` took them; ``size`` is that of one message.
+    """The messages of a serialised batch, as given to :func:`pack_batch`; ``size`` is the size of one message in bytes.
 
     Raises:
-        LayoutMismatch: these are not the bytes of a batch of such messages.
+        LayoutMismatch: the bytes are not a batch of such messages.
     """
     step = _TIME.size + size
     if len(batch) < _HEAD.size:

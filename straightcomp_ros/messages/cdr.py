@@ -1,10 +1,9 @@
 """Fixed-layout CDR: messages whose strings and lengths never change, packed and read by one `struct` call.
 
-ROS 2 serialises a message as CDR (OMG DDS-XTypes 7.4, plain CDR, little endian). In a stream whose
-names and array lengths are constant, every byte but the stamp and the numbers is constant too. A
-:class:`Layout` holds those constants and the places of the numbers: packing costs about 1 µs where
-building and serialising a message object costs 15 µs, and the same places make a NumPy view of a
-whole bag. A message of another layout is refused, never misread.
+ROS 2 serialises a message as CDR (OMG DDS-XTypes 7.4, plain CDR, little endian). In a stream with constant names and
+array lengths, every byte but the stamp and the numbers is constant too. A :class:`Layout` holds those constants and the
+positions of the numbers. Packing then costs about 1 µs, where building and serialising a message object costs 15 µs,
+and the same positions make a NumPy view of a whole bag. A message of another layout is refused, never misread.
 """
 
 import struct
@@ -21,24 +20,24 @@ _HEADER_STAMP = struct.Struct("<iI")
 
 
 class LayoutMismatch(ValueError):
-    """The bytes are not a message of this layout (other names, other lengths, or cut off)."""
+    """The bytes are not a message of this layout: other names or lengths, or truncated."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where stamp and numbers stand in the bytes of one stream.
+    """Positions of stamp and numbers in the bytes of one stream.
 
     Attributes:
         type_name: ROS type, e.g. ``sensor_msgs/msg/JointState``.
-        columns: name of each number, in the order of the bytes.
-        constants: the constant byte runs: after the stamp, between the numbers.
-        runs: how many float64 follow each constant run.
-        places: for each column the message's array and the joint whose entry it is.
+        columns: name of each number, in byte order.
+        constants: the constant byte runs: after the stamp, and between the numbers.
+        runs: number of float64 after each constant run.
+        places: for each column the array of the message and the joint whose entry it is.
         pack: ``pack(stamp_ns, *numbers)`` serialises one message: header stamp in ns since the epoch, and as many
             float64 as ``columns``.
         unpack: ``unpack(data)`` reads one: (stamp in ns, numbers in the order of ``columns``); raises
             :class:`LayoutMismatch` for other constants, or fewer bytes.
-        size: bytes of a message.
+        size: size of a message in bytes.
     """
 
     type_name: str
@@ -53,7 +52,7 @@ class Layout:
     def __post_init__(self) -> None:
         parts = [f"{len(constant)}s{run}d" for constant, run in zip(self.constants, self.runs, strict=True)]
         packer = struct.Struct("<4siI" + "".join(parts))
-        # Each message of a 2 kHz loop comes through these: what can be found out now is not looked up then.
+        # Every message of a 2 kHz loop passes through these functions, so their constants are bound once, here.
         object.__setattr__(self, "pack", self._make_pack(packer))
         object.__setattr__(self, "unpack", self._make_unpack(packer))
         object.__setattr__(self, "size", packer.size)
@@ -88,7 +87,7 @@ class Layout:
             at_numbers.extend(range(place + 1, place + 1 + run))
             place += 1 + run
         expected, constant_fields = (ENCAPSULATION, *self.constants), itemgetter(*at_constants)
-        # Of one item an itemgetter makes no tuple; of a slice it does.
+        # An itemgetter of one index returns the item itself; with a slice it returns a tuple.
         number_fields = (
             itemgetter(*at_numbers) if at_numbers[1:] else itemgetter(slice(at_numbers[0], at_numbers[0] + 1))
         )
@@ -167,13 +166,13 @@ class _Builder:
 
 
 def read_by_names(layout: Layout, message: Any) -> tuple[int, list[float]]:
-    """Read a deserialised message (of rclpy or rosbags) that has the layout's joints, in whatever order.
+    """Read a deserialised message (of rclpy or rosbags) with the layout's joints in any order.
 
     Returns:
         Stamp in ns, and the numbers in the order of ``layout.columns``.
 
     Raises:
-        LayoutMismatch: a joint, an array or a point is missing; the message says which.
+        LayoutMismatch: a joint, an array or a point is missing; the message names it.
     """
     stamp = message.header.stamp
     if layout.type_name == "sensor_msgs/msg/JointState":

@@ -1,6 +1,6 @@
-"""cell: a reference client of the graph, as a cell controller would be one.
+"""cell: a reference client of the ROS graph, in the role of a cell controller.
 
-It brings the nodes up, switches the amplifier on, homes, runs the strokes, watches, reacts to faults, and reports.
+It activates the nodes, switches the amplifier on, homes, runs the strokes, reacts to faults, and reports.
 """
 
 import sys
@@ -24,7 +24,7 @@ from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
 
 _TICK_S = 0.05
 _REPORTED_S = 1.5
-"""Each node's next diagnostics have come by then."""
+"""Every node publishes its next diagnostics within this time."""
 _GIVEN_UP = (State.STOPPING, State.STOPPED, State.ABORTING, State.ABORTED)
 
 
@@ -33,7 +33,7 @@ class CycleFailed(Exception):
 
 
 class CellNode(Runnable):
-    """Has the sequencer run one cycle: see :meth:`_cycle`, where each ``yield`` waits for the next tick."""
+    """Lets the sequencer run one cycle; in :meth:`_cycle` each ``yield`` waits for the next tick."""
 
     def __init__(self, node: Node, make_sequence: Callable[..., CellSequence] = CellSequence) -> None:
         self._parameters = parameters = declare(node, CellNodeParameters)
@@ -53,12 +53,12 @@ class CellNode(Runnable):
         node.create_timer(_TICK_S, self._tick)
 
     def _explained(self, cycle: Iterator[None]) -> Iterator[None]:
-        """The cycle; where it fails, what held the nodes up meanwhile is said too."""
+        """Run the cycle. If it fails, add to the message what delayed the nodes."""
         try:
             yield from cycle
         except CycleFailed as failure:
             before, end = self._watch.reports(), time.monotonic() + _REPORTED_S
-            # The sequencer goes on meanwhile: it switches the amplifier off.
+            # Keep ticking: the sequencer still has to switch the amplifier off.
             while time.monotonic() < end:
                 yield
             after = self._watch.reports()
@@ -93,7 +93,7 @@ class CellNode(Runnable):
 
     @property
     def _reason(self) -> str:
-        return self._seen.faults.get("driver", "somebody has switched it off")
+        return self._seen.faults.get("driver", "another client switched it off")
 
     def _until(self, state: State) -> Iterator[None]:
         while self._sequence.state is not state:

@@ -31,7 +31,7 @@ from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
 _SPARE_REFERENCES = 2
-"""Samples to come that have theirs already when the next references are fetched."""
+"""The loop fetches references when those it holds reach fewer than so many samples ahead."""
 
 Answer = tuple[int, Command, float]
 """Stamp of the sample in ns, the law's command, age of the reference in s."""
@@ -47,7 +47,7 @@ class ControllerComponent:
 
     def __init__(self, node: ManagedNode, parameters: ControllerNodeParameters) -> None:
         self._node, self._parameters = node, parameters
-        # The law may be changed while the loop runs.
+        # `control.law` may change while the loop runs.
         prepare_all()
         lockstep = parameters.trigger == "lockstep"
         self._learner: BesideTheLoop | None = None
@@ -91,17 +91,17 @@ class ControllerComponent:
         Diagnostics(node, self._counters)
 
     def activate(self) -> None:
-        """Begin with the samples that come from now on."""
+        """Start with the samples that arrive from now on."""
         if self.loop:
             self._samples.fetch()
             self._references.fetch()
         self._pairing = self._new_pairing()
 
     def prepare(self, parameters: ControllerNodeParameters) -> Callable[[], None]:
-        """Another law, or other gains: the command goes over to them without a bump."""
+        """Prepare another law or other gains; the servo fades from the old command to the new one."""
         if self._learning is not None and parameters.control.law != self._parameters.control.law:
             raise ParameterError(
-                f"parameter 'control.law': {parameters.control.law!r} is not what is being learned with; "
+                f"parameter 'control.law': {parameters.control.law!r} is not the law that the learning started with; "
                 f"allowed while 'learning.learn' is true: {self._parameters.control.law}"
             )
         law = make_law(parameters.control, 1.0 / parameters.rate)
@@ -113,7 +113,7 @@ class ControllerComponent:
         return take_over
 
     def deactivate(self) -> None:
-        """No command goes out any more: the driver switches off. What was learned is kept."""
+        """Stop publishing commands, so that the driver switches off. Save what was learned."""
         self._publish_command.finish()
         self._publish_state.finish()
         if self._learning is not None:
@@ -138,7 +138,7 @@ class ControllerComponent:
         self._cycle()
 
     def _wait(self, timeout_ns: int) -> None:
-        """Until a sample comes. The references for the samples to come are fetched before: nobody waits then."""
+        """Wait for a sample. Before, while no sample waits for its command, fetch references for later samples."""
         self._fetch_references()
         self._samples.wait(timeout_ns)
 
@@ -149,7 +149,7 @@ class ControllerComponent:
         return arrived
 
     def _read(self) -> tuple[int, int]:
-        """Take the samples that came: how many times some were sent, and how long ago the newest came, in ns."""
+        """Take the samples that arrived; return in how many separate sends they came and the newest one's age in ns."""
         samples, fetched_ns = self._samples.fetch(), time.time_ns()
         if not samples:
             return 0, 0
@@ -174,7 +174,7 @@ class ControllerComponent:
         return answers
 
     def _write(self, answers: list[Answer]) -> None:
-        """Publish the commands, and after them what is only watched and recorded."""
+        """Publish the commands first, then the states, which are only watched and recorded."""
         for stamp_ns, command, _ in answers:
             self._publish_command(stamp_ns, command.current)
         for stamp_ns, command, age in answers:
@@ -183,7 +183,7 @@ class ControllerComponent:
         self._commands += len(answers)
 
     def _look_for_silence(self) -> None:
-        # Looks are counted, not seconds: a process that stood still has seen no silence.
+        # Count calls, not seconds: a process that was suspended must not mistake its own pause for missing samples.
         silent = self._samples_seen == self._seen and self._seen > 0 and self._node.active
         self._seen = self._samples_seen
         self._silent = self._silent + 1 if silent else 0
@@ -204,7 +204,7 @@ class ControllerComponent:
         }
 
     def close(self) -> None:
-        """Wait for what is being learned, and keep it."""
+        """Wait for the running learning job, then save what was learned."""
         if self._learner is not None:
             self._learner.close()
         if self._learning is not None:

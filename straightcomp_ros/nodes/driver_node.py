@@ -1,4 +1,4 @@
-"""driver: publishes the machine's samples, hands it the commands, switches its amplifier."""
+"""driver: publishes the machine's samples, writes the commands to it, switches its amplifier."""
 
 import math
 import os
@@ -41,12 +41,12 @@ from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, OVERRUNS, SAMPLES
 
 _ANSWER_LOOK_NS = 100_000
-"""Time between two looks for a command that was not there at the end of its sample's cycle."""
+"""Polling interval while the command for the newest sample is outstanding."""
 _ANSWER_SAMPLES = 4
-"""Commands older than this are not waited for: there is nobody who answers."""
+"""The driver stops polling after so many samples without a command: no controller is running."""
 _SLOW_WATCH_S = 0.05
 _TURNS_OF_OTHERS = 3
-"""The middleware's thread that receives the sample, the controller, and our own thread that receives the command."""
+"""Threads that run between sample and command: the middleware's receiver, the controller, our own receiver."""
 
 
 class DriverComponent:
@@ -55,8 +55,8 @@ class DriverComponent:
     Args:
         node: the driver.
         parameters: of the node.
-        hardware: the machine, or None for the one that the parameters name.
-        system_ns: the system's clock.
+        hardware: the machine; None makes the one that the parameters name.
+        system_ns: the system clock, ns since the epoch.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class DriverComponent:
         period_ns = round(1e9 / parameters.machine.rate)
         self._publish_sample = CopiedPublisher(node, ENCODER, copied=not parameters.lockstep)
         self._publish_position = publisher(node, POSITION)
-        # In lockstep no sample need follow the one that ends a motion.
+        # In lockstep the run may end with the motion's last sample, so every position is published.
         self._position_every = 1 if parameters.lockstep else POSITION_EVERY
         self._publish_truth = BatchPublisher(node, TRUTH)
         self._publish_state = BatchPublisher(node, DRIVER_STATE)
@@ -107,7 +107,7 @@ class DriverComponent:
         Diagnostics(node, self._counters, machine)
 
     def activate(self) -> None:
-        """Begin to sample, amplifier off."""
+        """Start sampling, with the amplifier off."""
         self._started = False
         self._clock_watch.restart()
         self._sample_watch.restart()
@@ -115,7 +115,7 @@ class DriverComponent:
             self._queue.fetch()
 
     def deactivate(self) -> None:
-        """Amplifier off; no samples any more. A fault stays latched."""
+        """Switch the amplifier off and stop sampling. A fault stays latched."""
         self._safety.disable()
         self._panel.report()
         self._publish_sample.finish()
@@ -123,7 +123,7 @@ class DriverComponent:
         self._publish_state.finish()
 
     def prepare(self, parameters: DriverNodeParameters) -> Callable[[], None]:
-        """The limit of the commands may change."""
+        """Prepare another limit of the control current."""
 
         def take_over() -> None:
             self._commands.current_limit = parameters.current_limit
@@ -131,21 +131,21 @@ class DriverComponent:
         return take_over
 
     def _wait(self, timeout_ns: int) -> None:
-        """Until the machine has sent something; less long while the command for its last sample is under way."""
+        """Wait for a message of the machine, but only briefly while the command for its last sample is outstanding."""
         newest_ns = self._newest.stamp_ns if self._newest else 0
         if 0 < newest_ns - self._commands.stamp_ns < self._answer_within_ns:
             timeout_ns = _ANSWER_LOOK_NS
         self._hardware.wait(timeout_ns)
 
     def _follow(self) -> tuple[int, int]:
-        """A cycle whose time the machine's samples give: how many there were, and for how long the newest waited."""
+        """Run a cycle started by the machine's samples; return their number and how long the newest waited, in ns."""
         begin_ns = now_ns()
         samples = self._cycle(time.monotonic_ns())
         return samples, begin_ns - (self._hardware.newest_arrival_ns or begin_ns)
 
     def _cycle(self, wake_ns: int) -> int:
         if not self._started:
-            # The machine samples when this loop is to wake: a sample is then never a period old when fetched.
+            # The machine samples at this loop's wake-up times, so that a sample is never a period old when it is read.
             self._hardware.start(from_monotonic(wake_ns))
             self._started = True
             self._gives_way = os.sched_getscheduler(0) == os.SCHED_FIFO
@@ -153,15 +153,15 @@ class DriverComponent:
         finding = self._clock_watch.check(now, system_now)
         if finding is not None:
             self._trip(*finding)
-        # A simulated machine is integrated up to ``now``: a command that has come acts from its arrival.
+        # A simulated machine is integrated up to ``now``, with each command acting from its arrival.
         self._fetch_commands(now, system_now)
         samples = self._hardware.read(now)
         latenesses = [self._hand_out(sample) for sample, _ in samples]
         if samples and self._gives_way:
-            # Whom the sample has woken on this CPU is not to wait for the records.
+            # Yield first: the controller, woken by this sample on the same CPU, must run before we publish the records.
             for _ in range(_TURNS_OF_OTHERS):
                 os.sched_yield()
-            # A board on a bus waits for the answer, which has usually come now: not until the next cycle.
+            # The command has usually arrived by now: a board on a bus must not wait for it until the next cycle.
             self._fetch_commands(now_ns(), self._system_ns())
         self._publish_sample.copy()
         for (sample, truth), lateness in zip(samples, latenesses, strict=True):
@@ -172,7 +172,7 @@ class DriverComponent:
 
     def _fetch_commands(self, now: int, system_now: int) -> None:
         if self._newest is not None and self._commands.stamp_ns == self._newest.stamp_ns:
-            return  # the newest sample is answered
+            return  # the newest sample has its command
         for stamp_ns, numbers, received_ns in self._queue.fetch():
             self._commands.accept(stamp_ns, numbers[0], now - max(0, system_now - received_ns))
 
@@ -182,7 +182,7 @@ class DriverComponent:
         self._record(sample, truth, 0.0)
 
     def _hand_out(self, sample: Sample) -> float:
-        """Publish what the controller waits for; returns how long after the sample that was, in s."""
+        """Publish the sample for the controller; return the time since it was taken, in s."""
         finding = self._sample_watch.check(sample, self._hardware.applied_current)
         if finding is not None:
             self._trip(*finding)
@@ -191,7 +191,7 @@ class DriverComponent:
         return (now_ns() - sample.stamp_ns) * 1e-9
 
     def _record(self, sample: Sample, truth: Truth | None, lateness: float) -> None:
-        """What is only watched and recorded."""
+        """Publish what is only watched and recorded."""
         if self._samples % self._position_every == 0:
             self._publish_position(*sample[:3])
         if truth is not None:
@@ -211,7 +211,7 @@ class DriverComponent:
         self._panel.report()
 
     def _watch_slowly(self) -> None:
-        """What need not be looked at in each cycle."""
+        """Check what need not be checked in each cycle."""
         self._clock_watch.follow()
         if self._safety.condition is Condition.ON:
             self._sample_watch.hold()
@@ -261,7 +261,7 @@ class DriverComponent:
         return counters
 
     def close(self) -> None:
-        """Amplifier off, machine released."""
+        """Switch the amplifier off and release the machine."""
         self._hardware.close()
         if self._unspun is not None:
             self._unspun.destroy_node()
@@ -271,7 +271,7 @@ def make_hardware(parameters: DriverNodeParameters) -> Hardware:
     """The machine that the parameters name.
 
     Raises:
-        SurveyError: the simulated machine's guide is refused.
+        SurveyError: the simulated machine's guide cannot be used.
         ParameterError: python-can knows no such interface.
     """
     if parameters.hardware == "can":

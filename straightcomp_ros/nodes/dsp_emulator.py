@@ -1,4 +1,4 @@
-"""The process that is the board on the bus: the simulated machine of the driver's parameters. No ROS."""
+"""Emulates the DSP board on the CAN bus, as the simulated machine of the driver's parameters. It uses no ROS."""
 
 import dataclasses
 import signal
@@ -17,17 +17,17 @@ from straightcomp_ros.timing.realtime import RealtimeParameters
 
 _MOST_PRIORITY = 98
 _LEAD_NS = 120_000
-"""What it takes this process to wake up, to simulate and to send, which a board does in no time: it begins so much
-before the sample's own time."""
+"""Time in which this process wakes up, simulates and sends. A board takes none, so the process begins this much
+before the sampling time."""
 
 
 class Emulator:
-    """The board's own loop on its bus.
+    """The board's loop on its bus.
 
     Args:
-        parameters: of the driver: its simulated machine is this board's, its kind of CAN bus too.
+        parameters: of the driver; they give the board's simulated machine and its CAN bus.
         line: the bus.
-        drift: of the board's quartz, a fraction.
+        drift: relative frequency error of the board's clock.
     """
 
     def __init__(self, parameters: DriverNodeParameters, line: Line, drift: float = 0.0) -> None:
@@ -36,21 +36,21 @@ class Emulator:
         self._origin_ns = time.monotonic_ns()
         self._refused = ""
         self.unsent = 0
-        """Frames that the bus did not take."""
+        """Frames that the bus did not accept."""
         self._parameters = parameters
         self._machine = SimulatedHardware(parameters.simulated, load_map(parameters.guide))
         self._board: Board | None = None
         self.loop = PeriodicLoop(round(self._machine.period_ns / self._rate), self._cycle)
 
     def _board_ns(self, monotonic_ns: int) -> int:
-        """The board's clock."""
+        """Convert monotonic time to the board's clock."""
         return round((monotonic_ns - self._origin_ns) * self._rate)
 
     def _now_ns(self) -> int:
         return self._board_ns(time.monotonic_ns())
 
     def _switched_on(self, wake_ns: int) -> Board:
-        # The board samples when this loop has woken: a sample is then not up to a period old when it is sent.
+        # The board samples at this loop's wake-up times, so that a sample is not up to a period old when it is sent.
         return Board(
             self._machine,
             Codec(self._parameters.can.node, self._parameters.can.fd),
@@ -65,7 +65,7 @@ class Emulator:
             self._board = self._switched_on(wake_ns)
         board = self._board
         for identifier, payload, sent_ns in self._line.receive():
-            # Commands act from when they were on the bus, not from when this process got to them.
+            # A command acts from its time on the bus, not from when this process read it.
             late_ns = max(0, time.time_ns() - sent_ns)
             board.receive(identifier, payload, self._now_ns() - late_ns)
         board.cycle(self._now_ns() + _LEAD_NS)
@@ -83,23 +83,23 @@ class Emulator:
 
 
 def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
-    """The driver's real-time parameters for a board: it is no part of the host, whose loop has its CPU to itself, and
-    no other work of the host holds it up. It shares no locks with the nodes."""
+    """The driver's real-time parameters, changed for an emulated board. Since a real board would not load the host, it
+    leaves the loop's CPU to the loop and runs before other work. It shares no locks with the nodes."""
     cpus = "rest" if driver.cpus == "loop" else driver.cpus
     priority = min(driver.priority + 1, _MOST_PRIORITY) if driver.priority else 0
     return dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)
 
 
 def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> int:
-    """Be the board until SIGINT or SIGTERM; prints ``ready`` when it samples.
+    """Emulate the board until SIGINT or SIGTERM; print ``ready`` when it samples.
 
     Args:
         parameters: of the driver.
-        drift: of the board's quartz, a fraction.
-        own_hub: be the hub of its bus too.
+        drift: relative frequency error of the board's clock.
+        own_hub: also be the hub of the bus.
 
     Raises:
-        SurveyError: the guide's file is refused.
+        SurveyError: the guide's file cannot be used.
         HardwareError: the hub's socket cannot be made.
     """
     stopping: list[int] = []

@@ -1,4 +1,4 @@
-"""feedforward: encoder sample in, straightness reference for it out."""
+"""feedforward: takes encoder samples, publishes the straightness reference for each."""
 
 import math
 import sys
@@ -30,14 +30,14 @@ _LOOK_AT_MAP_S = 0.02
 
 
 def _middle(_: float) -> tuple[float, float, float]:
-    """The reference in the middle of the platform's travel, whatever x is."""
+    """The reference in the middle of the platform's travel, for every x."""
     return 0.0, 0.0, 0.0
 
 
 class FeedforwardComponent:
-    """Looks the reference up in the map for each sample, some samples at a time.
+    """Looks up the reference of each sample in the map, several samples at a time.
 
-    The controller extrapolates an earlier reference, so nobody waits for this node.
+    The controller extrapolates an earlier reference, so it never waits for this node.
     """
 
     def __init__(self, node: ManagedNode, parameters: FeedforwardNodeParameters) -> None:
@@ -61,19 +61,19 @@ class FeedforwardComponent:
         Diagnostics(node, self._counters)
 
     def activate(self) -> None:
-        """Begin with the samples that come from now on."""
+        """Start with the samples that arrive from now on."""
         self._queue.fetch()
         self._feedforward.reset()
         self._x = math.nan
 
     def deactivate(self) -> None:
-        """No reference goes out any more, so no command does: the driver switches off."""
+        """Stop publishing references: the controller then sends no command, and the driver switches off."""
         self._publish.finish()
 
     def prepare(self, parameters: FeedforwardNodeParameters) -> Callable[[], None]:
-        """Another map: the reference goes over to it without a bump."""
+        """Load another map; the reference fades over to it."""
         if self._feedforward.changing:
-            raise ParameterError(f"the change of reference before this one takes {FADE_TIME:g} s; ask again after it")
+            raise ParameterError(f"the previous change of reference takes {FADE_TIME:g} s; try again after it")
         straightness = self._loaded(parameters.map)
 
         def take_over() -> None:
@@ -85,7 +85,7 @@ class FeedforwardComponent:
         return take_over
 
     def _loaded(self, parameters: MapParameters) -> StraightnessMap:
-        """Read a map while the samples are answered as before: it takes longer than the controller can wait."""
+        """Read a map in the worker thread and answer samples meanwhile: it takes longer than the controller waits."""
         job: Future[StraightnessMap] = Future()
 
         def load() -> None:
@@ -102,7 +102,7 @@ class FeedforwardComponent:
         return job.result()
 
     def _on_reload_map(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Read the map's file again; the reference goes over to it without a bump."""
+        """Read the map's file again; the reference fades over to it."""
         try:
             self.prepare(self._parameters)()
             response.success, response.message = True, f"map {self._parameters.map.file}: {self._map.report}"
@@ -111,9 +111,9 @@ class FeedforwardComponent:
         return response
 
     def _on_center(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Take the platform to the middle of its travel, or back to the map's reference, without a bump."""
+        """Fade the reference to the middle of the platform's travel, or back to the map."""
         if self._feedforward.changing:
-            response.success, response.message = False, "the change of reference before this one is not finished"
+            response.success, response.message = False, "the previous change of reference has not finished"
             return response
         if request.data != self._centred:
             self._centred = request.data
@@ -123,7 +123,7 @@ class FeedforwardComponent:
         return response
 
     def _look_at_map(self) -> None:
-        # Beyond the survey the reference runs out to a constant, which harms nobody: there is time to ask for a stop.
+        # Beyond the survey the reference runs out to a constant. That is harmless, so there is time to request a stop.
         low, high = self._map.span
         runout = self._parameters.map.runout
         if self._node.active and not low - runout <= self._x <= high + runout and math.isfinite(self._x):
@@ -145,7 +145,7 @@ class FeedforwardComponent:
         return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}
 
     def close(self) -> None:
-        """Release the subscription and the thread."""
+        """Stop the worker thread and release the subscription."""
         self._worker.close()
         self._unspun.destroy_node()
 

@@ -37,7 +37,7 @@ _FETCH_INTERVAL_NS = 20_000_000
 
 
 class LoggerComponent:
-    """Fetches all messages 50 times a second; a recorder writes them on a thread of its own."""
+    """Fetches all messages 50 times a second; the recorder's own thread writes them."""
 
     def __init__(self, node: ManagedNode, parameters: LoggerNodeParameters) -> None:
         self.node, self.loop = node, None
@@ -48,7 +48,7 @@ class LoggerComponent:
         others = _pattern("other_topics", parameters.other_topics)
         self._topics: dict[str, Fetched] = {}
         self._unheard: dict[str, Announced] = {}
-        """Topics without a message so far."""
+        """Topics that have had no message yet."""
         self._unspun = unspun_node(node)
         self._remote = RemoteParameters(node, parameters.nodes.split())
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
@@ -71,17 +71,17 @@ class LoggerComponent:
             self._start()
 
     def activate(self) -> None:
-        """Record what comes from now on."""
+        """Record the messages that arrive from now on."""
         self._drop()
         if self._recorder.recording:
             self.node.get_logger().info(f"recording to {self._recorder.folder}")
 
     def deactivate(self) -> None:
-        """Record what has come; the bag stays open."""
+        """Record the messages that have arrived; the bag stays open."""
         self._take()
 
     def prepare(self, parameters: LoggerNodeParameters) -> Callable[[], None]:
-        """The free space that must stay may change."""
+        """Prepare another limit of free disk space."""
         return self._recorder.other_min_free(parameters.min_free_bytes)
 
     def _record(
@@ -91,9 +91,9 @@ class LoggerComponent:
             return
         full_name = self.node.resolve_topic_name(topic)
         type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-        # The first one takes half a second; the bag's first message must not wait for it.
+        # The first definition takes half a second to load: do it before the bag's first message arrives.
         definition(type_name)
-        # How it is offered is known when a publisher is there: at the first message.
+        # The publisher's QoS is known when it exists: at the first message.
         self._unheard[full_name] = Announced(full_name, type_name, stored([qos]))
         self._recorder.expect(self._unheard[full_name])
         self._topics[full_name] = make_queue() if make_queue else RawQueue(self._unspun, kind, full_name, qos)
@@ -138,7 +138,7 @@ class LoggerComponent:
         self._recorder.announce(announced)
 
     def _note_time(self) -> None:
-        # The executor's timer tells nothing of its own lateness: what counts is how long messages had to wait.
+        # The executor does not tell how late its timer is. What counts is how long messages had to wait.
         now = time.monotonic_ns()
         if self._fetched_ns:
             late_ns = max(0, now - self._fetched_ns - _FETCH_INTERVAL_NS)
@@ -147,7 +147,7 @@ class LoggerComponent:
         self._fetched_ns = now
 
     def _describe(self, bag: BagWriter, at_end: bool) -> bool:
-        """Attach what the nodes say of themselves, as soon as all have answered."""
+        """Attach the nodes' parameters and map as soon as all nodes have answered, at the latest when the bag ends."""
         if not self._remote.complete and not at_end:
             return False
         bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", self._remote.as_yaml().encode())
@@ -179,7 +179,7 @@ class LoggerComponent:
         return counters
 
     def close(self) -> None:
-        """Write what has come, attach the parameters, finish the bag."""
+        """Write the messages that have arrived, attach the parameters, finish the bag."""
         self._recorder.stop()
         self._unspun.destroy_node()
 

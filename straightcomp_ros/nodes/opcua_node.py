@@ -25,14 +25,14 @@ from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
 from straightcomp_ros.settings.declaration import ParameterError
 
 if TYPE_CHECKING:
-    # It needs asyncua, which is not everywhere.
+    # It needs asyncua, an optional dependency.
     from straightcomp_ros.opcua.gateway_server import GatewayServer, Request
 
 _TICK_S = 0.02
 
 
 class OpcuaNode:
-    """Joins the graph, the state machine and the server; see those three."""
+    """Connects the ROS graph, the PackML state machine and the OPC UA server."""
 
     def __init__(self, node: Node) -> None:
         self._parameters = parameters = declare(node, OpcuaNodeParameters)
@@ -67,7 +67,7 @@ class OpcuaNode:
         moves = sequence.movements
         shown = Snapshot(sequence.state, sequence.message, moves.strokes, moves.strokes_done, sequence.centred)
         self._server.show(replace(shown, seen=seen, alarms=alarms, limits=self._limits()))
-        # Afterwards: a client that reads the state when its call has returned sees what the call has done.
+        # Answer last: a client that reads the state after its call must see the call's effect.
         answers, self._answers = self._answers, []
         for request, refusal in answers:
             request.answer.set_result(refusal)
@@ -80,7 +80,7 @@ class OpcuaNode:
             self._answers.append((request, refusal))
 
         if isinstance(request.asked, Order):
-            # The answer comes when the feedforward has given it.
+            # The feedforward node gives the answer later.
             self._sequence.order(request.asked, bool(request.argument), answered)
         else:
             answered(self._sequence.command(request.asked, request.argument))
@@ -97,7 +97,7 @@ class OpcuaNode:
         }
 
     def close(self) -> None:
-        """A cycle that nobody can hold or stop any more is ended; the server stops."""
+        """Switch the amplifier off if a cycle runs, since no client can hold or stop it any more; stop the server."""
         if self._sequence.at_work:
             self._services.switch_off()
         self._server.close()
@@ -107,7 +107,7 @@ def _server(parameters: OpcuaNodeParameters, names: list[str]) -> GatewayServer:
     try:
         from straightcomp_ros.opcua.gateway_server import CertificateError, GatewayServer
     except ImportError as error:
-        raise ParameterError(f"{error.name} is not there; remedy: pip install 'straightcomp_ros[opcua]'") from error
+        raise ParameterError(f"{error.name} is not installed; remedy: pip install 'straightcomp_ros[opcua]'") from error
     try:
         return GatewayServer(parameters.opcua, names)
     except (UsersError, CertificateError) as error:

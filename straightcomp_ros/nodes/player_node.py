@@ -1,4 +1,4 @@
-"""player: publishes the samples of a bag as a driver would, at their pace, stamped as recorded."""
+"""player: publishes a bag's samples in place of the driver, at the recorded rate and with the recorded stamps."""
 
 import sys
 import time
@@ -21,13 +21,13 @@ from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.runtime.streams import SubscriptionQueue, message_type, stream_qos, unspun_node
 
 _AFTERPLAY_S = 0.5
-"""Time for the others to answer the last samples."""
+"""Time for the other nodes to answer the last samples."""
 _SILENCE_NS = 1_000_000_000
-"""Silence after which the play goes on without answers."""
+"""After so long without an answer the player goes on without one."""
 
 
 class PlayerNode(Runnable):
-    """The stamps stay those of the bag: they are what pairs samples, references and commands."""
+    """Plays a bag. It keeps the bag's stamps, since they pair samples, references and commands."""
 
     def __init__(self, node: Node) -> None:
         parameters = declare(node, PlayerNodeParameters)
@@ -94,18 +94,18 @@ class PlayerNode(Runnable):
             self._answered = max(self._answered, self._places.get(stamp_ns, -1) + 1)
             self._progress_ns = now_ns
         if now_ns - self._progress_ns > _SILENCE_NS:
-            # Whatever was lost will not come any more.
+            # No answer will come any more: samples or commands were lost.
             self._answered, self._progress_ns = self._next, now_ns
 
     def _wait(self, wake_ns: int) -> None:
         count = self._publisher.get_subscription_count()
         if count >= self._subscribers:
-            # A reader that is found is connected a moment later.
+            # A subscriber that has just been discovered is connected a moment later.
             self._start_ns = wake_ns + 1_000_000_000
         elif time.monotonic() > self._deadline and not self.done.done():
             self.node.get_logger().error(
                 f"{count} subscribers of '{ENCODER.topic}' after {self._timeout:g} s; "
-                f"{self._subscribers} are asked for (subscribers)"
+                f"parameter 'subscribers' asks for {self._subscribers}"
             )
             self.done.set_result(EXIT_FAILURE)
 

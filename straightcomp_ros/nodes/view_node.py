@@ -1,4 +1,4 @@
-"""Feeds the live view: reads the graph's streams, decimates them, passes the page's buttons on to the driver."""
+"""Feeds the live view: reads and decimates the graph's streams, passes the page's button presses to the driver."""
 
 import queue
 from collections.abc import Callable
@@ -28,13 +28,13 @@ _LATENCY = DRIVER_STATE.layout.columns.index("command_latency")
 _SHOWN = {"deviation": 1e6, "y": 1e6, "error": 1e6, "sigma": 1e3, "latency": 1e6, "x": 1e3}
 """Series and their scales: µm, mm/s, µs, mm."""
 _OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": "timer_error_p99_us"}
-"""Names on the page, and in the diagnostics."""
+"""Name in the diagnostics, by name on the page."""
 
 
 class ViewNode:
-    """Serves the page at ``port``, whose address ``ready`` gets; other threads serve it, the main thread talks ROS.
+    """Serves the page at ``port`` and calls ``ready`` with its address. Only the main thread uses ROS; others serve it.
 
-    ``realtime`` must be that of the graph's nodes: see docs/realtime.md.
+    ``realtime`` must equal that of the graph's nodes: see docs/realtime.md.
     """
 
     def __init__(self, node: Node, port: int, ready: Callable[[str], object], realtime: RealtimeParameters) -> None:
@@ -61,7 +61,7 @@ class ViewNode:
             ("error", fetched.controller, _ERROR, 1.0),
             ("sigma", fetched.controller, _SIGMA, 1.0),
             ("latency", fetched.driver, _LATENCY, 1.0),
-            # The deviation of the guide by the map: the reference is its mirror image.
+            # Deviation of the guide by the map: the negative of the reference.
             ("deviation", self._reference.fetch(), 0, -1.0),
         ):
             self._board.add(name, [(stamp_ns, sign * numbers[column]) for stamp_ns, numbers, _ in messages])
@@ -87,7 +87,7 @@ class ViewNode:
         )
 
     def _ask(self, service: Callable[[Callable[[str], None]], None], done: str) -> str:
-        """Called by a page's thread: has the main thread ask a service, and waits for the answer."""
+        """Called by a thread of the page: let the main thread call a service, and wait for its answer."""
         refusals: queue.Queue[str] = queue.Queue()
         self._wanted.append(lambda: service(refusals.put))
         try:
@@ -99,7 +99,7 @@ class ViewNode:
         return done
 
     def close(self) -> None:
-        """The page goes away; the graph is left as it is."""
+        """Stop serving the page; the graph keeps running."""
         self._server.close()
 
 

@@ -1,9 +1,9 @@
-"""Streams in batches: the same messages, eight in one, for readers that can wait.
+"""Streams in batches: eight messages in one, for subscribers that can wait.
 
-To publish a message, to wake its reader and to take it costs either side some 20 µs, more than all else about it. The
-controller's samples and the driver's commands must come one by one. Whoever only records, looks on or looks ahead takes
-the batches, and leaves the loop alone; a stream that nobody acts on is published one by one only where somebody has
-subscribed to it.
+Publishing a message, waking its subscriber and taking it costs each side about 20 µs, more than all other work on it.
+The controller's samples and the driver's commands must arrive one by one. Subscribers that record, display or look
+ahead take the batches and cost the loop little. A stream that no control loop waits for is published one by one only
+while it has a subscriber.
 """
 
 import itertools
@@ -27,21 +27,21 @@ from straightcomp_ros.runtime.streams import (
 )
 
 _BATCH = 8
-"""Messages of a batch: 4 ms at 2 kHz."""
+"""Messages in a batch: 4 ms at 2 kHz."""
 _LONGEST = 64
-"""The same after a stall, when many wait: what loopback sockets take in one packet."""
+"""Messages in the largest batch, after a stall: it fits into one packet of a loopback socket."""
 _first_batches = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
-"""Lengths of the first batches of a process's streams: those of a node must not all fall into the same cycle."""
+"""Lengths of the first batches of a process's streams: its batches must not all be published in the same cycle."""
 _FLUSH_S = 0.5
-"""For the last samples, when no more come: a batch that nothing fills waits for so long at most."""
+"""Longest time for which an incomplete batch waits for more messages."""
 _DELIVERY = Duration(seconds=0.2)
-"""For readers to say that they have the last batches; one that stands still is not waited for any longer."""
+"""Longest wait for subscribers to acknowledge the last batches."""
 _LOOK_NS = 200_000_000
 _LONGEST_DELAY_NS = 1_000_000_000
 
 
 class _Batches:
-    """What goes out in batches: serialised messages, and when each was made."""
+    """Collects serialised messages with the time each was made, and publishes them in batches."""
 
     def __init__(self, node: Node, stream: Stream) -> None:
         self._publisher = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(reliable=True))
@@ -51,7 +51,7 @@ class _Batches:
 
     @property
     def full(self) -> bool:
-        """Whether the batch has all its messages."""
+        """Whether the batch is complete."""
         return self._room <= 0
 
     def add(self, data: bytes) -> None:
@@ -59,7 +59,7 @@ class _Batches:
         self._room -= 1
 
     def flush(self) -> list[tuple[int, bytes]]:
-        """Publish what waits, and return it."""
+        """Publish the collected messages, and return them."""
         waiting, self._waiting = self._waiting, []
         if self._room <= 0:
             self._room = _BATCH
@@ -68,17 +68,17 @@ class _Batches:
         return waiting
 
     def delivered(self) -> None:
-        """Wait until the readers have what was published: a reader that learns first of its writer's end drops it."""
+        """Wait for acknowledgement: a subscriber that first learns that its publisher has ended drops the messages."""
         self._publisher.wait_for_all_acked(_DELIVERY)
 
 
 class BatchPublisher:
-    """A stream that nobody acts on at once: in batches, and one by one while somebody subscribes to it.
+    """Publishes a stream that no control loop waits for: in batches, and one by one while it has a subscriber.
 
     Args:
-        node: publishes.
-        stream: what it publishes.
-        flushed: the caller flushes, and nothing goes out between.
+        node: creates the publishers.
+        stream: what to publish.
+        flushed: publish only when the caller flushes.
     """
 
     def __init__(self, node: Node, stream: Stream, flushed: bool = False) -> None:
@@ -90,31 +90,31 @@ class BatchPublisher:
             node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
-        """Publish one message, now or with those that follow it."""
+        """Publish one message, now or in a batch with later ones."""
         self._batches.add(self._pack(stamp_ns, *numbers))
         if self._batches.full and not self._flushed:
             self.flush()
 
     def flush(self) -> None:
-        """Publish what waits."""
+        """Publish the collected messages."""
         messages = self._batches.flush()
         if messages and self._publisher.get_subscription_count():
             for _, data in messages:
                 self._publish(data)
 
     def finish(self) -> None:
-        """Publish what waits, and see it delivered: before the node ends."""
+        """Publish the collected messages and wait for their delivery; call it before the node ends."""
         self.flush()
         self._batches.delivered()
 
 
 class CopiedPublisher:
-    """A stream that somebody waits for: each message at once, and a little later in a batch.
+    """Publishes a stream that a control loop waits for: each message at once, and again in a batch a little later.
 
     Args:
-        node: publishes.
-        stream: what it publishes.
-        copied: false for no batches: where the next message may depend on the answer of somebody who reads them.
+        node: creates the publishers.
+        stream: what to publish.
+        copied: also publish batches; False in lockstep, where the next message waits for the answer to the last one.
     """
 
     def __init__(self, node: Node, stream: Stream, copied: bool) -> None:
@@ -131,31 +131,31 @@ class CopiedPublisher:
             self._batches.add(data)
 
     def copy(self) -> None:
-        """Publish the batch if it is full: when those who wait for the messages have got them."""
+        """Publish the batch if it is complete; call it after the control loop has got its message."""
         if self._batches is not None and self._batches.full:
             self._batches.flush()
 
     def flush(self) -> None:
-        """Publish what no batch has had yet."""
+        """Publish the incomplete batch."""
         if self._batches is not None:
             self._batches.flush()
 
     def finish(self) -> None:
-        """The same, and see it delivered: before the node ends."""
+        """Publish the incomplete batch and wait for its delivery; call it before the node ends."""
         if self._batches is not None:
             self._batches.flush()
             self._batches.delivered()
 
 
 class BatchQueue:
-    """Messages of a stream from its batches, or from the stream itself as long as nobody publishes any.
+    """Receives a stream from its batches, or one by one as long as nobody publishes batches.
 
     Args:
-        node: resolves the names.
+        node: resolves topic names, logs warnings.
         unspun: from :func:`straightcomp_ros.runtime.streams.unspun_node`.
         stream: what to receive.
-        depth: messages, or batches, that may wait.
-        complete: whatever is lost on the way is asked for again.
+        depth: messages, or batches, that the middleware keeps.
+        complete: ask the publisher for lost batches again (reliable QoS).
     """
 
     def __init__(self, node: Node, unspun: Node, stream: Stream, depth: int = 1000, complete: bool = False) -> None:
@@ -169,16 +169,16 @@ class BatchQueue:
         self._direct: RawQueue | None = self._make_direct()
         self._warned = False
         self._newest_ns: int | None = None
-        """Stamp of the last message that came directly; those of batches up to it have been had."""
+        """Stamp of the newest message received one by one; batches repeat the messages up to it."""
         self._looked_ns = 0
 
     @property
     def connected(self) -> bool:
-        """Whether a publisher is there, and the middleware has connected it."""
+        """Whether the middleware has connected a publisher."""
         return self._batches.connected or (self._direct is not None and self._direct.connected)
 
     def fetch(self) -> Messages:
-        """Messages since the last call, each once."""
+        """Messages since the last call, without duplicates."""
         if self._direct is None:
             self._look()
         copies = self._unpacked(self._batches.fetch())
@@ -197,7 +197,7 @@ class BatchQueue:
         return messages + copies
 
     def _unpacked(self, batches: Messages) -> Messages:
-        """The messages, with the time at which each was made as that of its source."""
+        """The messages of the batches; ``source_timestamp`` is the time at which a message was made."""
         size, messages = self._stream.layout.size, Messages()
         for batch, info in batches:
             received_ns = info["received_timestamp"]
@@ -214,11 +214,11 @@ class BatchQueue:
 
     @staticmethod
     def _came_directly(stamp_ns: int, newest_ns: int) -> bool:
-        # Batches are late by some milliseconds: one that seems later is of another source, with another clock.
+        # A batch is some milliseconds late. One that seems later comes from another source with another clock.
         return 0 <= newest_ns - stamp_ns < _LONGEST_DELAY_NS
 
     def _look(self) -> None:
-        """Now and then: is the batches' publisher still there?"""
+        """Check five times a second whether the batches still have a publisher."""
         now_ns = time.monotonic_ns()
         if now_ns - self._looked_ns >= _LOOK_NS:
             self._looked_ns = now_ns

@@ -1,4 +1,4 @@
-"""Work of some milliseconds, done on a thread of its own, so that the control loop misses no cycle."""
+"""Runs jobs of some milliseconds in a thread of their own, so that the control loop misses no cycle."""
 
 import sys
 from collections.abc import Callable
@@ -7,15 +7,15 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from rclpy.node import Node
 
 _SWITCH_INTERVAL_S = 1e-4
-"""How long the loop may have to wait for the interpreter while the other thread computes; Python's own 5 ms are ten
+"""Longest wait of the loop for the interpreter lock while the other thread computes. Python's default of 5 ms is ten
 sampling periods."""
 
 
 class BesideTheLoop:
-    """Runs jobs one after the other, in the order of their coming; one that fails is reported in the node's log.
+    """Runs jobs one after the other in the order of submission; logs those that fail.
 
-    The thread is started by the first job, so by the loop itself, and has its scheduling from it: with a lower priority
-    it could be held up while it holds the interpreter, and the loop with it.
+    The thread is started by the first job, in the loop's thread, so it inherits the loop's scheduling. With a lower
+    priority it could be preempted while it holds the interpreter lock, and would block the loop.
     """
 
     def __init__(self, node: Node) -> None:
@@ -24,11 +24,11 @@ class BesideTheLoop:
         self._thread = ThreadPoolExecutor(max_workers=1)
 
     def run(self, job: Callable[[], None]) -> None:
-        """Run ``job`` soon."""
+        """Queue ``job`` and return at once."""
         self._thread.submit(job).add_done_callback(self._report)
 
     def close(self) -> None:
-        """Wait for the jobs."""
+        """Wait for all jobs."""
         self._thread.shutdown(wait=True)
 
     def _report(self, done: Future[None]) -> None:

@@ -1,4 +1,4 @@
-"""Changes of a managed node's parameters while it runs: checked as a whole, taken over as a whole or not at all."""
+"""Parameter changes of a running managed node: checked together, and applied together or not at all."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,15 +13,15 @@ Prepare = Callable[[Any], Callable[[], None]]
 
 
 class ParameterChanges:
-    """Refuses what the parameter set refuses, and what the component cannot do; the reason goes back to who asked.
+    """Refuses what the parameter set or the component refuses; the requesting client gets the reason.
 
-    While the node is unconfigured any parameter may be changed: it is read by the next configuration. Later only those
-    may that the set names in its ``dynamic``.
+    While the node is unconfigured any parameter may change: the next configuration reads it. In other states only the
+    parameters that the set names in ``dynamic`` may change.
 
     Args:
-        node: whose parameters have been declared.
+        node: its parameters have been declared.
         parameter_set: of the node.
-        refusals: what the component raises where it cannot.
+        refusals: exceptions by which the component refuses values.
     """
 
     def __init__(self, node: Node, parameter_set: type, refusals: tuple[type[Exception], ...]) -> None:
@@ -33,15 +33,15 @@ class ParameterChanges:
         node.add_post_set_parameters_callback(self._changed)
 
     def parameters(self) -> Any:
-        """The parameter set with the present values.
+        """The parameter set with the current values.
 
         Raises:
-            ParameterError: they do not go together.
+            ParameterError: the values contradict each other.
         """
         return from_mapping(self._parameter_set, self._values())
 
     def follow(self, prepare: Prepare | None) -> None:
-        """From now on ``prepare`` of the component decides on changes; None: the node is unconfigured."""
+        """Let the component's ``prepare`` decide on changes from now on; None while the node is unconfigured."""
         self._prepare = prepare
 
     def _values(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Time that never steps, in ns since the epoch: for stamps that must stay on the sampling grid."""
+"""A clock that never steps, in ns since the epoch: stamps must stay on the sampling grid."""
 
 import time
 
@@ -6,10 +6,10 @@ _OFFSET_NS = time.time_ns() - time.monotonic_ns()
 
 
 def now_ns() -> int:
-    """Monotonic clock, set to the system's time once, when the process started."""
+    """Monotonic clock, set to the system time once, when the process starts."""
     return from_monotonic(time.monotonic_ns())
 
 
 def from_monotonic(monotonic_ns: int) -> int:
-    """The same for a reading of ``time.monotonic_ns``."""
+    """Convert a reading of ``time.monotonic_ns`` to :func:`now_ns`."""
     return monotonic_ns + _OFFSET_NS

@@ -1,4 +1,4 @@
-"""What becomes of the commands that reach the driver: each goes to the machine, is passed over, or trips."""
+"""Handles the commands that reach the driver: writes each to the machine, drops it as stale, or trips."""
 
 import math
 from collections.abc import Callable
@@ -11,17 +11,17 @@ from straightcomp_ros.timing.node_timing import LATENCY, written
 
 
 class CommandIntake:
-    """Hands good commands to the machine, once for each sample.
+    """Writes valid commands to the machine, one for each sample.
 
     Args:
         hardware: the machine.
         timeout_ns: age in ns beyond which a command is stale.
         current_limit: largest current in A.
-        trip: gets a fault and the reason in words.
+        trip: called with a fault and the reason in words.
 
     Attributes:
-        current_limit: may be changed.
-        stamp_ns: of the newest sample that has been answered.
+        current_limit: largest current in A; may be changed.
+        stamp_ns: stamp of the newest sample that has its command.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class CommandIntake:
         self._latencies = Histogram()
 
     def accept(self, stamp_ns: int, current: float, arrival_ns: int) -> None:
-        """A command of ``current`` in A, for the sample of ``stamp_ns``, came in at ``arrival_ns``."""
+        """Handle a command of ``current`` in A for the sample of ``stamp_ns``, received at ``arrival_ns``."""
         age_ns = arrival_ns - stamp_ns
         if stamp_ns <= self.stamp_ns:
             self._stale += 1
@@ -53,12 +53,12 @@ class CommandIntake:
             self._watch.good()
 
     def count(self, latency_ns: int) -> None:
-        """A command went to the machine, so long after its sample."""
+        """Count a command written to the machine, ``latency_ns`` after its sample."""
         self._latency = latency_ns * 1e-9
         self._commands += 1
 
     def is_good(self, current: float) -> bool:
-        """Whether a current may go to the machine; if not, trips."""
+        """Whether a current may be written to the machine; trips if not."""
         limit = self.current_limit
         if -limit <= current <= limit:
             return True
@@ -67,12 +67,12 @@ class CommandIntake:
         return False
 
     def take_latency(self) -> float:
-        """Time in s from its sample to the last command; NaN where none has come since the last call."""
+        """Time in s from its sample to the last command; NaN if none has arrived since the last call."""
         latency, self._latency = self._latency, math.nan
         return latency
 
     def counters(self) -> dict[str, object]:
-        """Values for the diagnostics; latencies are those since the last call."""
+        """Values for the diagnostics, with the latencies since the last call."""
         return {
             "commands": self._commands,
             "stale_commands": self._stale,

@@ -16,11 +16,10 @@ _FIXED = ("autostart", "realtime")
 
 
 def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> T:
-    """Take what launch file, YAML and command line gave to ``node``, validated, and declare every parameter.
+    """Read and validate what launch file, YAML and command line gave to ``node``; declare every parameter.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides=True``: only so
-    does it show names that nobody knows. With ``changeable`` the parameters are not read-only, but for those that
-    are used at the start of the process.
+    Make the node with ``automatically_declare_parameters_from_overrides=True``: otherwise it hides unknown names.
+    With ``changeable`` only the parameters that are used at the start of the process are read-only.
 
     Raises:
         ParameterError: unknown name, wrong type or value out of range.
@@ -32,7 +31,7 @@ def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> 
         if declaration.name in given:
             node.undeclare_parameter(declaration.name)
         fixed = not changeable or declaration.name.split(".")[0] in _FIXED
-        # What was given is in ``value``, an integer as the float that it stands for.
+        # ``value`` is the given value, with an integer converted to float where the declaration says so.
         node.declare_parameter(declaration.name, value, _descriptor(declaration, fixed), ignore_override=True)
     return parameters
 

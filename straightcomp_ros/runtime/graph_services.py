@@ -1,4 +1,4 @@
-"""What the cell node, the gateway and the view ask of the graph: lifecycle, amplifier, faults, motion of the stage."""
+"""What the cell node, the gateway and the view request from the graph: lifecycle, amplifier, faults, stage motion."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -22,14 +22,14 @@ _WARN_EVERY_S = 5.0
 _MOST_WAITING = 4
 _UPWARDS = {"unconfigured": Transition.TRANSITION_CONFIGURE, "inactive": Transition.TRANSITION_ACTIVATE}
 Answer = Callable[[str], None]
-"""Takes why something was refused, or an empty text."""
+"""Called with the reason for a refusal; an empty text means success."""
 
 
 class GraphServices:
-    """Asks the nodes ``names`` in the namespace of ``node`` without waiting: see the sequencer's `Machine`.
+    """Calls services of the nodes ``names`` in ``node``'s namespace without waiting: see the sequencer's `Machine`.
 
-    ``then`` gets why something was refused, or an empty text. A node counts as silent so many seconds after its last
-    heartbeat (``silent_after``).
+    ``then`` is called with the reason for a refusal, or an empty text. A node counts as silent ``silent_after`` seconds
+    after its last heartbeat.
     """
 
     def __init__(self, node: Node, names: Sequence[str], silent_after: float = 5.0) -> None:
@@ -47,21 +47,21 @@ class GraphServices:
 
     @property
     def states(self) -> dict[str, str]:
-        """State of each node: ``absent``; ``plain`` where it has no lifecycle; ``silent`` where no heartbeat comes;
-        else its lifecycle state in lower case."""
+        """State of each node: ``absent``; ``plain`` if it has no lifecycle; ``silent`` without heartbeats; else its
+        lifecycle state in lower case."""
         states = self._heartbeats.states | dict.fromkeys(self._heartbeats.silent(), SILENT)
         states |= {name: PLAIN for name, change in self._change_state.items() if not change.ready}
         return states | {name: ABSENT for name in states if name not in self._present}
 
     @property
     def obstacle(self) -> str:
-        """Why the stage cannot be moved or the amplifier not be asked for; empty where both can."""
+        """Why the stage cannot be moved or the amplifier cannot be switched; empty if both can."""
         if not self._trajectory.get_subscription_count():
-            return "nobody takes the stage's trajectory"
-        return "" if self._enable.ready else "the driver's service 'enable' is not there"
+            return "no node subscribes to the stage's trajectory"
+        return "" if self._enable.ready else "the driver's service 'enable' is not available"
 
     def activate(self) -> None:
-        """One transition towards active for each node that is unconfigured or inactive."""
+        """Request one transition towards active of each node that is unconfigured or inactive."""
         for name, state in self.states.items():
             if state in _UPWARDS:
                 request = ChangeState.Request(transition=Transition(id=_UPWARDS[state]))
@@ -102,7 +102,7 @@ class GraphServices:
 
 
 class _Caller:
-    """Calls one service. Requests that nobody answers are forgotten, not piled up."""
+    """Calls one service. It drops the oldest unanswered requests instead of collecting them without limit."""
 
     def __init__(self, node: Node, kind: Any, name: str) -> None:
         self._client = node.create_client(kind, name)
@@ -113,11 +113,11 @@ class _Caller:
         return bool(self._client.service_is_ready())
 
     def ask(self, request: Any, then: Answer) -> None:
-        """Ask a service that answers with ``success`` and ``message``; ``then`` gets its refusal, or an empty text."""
+        """Call a service that answers with ``success`` and ``message``; ``then`` gets its refusal, or an empty text."""
         if self.ready:
             self(request, lambda response: then("" if response.success else response.message or "refused"))
         else:
-            then(f"service {self._client.srv_name} is not there")
+            then(f"service {self._client.srv_name} is not available")
 
     def __call__(self, request: Any, then: Callable[[Any], None]) -> None:
         def answered(future: Future) -> None:

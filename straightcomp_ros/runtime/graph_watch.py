@@ -1,4 +1,4 @@
-"""Watches the graph without touching its loop: streams, diagnostics, safety state, and what they say together."""
+"""Observes the graph without loading its loop: streams, diagnostics, safety state, and all in one observation."""
 
 import math
 import os
@@ -32,11 +32,11 @@ _DRIVER = "driver"
 _ERROR = CONTROLLER_STATE.layout.columns.index("error")
 _SIGMA = CONTROLLER_STATE.layout.columns.index("sliding_variable")
 Messages = Sequence[tuple[int, Sequence[float], int]]
-"""As :meth:`SubscriptionQueue.fetch` gives them."""
+"""As :meth:`SubscriptionQueue.fetch` returns them."""
 
 
 class Fetched(NamedTuple):
-    """What has come since the last look."""
+    """Messages since the last call."""
 
     positions: Messages
     controller: Messages = ()
@@ -44,13 +44,13 @@ class Fetched(NamedTuple):
 
 
 class GraphWatch:
-    """Reads batches, and what comes seldom: its reading costs the loops that publish next to nothing.
+    """Reads batches and slow topics only, which costs the publishing loops almost nothing.
 
     Args:
-        node: watches; must be spun for the diagnostics and the safety state.
+        node: subscribes; an executor must spin it for the diagnostics and the safety state.
         batches: also read `controller_state` and `driver_state`; otherwise errors and σ stay unknown.
-        fresh: time after a sample for which samples count as coming in, s.
-        patient: they count as coming in before the first, too, until :meth:`expect_samples` is called.
+        fresh: time after the last sample for which the observation is fresh, s.
+        patient: the observation is also fresh before the first sample, until :meth:`expect_samples` is called.
     """
 
     def __init__(self, node: Node, *, batches: bool = True, fresh: float = 0.5, patient: bool = False) -> None:
@@ -72,16 +72,16 @@ class GraphWatch:
         self._errors: dict[str, str] = {}
 
     def expect_samples(self) -> None:
-        """From now on the absence of a first sample counts as silence, too."""
+        """Count the absence of a first sample as silence from now on."""
         self._last_came = min(self._last_came, time.monotonic())
 
     def fetch(self) -> Fetched:
-        """Take what has come; call it some ten times a second or more."""
+        """Take the messages that have arrived; call it at least ten times a second."""
         fetched = Fetched(*(queue.fetch() for queue in self._queues))
         for number, (stamp_ns, (x, y), _) in enumerate(fetched.positions, 1):
             self._strokes.add_position(stamp_ns, x)
             if number % _YIELD_EVERY == 0 or number == len(fetched.positions):
-                # With real-time scheduling nodes of the same priority would have to wait for the end of this.
+                # Nodes of the same real-time priority would otherwise wait until this loop ends.
                 os.sched_yield()
                 self._newest = replace(self._newest, x=x, y=y)
         for number, (_, numbers, _) in enumerate(fetched.controller, 1):
@@ -97,16 +97,16 @@ class GraphWatch:
         return fetched
 
     def reports(self) -> dict[str, dict[str, str]]:
-        """By node, the values of its newest diagnostics; without those that have fallen silent."""
+        """Values of each node's newest diagnostics, without the nodes that have fallen silent."""
         oldest = time.monotonic() - _REPORT_LASTS_S
         return {node: values for node, (came, values) in self._reports.items() if came > oldest}
 
     def observation(self, states: Mapping[str, str]) -> Observation:
-        """The graph now; ``states`` are those of its nodes."""
+        """The graph now, given the ``states`` of its nodes."""
         fresh = time.monotonic() - self._last_came < self._fresh
         reports = self.reports()
         controller = reports.get("controller", {})
-        # The driver's fault is in its safety state at once, a second before it is in its diagnostics.
+        # A fault of the driver is in its safety state at once, but in its diagnostics up to a second later.
         safety = self._safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
         faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
         return replace(

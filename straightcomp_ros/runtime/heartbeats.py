@@ -1,4 +1,4 @@
-"""Which nodes are alive, and in which lifecycle state, from their heartbeats."""
+"""Tells from heartbeats which nodes are alive, and in which lifecycle state."""
 
 import time
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ _TICK_S = 0.05
 
 
 class Heartbeats:
-    """Listens to nodes, which count as silent until their first heartbeat, and ``timeout`` (s) after each."""
+    """Listens to nodes. A node is silent until its first heartbeat, and again ``timeout`` s after its last one."""
 
     def __init__(self, node: Node, names: Sequence[str], timeout: float = 1.0) -> None:
         self._timeout = timeout
@@ -24,11 +24,11 @@ class Heartbeats:
         node.create_timer(_TICK_S, self._tick)
 
     def silent(self) -> list[str]:
-        """Nodes without a heartbeat for that long."""
+        """Nodes without a heartbeat within the timeout."""
         return [name for name, age in self._ages.items() if age >= self._timeout]
 
     def forget(self, name: str) -> None:
-        """Count the node as silent until its next heartbeat: it has been started anew."""
+        """Count a node that is started again as silent until its next heartbeat."""
         self._ages[name] = self._timeout
 
     def in_state(self, state: str) -> bool:
@@ -36,7 +36,7 @@ class Heartbeats:
         return not self.silent() and set(self.states.values()) == {state}
 
     def _tick(self) -> None:
-        # A process that stood still must not take its own silence for the others'.
+        # A process that was suspended must not mistake its own pause for silence of the nodes.
         now = time.monotonic()
         passed, self._ticked = min(now - self._ticked, 2.0 * _TICK_S), now
         for name in self._ages:

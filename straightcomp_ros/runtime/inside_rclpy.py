@@ -1,7 +1,7 @@
-"""What the nodes use of rclpy that is not in its documentation: all of it is here, and its test says what has changed.
+"""The undocumented interfaces of rclpy that the nodes use: all are in this file, and its test shows what has changed.
 
-rclpy's own ways to publish and to take a message cost a 2 kHz loop 5 to 20 µs each, and a subscription cannot be waited
-for outside an executor. Of a lifecycle node neither the state nor the service that changes it can be had.
+The documented ways to publish and to take a message cost a 2 kHz loop 5 to 20 µs each, and only an executor can wait
+for a subscription. A lifecycle node gives no access to its state or to the service that changes it.
 """
 
 import time
@@ -20,7 +20,7 @@ from straightcomp_ros.runtime.middleware import stamps_arrival
 def raw_publish(publisher: Publisher) -> Callable[[bytes], None]:
     """A function that publishes a serialised message.
 
-    It does not lock the publisher against being destroyed by another thread, and does not ask what it was given.
+    It does not lock the publisher against destruction by another thread, and does not check its argument.
     """
     publish: Callable[[bytes], None] = publisher.handle.publish_raw
     return publish
@@ -28,10 +28,10 @@ def raw_publish(publisher: Publisher) -> Callable[[bytes], None]:
 
 def raw_take(subscription: Subscription) -> Callable[[], tuple[bytes, Mapping[str, int]] | None]:
     """A function that takes the next serialised message, with ``received_timestamp`` and ``source_timestamp`` in ns
-    since the epoch; None where none waits.
+    since the epoch; it returns None if there is no message.
 
-    Cyclone DDS stamps the reception at the take (ros2/rmw_cyclonedds#167). A message came in after it was sent, after
-    the last take that found none, and before this one: with such a middleware the earliest possible time is given.
+    Cyclone DDS stamps the reception at the take (ros2/rmw_cyclonedds#167). A message arrived after it was sent, after
+    the last take that found none, and before this one: for such a middleware the earliest possible time is returned.
     """
     take, kind = subscription.handle.take_message, subscription.msg_type
     if stamps_arrival():
@@ -52,11 +52,11 @@ def raw_take(subscription: Subscription) -> Callable[[], tuple[bytes, Mapping[st
 
 
 def waiter(node: Node, subscription: Subscription) -> Callable[[int], None]:
-    """A function that returns when a message is there, or after so many ns."""
+    """A function ``wait(timeout_ns)`` that returns when a message has arrived, or after that time."""
     handle, wait_set = subscription.handle, rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
 
     def wait(timeout_ns: int) -> None:
-        # A wait leaves nothing in its set but what is ready.
+        # A wait leaves only ready entities in its set.
         wait_set.clear_entities()
         wait_set.add_subscription(handle)
         wait_set.wait(timeout_ns)
@@ -65,11 +65,11 @@ def waiter(node: Node, subscription: Subscription) -> Callable[[int], None]:
 
 
 def lifecycle_state(node: LifecycleNode) -> str:
-    """Name of the state that a lifecycle node is in, ``active`` for one."""
+    """Name of a lifecycle node's current state, e.g. ``active``."""
     return str(node._state_machine.current_state[1])
 
 
 def state_service(node: LifecycleNode) -> Service:
-    """The service by which others change the state of a lifecycle node."""
+    """The service that changes the state of a lifecycle node."""
     service: Service = node._service_change_state
     return service

@@ -23,11 +23,11 @@ from straightcomp_ros.contract import PACKAGE
 SHARE = FindPackageShare(PACKAGE)
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _CHOICES = ["true", "false"]
-"""Of an argument whose default is one of them: `True` or `1` are refused, and taken for neither."""
+"""Values of a Boolean argument; others, such as `True` or `1`, are refused."""
 
 
 class Override(NamedTuple):
-    """What a launch argument means that, where it is given, wins over the file of parameters."""
+    """A parameter that a launch argument sets; if given, the argument takes precedence over the parameter file."""
 
     parameter: str
     kind: type
@@ -36,11 +36,11 @@ class Override(NamedTuple):
 
 Overrides = Mapping[str, Override]
 Arguments = Mapping[str, tuple[object, str]]
-"""By name: default and description."""
+"""Default and description by name."""
 
 
 def _override(argument: str, parameter: str, what: str, kind: type = str) -> Overrides:
-    return {argument: Override(parameter, kind, f"{what}; empty: as the parameters say")}
+    return {argument: Override(parameter, kind, f"{what}; empty: value of the parameter file")}
 
 
 RT_PRIORITY = _override("rt_priority", "realtime.priority", "SCHED_FIFO priority, 0 for none", int)
@@ -50,20 +50,20 @@ HARDWARE = _override("hardware", "hardware", "Machine, 'simulated' or 'can'")
 OUTPUT = _override("output", "output", "Folder of the bag")
 OPCUA_USERS = _override("opcua_users", "opcua.users", "File of the gateway's users")
 OF_ALL: Arguments = {
-    "namespace": ("", "Namespace of all that is started"),
+    "namespace": ("", "Namespace of all started nodes"),
     "params_file": (PathJoinSubstitution([SHARE, "config", "straightcomp.yaml"]), "YAML file of parameters"),
 }
 """Arguments of each launch file."""
-RECORD: Arguments = {"record": ("true", "false: there is no logger, and no bag")}
+RECORD: Arguments = {"record": ("true", "false: start no logger and record no bag")}
 
 
 def use_opcua(default: str) -> Arguments:
     """The argument that chooses between cell and gateway."""
-    return {"use_opcua": (default, "true: the OPC UA gateway in the place of the cell, its client runs the cycles")}
+    return {"use_opcua": (default, "true: start the OPC UA gateway instead of the cell; its client runs the cycles")}
 
 
 def described(arguments: Arguments, overrides: Overrides, actions: Iterable[object]) -> LaunchDescription:
-    """A launch file's content: its arguments besides those of all launch files, and the actions that start nodes."""
+    """A launch description: the arguments, those of every launch file included, and the actions that start nodes."""
     texts = {**OF_ALL, **arguments, **{name: ("", override.description) for name, override in overrides.items()}}
     declared = [
         DeclareLaunchArgument(
@@ -71,7 +71,7 @@ def described(arguments: Arguments, overrides: Overrides, actions: Iterable[obje
         )
         for name, (default, text) in texts.items()
     ]
-    # 2 kHz topics stay off the network unless somebody asks for it.
+    # Keep 2 kHz topics off the network unless the user asks for more.
     on_this_computer = SetEnvironmentVariable(_DISCOVERY, EnvironmentVariable(_DISCOVERY, default_value="LOCALHOST"))
     return LaunchDescription([*declared, on_this_computer, *actions])
 
@@ -79,15 +79,15 @@ def described(arguments: Arguments, overrides: Overrides, actions: Iterable[obje
 def starting(
     name: str, overrides: Overrides, *, only_if: Mapping[str, bool] | None = None, runs_cycle: bool = False
 ) -> OpaqueFunction:
-    """Start the node ``name``, if the arguments ``only_if`` have these values.
+    """Start the node ``name`` if the arguments in ``only_if`` have the given values.
 
-    One that ``runs_cycle`` waits for all others (``record:=false``: but the logger); its end shuts all down.
+    A node that ``runs_cycle`` waits for all others (except the logger with ``record:=false``); its end ends the launch.
     """
 
     def actions(context: LaunchContext) -> list[object]:
         if any(_is_true(context, argument) is not wanted for argument, wanted in (only_if or {}).items()):
             return []
-        # Known only now. An argument that is empty leaves the parameter to the file, or to the node's own default.
+        # The arguments' values are known only now. An empty one leaves the parameter to the file or the default.
         given = {name: LaunchConfiguration(name).perform(context) for name in overrides}
         parameters = {
             overrides[name].parameter: ParameterValue(value, value_type=overrides[name].kind)
@@ -107,7 +107,7 @@ def starting(
         if not runs_cycle:
             return [node]
         shutdown = EmitEvent(event=Shutdown(reason=f"the {name} has ended"))
-        # Before the node: one that ends at once (a wrong parameter) must not end unseen.
+        # Register the handler before the node starts: a wrong parameter ends the node at once.
         return [RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[shutdown])), node]
 
     return OpaqueFunction(function=actions)

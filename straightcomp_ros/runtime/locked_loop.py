@@ -13,31 +13,31 @@ _GAIN = 0.02
 
 
 class LockedLoop:
-    """A loop whose cycles have the frequency and the phase of a stream: each begins when a message comes.
+    """A loop with the frequency and the phase of a stream: a cycle begins when a message arrives.
 
-    A timer locked just behind the arrivals would have to leave them room for their jitter, 100 µs of latency on a busy
-    machine, and to set the CPU's timer in each period, which in a virtual machine costs as much as the control law.
-    When a message is due follows from the arrivals before it, by a first-order phase-locked loop: this tells how
-    steadily they come. Without messages the loop only does its idle work.
+    A timer locked behind the arrivals would need a margin for their jitter, 100 µs of latency on a busy machine, and
+    would set the CPU's timer in each period, which in a virtual machine costs as much as the control law. A first-order
+    phase-locked loop predicts each arrival from those before; its error shows how steadily messages arrive. Without
+    messages the loop only does its idle work.
 
     Args:
-        period_ns: of the messages.
-        wait: ``wait(timeout_ns)`` returns when a message is there, or after that time.
-        cycle: the work of one period; returns how many messages it found, those that were sent together as one, and
-            how long ago the newest came, in ns.
+        period_ns: period of the messages.
+        wait: ``wait(timeout_ns)`` returns when a message has arrived, or after that time.
+        cycle: the work of one period; returns the number of messages found, where those sent together count as one, and
+            the age of the newest in ns.
     """
 
     def __init__(self, period_ns: int, wait: Callable[[int], None], cycle: Callable[[], tuple[int, int]]) -> None:
         self._period_ns, self._wait, self._cycle = period_ns, wait, cycle
         self.overruns = 0
-        """Messages without a cycle of their own: they were found together with one that was sent later."""
+        """Messages without a cycle of their own, because a cycle found a later one too."""
         self.phase_error_ns = 0.0
-        """How much later than due the newest message came."""
+        """How much later than predicted the newest message arrived."""
         self._lateness = Histogram()
 
     def report(self) -> dict[str, object]:
-        """Values for the diagnostics: overruns, and how long after the arrival of its message each cycle since the last
-        report began."""
+        """Values for the diagnostics: overruns, and the delays from a message's arrival to its cycle since the last
+        report."""
         return {
             OVERRUNS: self.overruns,
             "phase_error_us": self.phase_error_ns * 1e-3,
@@ -61,25 +61,25 @@ class LockedLoop:
                     # At a real-time priority a loop that never waits would keep the middleware's threads from running.
                     os.sched_yield()
                 due_ns = self._follow(now_ns - age_ns, due_ns) + period_ns
-            # Without a message nothing is due.
+            # Without a message no cycle is due: the idle work has the whole period.
             idle_turn(now_ns, due_ns - monotonic_ns() if count else period_ns)
 
     def _follow(self, arrival_ns: int, due_ns: int) -> int:
-        """When the message should have come that came at ``arrival_ns``."""
+        """The corrected time at which the message received at ``arrival_ns`` was due."""
         error_ns = arrival_ns - due_ns
         if abs(error_ns) > self._period_ns:
-            due_ns, error_ns = arrival_ns, 0  # a new beginning: messages were lost, or their source was started anew
+            due_ns, error_ns = arrival_ns, 0  # restart: messages were lost, or their source restarted
         self.phase_error_ns = float(error_ns)
         return due_ns + round(_GAIN * error_ns)
 
 
 def sendings(sent_ns: Sequence[int], apart_ns: int) -> int:
-    """How many times something was sent: messages less than ``apart_ns`` after the one before were sent together.
+    """The number of separate sends: a message less than ``apart_ns`` after its predecessor was sent together with it.
 
-    A source that was late itself sends together what it missed; whoever receives it in one cycle was not late.
+    A source that was late sends the messages it missed together. A receiver that gets them in one cycle was not late.
 
     Args:
-        sent_ns: of each message, in the order of sending.
-        apart_ns: in ns.
+        sent_ns: time at which each message was sent, in ns, ascending.
+        apart_ns: smallest time between separate sends, in ns.
     """
     return sum(later - sooner >= apart_ns for sooner, later in pairwise(sent_ns)) + bool(sent_ns)

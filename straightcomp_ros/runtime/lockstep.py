@@ -1,8 +1,8 @@
-"""Runs the simulated machine one sample at a time: the next sample is taken when the command for the last one came.
+"""Runs the simulated machine one sample at a time: it takes the next sample when the command for the last has arrived.
 
-The graph then computes exactly what `straightcomp simulate` computes, on a machine however slow or busy.
-A message may be lost on the way (the streams are best effort), so a sample without an answer is sent again;
-feedforward and controller answer a repeated sample as they did before.
+The graph then computes exactly what `straightcomp simulate` computes, however slow or busy the computer is.
+The streams are best effort, so a message may be lost: a sample without an answer is sent again, and feedforward and
+controller answer a repeated sample as they did before.
 """
 
 from collections.abc import Callable
@@ -16,14 +16,14 @@ _REPEAT_AFTER_S = 0.05
 
 
 class Lockstep:
-    """Time of the machine in steps of one sampling period, from the stage trajectory's start to its end.
+    """Advances the machine by one sampling period at a time, from the stage trajectory's start to its end.
 
     Args:
-        node: gives the timer for repetitions.
-        hardware: the machine; nobody else may read it.
+        node: provides the timer for repetitions.
+        hardware: the machine; no other code may read it.
         period_ns: sampling period.
         delay: command delay from the sample, in periods.
-        publish: sends a sample out.
+        publish: publishes a sample.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Lockstep:
         node.create_timer(_REPEAT_AFTER_S, self._repeat_pending)
 
     def start(self, trajectory: Trajectory, now_ns: int) -> None:
-        """Take the first sample, with the trajectory starting at it.
+        """Start the trajectory at the machine's first sample, and take that sample.
 
         Raises:
             HardwareError: a trajectory is running already.
@@ -61,7 +61,7 @@ class Lockstep:
         return self._pending is not None and self._pending[0].stamp_ns == stamp_ns
 
     def answer(self, current: float) -> None:
-        """The command for the last sample: apply it after the delay, and take the next sample."""
+        """Apply the command for the last sample after the delay, and take the next sample."""
         if self._pending is None:
             return
         stamp_ns = self._pending[0].stamp_ns
@@ -76,7 +76,7 @@ class Lockstep:
         self._publish(*self._pending)
 
     def _repeat_pending(self) -> None:
-        # Only a sample that has waited for a whole timer period is sent again.
+        # Send a sample again only after it has waited for a whole timer period.
         if self._pending and self._repeat:
             self._publish(*self._pending)
         self._repeat = True

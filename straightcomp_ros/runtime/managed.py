@@ -4,9 +4,9 @@
                  ◀──cleanup────          ◀─deactivate─
 
 *Configure* reads the parameters and makes the component: files, hardware, topics, services. *Activate* starts it,
-*deactivate* stops it with its outputs safe, *cleanup* and *shutdown* release all that it has made. A component that
-fails is released too, and the node is unconfigured again. With the parameter ``autostart`` the node goes to active by
-itself, and its process ends when it fails, as that of a plain node does.
+*deactivate* stops it with safe outputs, *cleanup* and *shutdown* release all that it has made. A component that fails
+is released too, and the node becomes unconfigured. With the parameter ``autostart`` the node activates itself, and its
+process ends when the component fails, like the process of a plain node.
 """
 
 import gc
@@ -30,9 +30,9 @@ from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 
 REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
-"""What is raised where parameters, files or the machine are not as they must be."""
+"""Raised if parameters, files or the machine cannot be used."""
 RUN_FAILURES = (BagError, HardwareError, OSError)
-"""What may be raised later."""
+"""Raised while a node runs."""
 EXIT_FAILURE = 1
 """Exit code of a node that failed while it ran."""
 
@@ -41,33 +41,33 @@ _HEARTBEAT_S = 0.1
 
 
 class Component(Protocol):
-    """What a managed node does. It is made by *configure*, and is at rest then."""
+    """The work of a managed node. *Configure* makes it; it is then at rest."""
 
     loop: Loop | None
-    """Runs while the node is active, in the place of the executor, which gets the idle time."""
+    """Runs instead of the executor while the node is active; the executor gets its idle time."""
 
     def activate(self) -> None:
         """Start."""
 
     def deactivate(self) -> None:
-        """Stop, with all outputs safe."""
+        """Stop, with safe outputs."""
 
     def prepare(self, parameters: Any) -> Callable[[], None]:
-        """Make ready for other values of the dynamic parameters; the function returned takes them over.
+        """Prepare other values of the dynamic parameters; the returned function applies them.
 
         Raises:
-            one of :data:`REFUSALS`: they cannot be; nothing has changed then.
+            one of :data:`REFUSALS`: the values cannot be applied; nothing has changed.
         """
 
     def close(self) -> None:
-        """Release everything, saved and safe. The ROS context may be gone already."""
+        """Release everything, saved and safe. The ROS context may have ended already."""
 
 
 MakeComponent = Callable[["ManagedNode", Any], Component]
 
 
 class ManagedNode(WithSteadyTimers, LifecycleNode):
-    """The transitions; what they mean is the component's.
+    """Handles the transitions; the component does their work.
 
     Args:
         name: of the node.
@@ -81,7 +81,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         self.done = Future()
         """Its result is the process's exit code."""
         self.turn = Future()
-        """Done when the state has changed: another loop, or none, is to run."""
+        """Done when the state has changed, so that the runner runs another loop, or none."""
         self._parameter_set, self._make = parameter_set, make
         self._component: Component | None = None
         self._active = False
@@ -93,10 +93,10 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         _refuse_wrong_transitions(self)
 
     def begin(self) -> None:
-        """Declare the parameters, and with ``autostart`` go to active.
+        """Declare the parameters; with ``autostart`` configure and activate.
 
         Raises:
-            one of :data:`REFUSALS`: why that is not possible.
+            one of :data:`REFUSALS`: configuration or activation failed.
         """
         parameters = declare(self, self._parameter_set, changeable=True)
         self.realtime = parameters.realtime
@@ -113,7 +113,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
 
     @property
     def loop(self) -> Loop | None:
-        """What is to run now in the place of the executor."""
+        """The loop to run now instead of the executor, if any."""
         return self._component.loop if self._component is not None and self._active else None
 
     @property
@@ -122,7 +122,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         return self._active
 
     def fail(self, error: Exception) -> None:
-        """The component has failed: end the process, or, where somebody manages this node, become unconfigured."""
+        """Report a failure of the component: with ``autostart`` end the process, otherwise become unconfigured."""
         if self._failure is not None:
             return
         self._failure = error
@@ -133,7 +133,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
             self.trigger_deactivate()
 
     def close(self) -> None:
-        """Stop and release the component, where there is one."""
+        """Stop and release the component, if there is one."""
         if self._active and self._component is not None:
             self._active = False
             self._component.deactivate()
@@ -141,7 +141,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._failure = None
-        # What the node has of its own stays when the component goes.
+        # Remember the node's own entities: they stay when the component is released.
         self._own = {kind: set(map(id, getattr(self, kind))) for kind in _DESTROY}
         self._own_timers = self.steady_timers.mark()
 
@@ -162,7 +162,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
             self._active = True
 
         code = self._attempt(activate, TransitionCallbackReturn.ERROR)
-        # What was made since the start is long-lived too.
+        # Objects made since the start are long-lived too: exclude them from garbage collection.
         gc.collect()
         gc.freeze()
         self._turn()
@@ -186,11 +186,11 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._turn()
         self._attempt(self.close, TransitionCallbackReturn.ERROR)
-        # Whatever happened, nothing of the component is left: the node can be configured anew.
+        # Whatever failed, the component has been released: the node can be configured again.
         return TransitionCallbackReturn.SUCCESS
 
     def _attempt(self, work: Callable[[], None] | None, otherwise: Any) -> TransitionCallbackReturn:
-        """Do ``work``; rclpy would swallow an exception without a word."""
+        """Do ``work`` and log its exception, which rclpy would swallow silently."""
         try:
             if work is not None:
                 work()
@@ -209,7 +209,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
                 component.close()
         finally:
             self._destroy_entities()
-            # What activation froze is to be found again.
+            # Include what activation excluded from garbage collection.
             gc.unfreeze()
             gc.collect()
 
@@ -224,7 +224,7 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
     def _beat(self) -> None:
         state = lifecycle_state(self)
         if state not in self._beats:
-            # Serialised once: with cold caches that takes longer than to send it.
+            # Serialise once: with cold caches that takes longer than publishing.
             beat = DiagnosticStatus(name=self.get_name(), message=state, hardware_id=self.get_fully_qualified_name())
             self._beats[state] = serialize_message(beat)
         self._heartbeat.publish(self._beats[state])
@@ -241,11 +241,11 @@ _DESTROY = {
     "subscriptions": "destroy_subscription",
     "publishers": "destroy_publisher",
 }
-"""Kinds of entities that a component makes, and what destroys one."""
+"""Kinds of entities that a component makes, and the method that destroys one."""
 
 
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:
-    """A transition that the state does not have is answered with no success; rclpy lets it end the process."""
+    """Answer a transition that the state does not allow with ``success`` false; rclpy lets it end the process."""
     service = state_service(node)
     change = service.callback
 

@@ -1,7 +1,7 @@
-"""The definition of a message type that ROS 2's own packages do not have, from its Python class.
+"""Message definitions, from their Python classes, of types that ROS 2's own packages do not have.
 
-A bag needs it beside the messages. The classes know names and types of all fields; constants, defaults and comments of
-the .msg file they do not, and no reader of messages needs those.
+A bag stores a definition beside the messages. The classes know names and types of all fields, but not the constants,
+defaults and comments of the .msg file, which no reader of messages needs.
 """
 
 import importlib
@@ -18,7 +18,7 @@ _BOUNDED_TEXT = re.compile(r"(?P<of>w?string)<(?P<bound>\d+)>")
 
 
 def message_class(type_name: str) -> Any:
-    """The class of a type such as ``sensor_msgs/msg/Range``; None where its package is not installed here."""
+    """The class of a type such as ``sensor_msgs/msg/Range``; None if its package is not installed."""
     package, _, name = type_name.partition("/msg/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name, None)
@@ -42,7 +42,7 @@ def definition_of_class(kind: Any) -> Definition:
 
 
 def known(type_name: str) -> bool:
-    """Whether the definitions of ROS 2's own packages have the type."""
+    """Whether ROS 2's own packages define the type."""
     return type_name in typestore().fielddefs
 
 
@@ -60,7 +60,7 @@ def _collect(kind: Any, texts: dict[str, str]) -> None:
 
 
 def _written(text: str) -> tuple[str, str]:
-    """A field's type as a .msg file has it, and the message type in it, if it is one."""
+    """A field's type as in a .msg file, and the message type that it contains, if any."""
     if match := _SEQUENCE.fullmatch(text):
         inner, nested = _written(match["of"])
         return f"{inner}[{'<=' + match['bound'] if match['bound'] else ''}]", nested

@@ -1,7 +1,7 @@
-"""The middleware that runs in this process, and our profile for it: sockets, and nothing in shared memory.
+"""The middleware of this process, and our profile for it: sockets, and no shared memory.
 
-In shared memory a process that is killed or held up leaves locks and ports behind that stop the others for seconds; by
-sockets it leaves nothing, and a message takes some 30 µs more, which cost no accuracy (docs/realtime.md).
+A process that is killed or suspended leaves locks and ports in shared memory that block the others for seconds. With
+sockets it leaves nothing; a message then takes about 30 µs more, which costs no accuracy (docs/realtime.md).
 """
 
 import os
@@ -15,10 +15,10 @@ from straightcomp_ros.settings import middlewares
 
 @contextmanager
 def own_profile() -> Iterator[None]:
-    """Participants that are made meanwhile get the profile, unless the user has set one.
+    """Give the profile to participants made inside this context, unless the user has set one.
 
-    The discovery range is widened only beside a profile that keeps to this machine: with the wider range alone a node
-    would look for nodes on other machines, and might command them.
+    The discovery range is widened only together with a profile that stays on this computer: with the wider range alone
+    a node would look for nodes on other computers, and might command them.
     """
     before = dict(os.environ)
     ours = middlewares.profile_variables(rclpy.get_rmw_implementation_identifier(), before)
@@ -34,10 +34,10 @@ def own_profile() -> Iterator[None]:
 
 
 def stamps_arrival() -> bool:
-    """Whether the middleware's time of reception is when a message came in, and not when it was taken."""
+    """Whether the middleware's reception time is the time of a message's arrival, not of its take."""
     return middlewares.middleware(rclpy.get_rmw_implementation_identifier()).stamps_arrival
 
 
 def middleware_in_words() -> str:
-    """Which middleware runs, with which profile, and what differs under it."""
+    """Name and profile of the running middleware, and what differs under it, for a log."""
     return f"middleware: {middlewares.description(rclpy.get_rmw_implementation_identifier(), os.environ)}"

@@ -15,22 +15,22 @@ from straightcomp_ros.timing.level import Levels
 from straightcomp_ros.timing.node_timing import CPU_WAIT, LOST, NORMAL, OVERRUNS, RATE, REFUSED, SAMPLES, SCHEDULING
 
 _TICK_S, _TICKS = 0.25, 4
-"""Values are collected at each fourth tick and published at the next."""
+"""Values are collected at every fourth tick and published at the next one."""
 _LOOK_S = 0.05
-"""Time between two looks at how long the node's threads waited for a CPU."""
+"""Interval at which the threads' waiting times for a CPU are read."""
 _PRIORITY = "realtime.priority"
 
 
 class Diagnostics:
-    """Asks for the values once a second and publishes them, with the rate at which ``samples`` grow.
+    """Collects the values once a second and publishes them, with the rate at which ``samples`` grow.
 
-    Both take some 0.2 ms, as caches are cold: in one turn of a loop's idle work they would make the next cycle late.
+    Either step takes about 0.2 ms with cold caches: in one turn of a loop's idle work they would delay the next cycle.
 
     Args:
         node: the node that reports.
-        values: called at 1 Hz; names and values, with the key ``samples``, and the key ``error`` where something is
-            wrong, which sets the level. A name ends with its unit, where it is no plain count: ``_us``, ``_hz``.
-        hardware_id: of what the node reports on; this computer's name if empty.
+        values: called at 1 Hz; returns values by name, always with ``samples``, and with ``error`` to report an error.
+            A name ends with the unit, unless the value is a count: ``_us``, ``_hz``.
+        hardware_id: what the node reports on; this computer's name if empty.
     """
 
     def __init__(self, node: Node, values: Callable[[], Mapping[str, object]], hardware_id: str = "") -> None:

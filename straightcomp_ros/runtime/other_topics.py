@@ -1,4 +1,4 @@
-"""Topics that are none of ours and are to be recorded too: found by name as they appear, of whatever type."""
+"""Records topics outside the contract: finds them by name when they appear, of any type."""
 
 import re
 import time
@@ -14,22 +14,21 @@ from straightcomp_ros.runtime.message_definition import definition_of_class, kno
 from straightcomp_ros.runtime.streams import RawQueue
 
 Add = Callable[[str, bytes, int, int], None]
-"""Takes topic, serialised message, time of reception and of its source in ns since the epoch."""
+"""Takes topic, serialised message, reception time and source time in ns since the epoch."""
 _LOOK_EVERY_S = 0.5
 _UNBOUNDED_DEPTH = 1000
-"""Depth that is kept of a publisher which keeps all, or does not say how many it keeps."""
+"""Depth for a publisher that keeps all messages, or does not tell how many it keeps."""
 
 
 class OtherTopics:
-    """Subscribes to each topic that matches when its first publisher is there, as that publisher offers it.
+    """Subscribes to each matching topic when its first publisher appears, with the QoS that its publishers offer.
 
     Args:
         node: looks for the topics.
         unspun: from :func:`straightcomp_ros.runtime.streams.unspun_node`.
-        pattern: must match a topic's full name as a whole; an empty one matches none.
-        ours: full names that are recorded anyway.
+        pattern: must match a topic's full name; an empty pattern matches none.
+        ours: full names that are recorded already.
         announce: called with each topic before its first message is fetched.
-
     """
 
     def __init__(
@@ -49,7 +48,7 @@ class OtherTopics:
             self._look()
 
     def fetch(self, add: Add) -> int:
-        """Hand over what has come since the last call; returns how many messages that was."""
+        """Pass on the messages since the last call; returns their number."""
         count = 0
         for name, messages in self._queues.items():
             for data, info in messages.fetch():
@@ -60,7 +59,7 @@ class OtherTopics:
         return count
 
     def repeat(self, add: Add) -> None:
-        """Hand over the last message of each latched topic again, as a subscriber that comes now would get it."""
+        """Pass on the last message of each latched topic again, as a new subscriber would get it."""
         for name, (data, source_ns) in self._latched.items():
             if data:
                 add(name, data, time.time_ns(), source_ns)
@@ -76,7 +75,7 @@ class OtherTopics:
     def _subscribe(self, name: str, types: list[str], publishers: Iterable[Any]) -> None:
         kind = message_class(types[0])
         if len(types) > 1 or kind is None:
-            reason = f"has the types {', '.join(types)}" if len(types) > 1 else f"is of type {types[0]}, unknown here"
+            reason = f"has the types {', '.join(types)}" if len(types) > 1 else f"is of unknown type {types[0]}"
             self._node.get_logger().warning(f"topic '{name}' is not recorded: it {reason}")
             return
         profiles = [publisher.qos_profile for publisher in publishers]
@@ -90,7 +89,7 @@ class OtherTopics:
 
 
 def offered(profiles: Iterable[QoSProfile]) -> QoSProfile:
-    """The strongest quality of service that all of these publishers can serve."""
+    """The strongest QoS that all of these publishers offer."""
     profiles = list(profiles)
     reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
     latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
@@ -107,8 +106,8 @@ def offered(profiles: Iterable[QoSProfile]) -> QoSProfile:
 
 
 def stored(profiles: Iterable[QoSProfile]) -> TopicQos:
-    """The same for a bag. Few middlewares tell of a publisher how many messages it keeps: that is stored as unknown
-    then, with a depth of 0, as rosbag2 does; `ros2 bag play` keeps as many as it sees fit."""
+    """The same QoS for a bag. Few middlewares tell a publisher's depth; otherwise it is stored as unknown, with depth
+    0, as rosbag2 does, and `ros2 bag play` chooses the depth."""
     profiles = list(profiles)
     told = all(profile.history == HistoryPolicy.KEEP_LAST and profile.depth for profile in profiles)
     qos = offered(profiles)

@@ -12,14 +12,14 @@ from straightcomp_ros.timing.node_timing import OVERRUNS, TIMER_ERROR, written
 
 _PR_SET_TIMERSLACK = 29
 IDLE_EVERY_NS = 6_000_000
-"""Time between two turns of the work that can wait: short turns, that a cycle after them is not late. A turn that would
-have less than half a period left waits for the next period, but no longer than as much again."""
+"""Interval between two turns of idle work, each short so that the next cycle is not late. A turn with less than half a
+period left waits for the next period, but at most for one more interval."""
 _EARLIER_NS = 50
-"""Step by which the loop follows how late the machine wakes up: 50 µs take half a second."""
+"""Step by which the loop adapts to the machine's wake-up delay: at 2 kHz it covers 50 µs in half a second."""
 
 
 class Loop(Protocol):
-    """What runs in the place of an executor."""
+    """What a node runs instead of an executor."""
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
         """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
@@ -29,16 +29,16 @@ class Loop(Protocol):
 
 
 class PeriodicLoop:
-    """Calls ``cycle`` once in each period. After a stall it goes on with the next period and counts what it
+    """Calls ``cycle`` once in each period. After a stall it continues with the next period and counts the periods it
     missed; it never calls twice to catch up.
 
-    A timer of the executor costs a thread and two context switches in each period; here it is one wake-up.
+    A timer of the executor costs a thread and two context switches in each period, this loop one wake-up.
 
     Args:
         period_ns: length of a period.
         cycle: the work of one period; gets the monotonic time in ns at which the period was to start.
-        punctual: sleep less long by as much as this machine usually wakes up late, and wait for the rest: a tenth of a
-            period, that every answer would be later by.
+        punctual: wake up early by this machine's usual delay and busy-wait for the rest; otherwise every answer would
+            be late by a tenth of a period.
     """
 
     def __init__(self, period_ns: int, cycle: Callable[[int], object], punctual: bool = False) -> None:
@@ -47,7 +47,7 @@ class PeriodicLoop:
         self._early_ns = 0
         self._cycle = cycle
         self.cycles = 0
-        """Periods that were worked."""
+        """Periods in which ``cycle`` was called."""
         self.overruns = 0
         """Periods that were missed."""
         self._timer_errors = Histogram()
@@ -86,25 +86,25 @@ class PeriodicLoop:
                 wake_ns += missed * period_ns
 
     def _follow(self, late_ns: int) -> None:
-        """Sleep less long, or longer: half of all wake-ups are to be later than that."""
+        """Adapt how early to wake up, so that half of all wake-ups are late."""
         step_ns = _EARLIER_NS if late_ns > self._early_ns else -_EARLIER_NS
         self._early_ns = min(max(0, self._early_ns + step_ns), self._most_early_ns)
 
 
 class IdleWork:
-    """Gives the work that can wait its turns; see :data:`IDLE_EVERY_NS`.
+    """Schedules the turns of idle work; see :data:`IDLE_EVERY_NS`.
 
     Args:
-        idle: one turn.
-        first_ns: when the first is due, in ns of a monotonic clock.
-        period_ns: of the loop.
+        idle: does one turn.
+        first_ns: time of the first turn, in ns of a monotonic clock.
+        period_ns: period of the loop.
     """
 
     def __init__(self, idle: Callable[[], None], first_ns: int, period_ns: int) -> None:
         self._idle, self._next_ns, self._enough_ns = idle, first_ns, period_ns // 2
 
     def __call__(self, now_ns: int, left_ns: int) -> None:
-        """After a cycle that began at ``now_ns``, with ``left_ns`` until the next."""
+        """Do a turn if one is due; call it after a cycle that began at ``now_ns``, ``left_ns`` before the next."""
         late_ns = now_ns - self._next_ns
         if late_ns >= 0 and (left_ns >= self._enough_ns or late_ns >= IDLE_EVERY_NS):
             self._idle()
@@ -112,6 +112,6 @@ class IdleWork:
 
 
 def _exact_sleep() -> None:
-    # Linux wakes a normal thread up to 50 µs late on purpose, to save power; a tenth of our period.
+    # To save power, Linux wakes a normal thread up to 50 µs late: a tenth of our period.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)

@@ -13,10 +13,10 @@ def serve_recorder(node: Node, recorder: Recorder, start: Callable[[], str], fet
     """Create the services.
 
     Args:
-        node: has them as private names, ``~/start`` and so on.
-        recorder: is told.
-        start: starts it, and says so.
-        fetch: hands the recorder what has come until now: a service acts on what comes after it.
+        node: provides them under private names, ``~/start`` and so on.
+        recorder: carries them out.
+        start: starts the recorder; returns the answer.
+        fetch: passes the messages so far to the recorder: a service acts on later ones.
     """
 
     def begin() -> str:
@@ -29,9 +29,9 @@ def serve_recorder(node: Node, recorder: Recorder, start: Callable[[], str], fet
         return f"{recorder.written} messages are in {recorder.folder}"
 
     def pause() -> str:
-        """Leave out of the bag what comes from now on."""
+        """Leave later messages out of the bag."""
         recorder.intake.paused = True
-        return "paused: what comes now is not recorded"
+        return "paused: messages are not recorded until ~/resume"
 
     def resume() -> str:
         """Record again."""
@@ -39,12 +39,12 @@ def serve_recorder(node: Node, recorder: Recorder, start: Callable[[], str], fet
         return "recording"
 
     def split() -> str:
-        """Go on in the bag's next file."""
+        """Continue in the bag's next file."""
         recorder.split()
-        return "the bag goes on in a new file"
+        return "the bag continues in a new file"
 
     def snapshot() -> str:
-        """Write the last seconds that were kept in memory (parameter snapshot) to the bag."""
+        """Write the last seconds from memory (parameter snapshot) to the bag."""
         return f"{recorder.intake.snapshot()} messages go to the bag"
 
     def served(

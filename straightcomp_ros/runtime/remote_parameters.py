@@ -1,4 +1,4 @@
-"""Collects the parameters of other nodes, as far as these nodes appear."""
+"""Collects the parameters of other nodes when these appear."""
 
 from collections.abc import Sequence
 
@@ -12,10 +12,10 @@ _ASK_EVERY_S = 0.25
 
 
 class RemoteParameters:
-    """Asks each of the nodes ``names`` in this node's namespace once, when it is there, for all its parameters.
+    """Asks each of the nodes ``names`` in this node's namespace once, when it is available, for all its parameters.
 
     Attributes:
-        values: what was collected, by node and dotted name.
+        values: the parameters by node and dotted name.
     """
 
     def __init__(self, node: Node, names: Sequence[str]) -> None:
@@ -49,7 +49,7 @@ class RemoteParameters:
         return len(self.values) == self._count
 
     def as_yaml(self) -> str:
-        """What was collected, in the form of a ROS 2 parameter file."""
+        """The collected parameters, in the form of a ROS 2 parameter file."""
         return yaml.safe_dump(
             {name: {"ros__parameters": values} for name, values in self.values.items()}, sort_keys=False
         )

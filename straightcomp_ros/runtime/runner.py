@@ -25,30 +25,30 @@ from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 EXIT_CONFIGURATION = 2
-"""A parameter or a file is wrong; nothing was started."""
-# Longer values overflow in the executor and end the wait at once.
+"""A parameter or a file cannot be used; nothing was started."""
+# A longer wait overflows in the executor and ends at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
 
 
 class Runnable(Protocol):
-    """What the runner needs: a node to spin, whether and how it is done, and a way to leave the outputs safe."""
+    """What the runner needs: a node to spin, a future that ends it, its scheduling, and a safe close."""
 
     node: WithSteadyTimers
     done: Future  # its result is the process's exit code
     realtime: RealtimeParameters
-    loop: Loop | None  # runs in the place of the executor, which then gets the idle time
+    loop: Loop | None  # runs instead of the executor, which gets the idle time
 
     def close(self) -> None:
-        """Leave everything safe and saved; here nothing. The ROS context may be gone already."""
+        """Leave outputs safe and data saved; by default nothing to do. The ROS context may have ended already."""
 
 
 def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | None = None) -> int:
     """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
 
     Returns:
-        Exit code: 0 after a stop that was asked for, 2 when parameters or files are wrong, 1 when the node
-        failed, or what the node itself gave as the result of ``done``.
+        Exit code: 0 after a requested stop, 2 if parameters or files cannot be used, 1 if the node failed, or the
+        result that the node itself gave to ``done``.
     """
     return _run(
         name, lambda: WithSteadyTimers(name, automatically_declare_parameters_from_overrides=True), make, arguments
@@ -56,7 +56,7 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
 
 
 def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: Sequence[str] | None = None) -> int:
-    """The same for a lifecycle node, whose work is made by its configuration; see :mod:`~.managed`."""
+    """Like :func:`run`, for a lifecycle node, whose configuration makes its component; see :mod:`~.managed`."""
 
     def begun(node: ManagedNode) -> ManagedNode:
         node.begin()
@@ -68,7 +68,7 @@ def run_managed(name: str, parameter_set: type, make: MakeComponent, arguments: 
 def _run(
     name: str, make_node: Callable[[], Any], make: Callable[[Any], Runnable], arguments: Sequence[str] | None
 ) -> int:
-    # rclpy's own handlers shut the context down under a running callback; ours let it end first.
+    # rclpy's own handlers shut the context down during a callback; ours let the callback end first.
     stop = _StopRequest()
     try:
         with own_profile():
@@ -76,11 +76,11 @@ def _run(
                 args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
             )
             node = make_node()
-            # Python sees a signal only between two steps of its own; an idle executor takes none. Cyclic garbage is
-            # collected here, where it is little yet, and never in the middle of a cycle.
+            # Python handles signals only between its own instructions, and an idle executor runs none. The timer also
+            # collects cyclic garbage while there is little, so that it is never collected during a cycle.
             node.create_timer(_LONGEST_DEAFNESS_S, lambda: gc.collect(1))
     except Exception as error:
-        # rclpy has one exception type for each kind of bad argument; all mean the same to the user.
+        # rclpy has an exception type for each kind of bad argument; the user needs only the message.
         print(f"{name}: {error}", file=sys.stderr)
         return EXIT_CONFIGURATION
     try:
@@ -104,7 +104,7 @@ def _run(
 
 
 class _StopRequest:
-    """SIGINT and SIGTERM from now on: they end a node's future, as soon as there is one."""
+    """Handles SIGINT and SIGTERM: they complete a node's future as soon as there is one."""
 
     def __init__(self) -> None:
         self._requested = False
@@ -113,7 +113,7 @@ class _StopRequest:
             signal.signal(number, self._request)
 
     def ends(self, done: Future) -> None:
-        """A request completes ``done`` with exit code 0; one that came before does so now."""
+        """Let a request complete ``done`` with exit code 0, also a request that came before."""
         self._done = done
         if self._requested:
             self._request()
@@ -129,7 +129,7 @@ def _spin(runnable: Runnable) -> int:
     idle = _settle(runnable, executor)
     managed = runnable if isinstance(runnable, ManagedNode) else None
     while not runnable.done.done():
-        # Another state of a managed node has another loop, or none.
+        # Each state of a managed node has its own loop, or none.
         turn = managed.turn if managed else runnable.done
         try:
             if runnable.loop:
@@ -146,7 +146,7 @@ def _spin(runnable: Runnable) -> int:
 
 
 def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
-    """All that is done once before the first cycle; returns what a loop is to do in its idle time."""
+    """Do everything that is done once before the first cycle; returns the idle work for a loop."""
     executor.add_node(runnable.node)
     logger = runnable.node.get_logger()
     for refusal in realtime.apply(runnable.realtime, logger.info):
@@ -158,7 +158,7 @@ def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
     gc.disable()
 
     def idle() -> None:
-        # One callback at most: never enough of them to make the next cycle late.
+        # One callback at most, so that the next cycle is not late.
         if not call_one_timer():
             executor.spin_once(timeout_sec=0)
 

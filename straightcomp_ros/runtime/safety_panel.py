@@ -1,4 +1,4 @@
-"""The driver's services and topics of its safety state machine: what an operator or a cell controller sees of it."""
+"""The driver's services and topics for its safety state machine, for operators and cell controllers."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched, SafetyMachine
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Who comes later gets the last message too."""
+"""A late subscriber gets the last message too."""
 _CONDITION, _CODE = "condition", "code"
 
 
 class SafetyState(NamedTuple):
-    """What a message on `safety_state` says.
+    """Content of a message on `safety_state`.
 
     Attributes:
         condition: of the driver's safety state machine.
-        fault: its name and reason; empty without one.
-        code: its number; 0 without one.
+        fault: name and reason of the fault; empty without one.
+        code: number of the fault; 0 without one.
     """
 
     condition: Condition = Condition.OFF
@@ -35,7 +35,7 @@ class SafetyState(NamedTuple):
 
     @classmethod
     def of(cls, message: DiagnosticStatus) -> SafetyState:
-        """Read a message. One that says no condition counts as a fault."""
+        """Read a message. One without a known condition counts as a fault."""
         said = {value.key: value.value for value in message.values}
         condition = {known.value: known for known in Condition}.get(said.get(_CONDITION, ""), Condition.FAULT)
         code = said.get(_CODE, "")
@@ -49,7 +49,7 @@ class SafetyState(NamedTuple):
 
 
 def safety_status(condition: Condition, fault: Latched | None, hardware_id: str) -> DiagnosticStatus:
-    """The message on `safety_state`."""
+    """A message for `safety_state`."""
     values = {
         _CONDITION: condition.value,
         _CODE: str(fault.fault.code if fault else 0),
@@ -65,12 +65,12 @@ def safety_status(condition: Condition, fault: Latched | None, hardware_id: str)
 
 
 class SafetyPanel:
-    """``~/enable``, ``~/reset_fault``, the topic `safety_state`, and the topic `trip` for requests to switch off.
+    """Provides ``~/enable``, ``~/reset_fault`` and `safety_state`, and switches off on requests on `trip`.
 
     Args:
         node: the driver.
         safety: its state machine.
-        refusal: why the amplifier may not be switched on now, apart from faults; empty if it may.
+        refusal: returns why the amplifier may not be switched on now, apart from faults; empty if it may.
         switched_on: called before the amplifier is switched on.
     """
 
@@ -91,7 +91,7 @@ class SafetyPanel:
         self.report()
 
     def report(self) -> None:
-        """Publish the state, and log a fault, if it is not as reported last."""
+        """Publish the state and log a fault, if they have changed since the last report."""
         fault, condition = self._safety.fault, self._safety.condition
         now = (condition, self._safety.reason)
         if now == self._reported:
@@ -102,7 +102,7 @@ class SafetyPanel:
             self._node.get_logger().error(f"fault, amplifier off: {self._safety.reason}")
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Switch the amplifier on (refused while a fault is latched or no fresh command comes in), or off."""
+        """Switch the amplifier on (refused while a fault is latched or fresh commands are missing), or off."""
         if not request.data:
             self._safety.disable()
             response.success, response.message = True, "amplifier off"
@@ -125,7 +125,7 @@ class SafetyPanel:
         return response
 
     def _on_trip(self, message: DiagnosticStatus) -> None:
-        # Off it is anyway while the driver is not active; what happened then is not to be reset by anybody.
+        # While the driver is not active the amplifier is off anyway: do not latch a fault that must then be reset.
         if self._node.active:
             fault = LABELLED.get(message.name, Fault.TRIPPED)
             self._safety.trip(fault, message.message or "no reason given", now_ns())

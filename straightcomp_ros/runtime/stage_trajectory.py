@@ -21,7 +21,7 @@ def message_from_waypoints(waypoints: Sequence[Waypoint]) -> JointTrajectory:
 
 
 def trajectory_from_message(message: JointTrajectory) -> Trajectory:
-    """Read a trajectory of the stage; points without velocities are at rest.
+    """Read a trajectory of the stage; a point without a velocity is at rest.
 
     Raises:
         ValueError: the stage is not among the joints, or a point lacks its position.

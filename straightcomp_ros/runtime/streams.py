@@ -23,8 +23,8 @@ def message_type(type_name: str) -> Any:
 
 
 def stream_qos(depth: int = 1000, reliable: bool = False) -> QoSProfile:
-    """Best effort: a late sample is worth nothing to a servo. Reliable: batches for who records; the depth outlasts
-    some seconds of a process that is held up, where a socket's buffer is full after a twentieth of one."""
+    """Best effort, since a late sample is useless to a servo; reliable for the batches that the recorder reads. The
+    depth covers some seconds in which a process is suspended, where a socket's buffer is full after 50 ms."""
     reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
     return QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=reliability)
 
@@ -45,9 +45,9 @@ def stream_publisher(node: Node, stream: Stream) -> Publisher:
 
 
 def subscribe(node: Node, stream: Stream, callback: Callable[[int, Sequence[float]], None]) -> None:
-    """Call ``callback(stamp_ns, numbers)`` for each message of a stream, as it comes.
+    """Call ``callback(stamp_ns, numbers)`` for each message of a stream as it arrives.
 
-    A message of another layout is handled as :func:`_reader` says.
+    :func:`_reader` describes what happens to a message of another layout.
     """
     read = _reader(node, stream)
 
@@ -68,7 +68,7 @@ class Fetched(Protocol):
 
     @property
     def connected(self) -> bool:
-        """Whether a publisher is there, and the middleware has connected it."""
+        """Whether the middleware has connected a publisher."""
 
     def fetch(self) -> Messages:
         """Messages since the last call."""
@@ -77,14 +77,14 @@ class Fetched(Protocol):
 class SubscriptionQueue:
     """A stream whose messages wait in the middleware until they are fetched.
 
-    Nothing wakes this process when a message comes: where a loop looks into its queue anyway, that saves two
-    context switches a message. The subscription belongs to a node that no executor spins.
+    A message does not wake this process. A loop that looks into its queue anyway saves two context switches a message.
+    The subscription belongs to an unspun node, which no executor spins.
 
     Args:
-        node: for whose topic names and warnings the queue stands.
+        node: resolves topic names and logs warnings.
         unspun: from :func:`unspun_node`.
         stream: what to receive.
-        queue: where its messages wait, if not in a queue of the stream's own topic.
+        queue: where the messages wait, if not in a subscription to the stream's own topic.
 
     Attributes:
         sent_ns: when each message of the last :meth:`fetch` was sent, ns since the epoch.
@@ -98,11 +98,11 @@ class SubscriptionQueue:
         self.sent_ns: list[int] = []
 
     def wait(self, timeout_ns: int) -> None:
-        """Return when a message is there, or after ``timeout_ns``; only with a queue of the stream's own."""
+        """Return when a message has arrived, or after ``timeout_ns``; not with a ``queue`` of batches."""
         self._queue.wait(timeout_ns)
 
     def fetch(self) -> list[tuple[int, Sequence[float], int]]:
-        """What has come since the last call: (stamp in ns, numbers, time of reception in ns since the epoch)."""
+        """Messages since the last call: (stamp in ns, numbers, reception time in ns since the epoch)."""
         read = self._read
         messages = []
         self.sent_ns = sent_ns = []
@@ -121,10 +121,10 @@ class RawQueue:
         unspun: from :func:`unspun_node`.
         kind: message class.
         topic: full name.
-        qos: of the subscription; its depth bounds what can wait.
+        qos: of the subscription; its depth limits the number of waiting messages.
 
     Attributes:
-        wait: ``wait(timeout_ns)`` returns when a message is there, or after that time.
+        wait: ``wait(timeout_ns)`` returns when a message has arrived, or after that time.
     """
 
     def __init__(self, unspun: Node, kind: Any, topic: str, qos: QoSProfile | None = None) -> None:
@@ -134,7 +134,7 @@ class RawQueue:
 
     @property
     def connected(self) -> bool:
-        """Whether a publisher is there, and the middleware has connected it."""
+        """Whether the middleware has connected a publisher."""
         return bool(self._subscription.get_publisher_count())
 
     def fetch(self) -> Messages:
@@ -145,12 +145,12 @@ class RawQueue:
         return messages
 
     def close(self) -> None:
-        """Receive nothing more."""
+        """End the subscription."""
         self._unspun.destroy_subscription(self._subscription)
 
 
 def unspun_node(node: Node) -> Node:
-    """A hidden node (a leading underscore hides it in `ros2 node list`) for subscriptions that no executor serves."""
+    """A node that no executor spins, for subscriptions that are only fetched; `ros2 node list` hides it by its `_`."""
     return Node(
         f"_{node.get_name()}_subscriptions",
         namespace=node.get_namespace(),
@@ -161,10 +161,10 @@ def unspun_node(node: Node) -> Node:
 
 
 def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence[float]] | None]:
-    """A function from a serialised message to (stamp_ns, numbers), or None where it lacks what the stream promises.
+    """A function from a serialised message to (stamp_ns, numbers), or None if it lacks a field of the stream.
 
-    A message of another layout (other names or order, from somebody else's publisher) is deserialised and
-    read by its names; one that cannot be read so is dropped, with one warning.
+    A message of another layout (other names or order, from another vendor's publisher) is deserialised and read by its
+    names. One that cannot be read is dropped, with one warning.
     """
     layout = stream.layout
     kind = message_type(layout.type_name)

@@ -1,7 +1,7 @@
 """All timers of a node, served by a single timer of the executor.
 
-When a timer is added to an EventsExecutor (rclpy 7.1), reset, or met by a step of the ROS clock, the executor queues
-every timer again that is due at that moment. These fire several times at once, and then keep silent until their
+When a timer is added to an EventsExecutor (rclpy 7.1) or reset, or when the ROS clock steps, the executor queues every
+timer again that is due at that moment. Such timers fire several times at once, and then stay silent until their
 schedule catches up: for seconds, after a slow start. A single timer on the steady clock is never queued twice.
 """
 
@@ -19,7 +19,7 @@ _TICK_NS = round(TICK_S * 1e9)
 
 
 class SteadyTimer:
-    """Calls ``callback`` every ``period_ns`` until it is cancelled; after a stall once, not once for each period."""
+    """Calls ``callback`` every ``period_ns`` until cancelled; after a stall once, not once for each missed period."""
 
     def __init__(self, period_ns: int, callback: Callable[[], object], first_ns: int) -> None:
         self._period_ns, self._callback = period_ns, callback
@@ -30,7 +30,7 @@ class SteadyTimer:
         self.due_ns = float("inf")
 
     def call(self, now_ns: int) -> None:
-        """Call now, and be due a period after the time at which this call was due."""
+        """Call now; the next call is due one period after this one was due."""
         self.due_ns += self._period_ns
         if self.due_ns <= now_ns:
             self.due_ns = now_ns + self._period_ns
@@ -52,14 +52,14 @@ class SteadyTimers:
     def add(self, period_s: float, callback: Callable[[], object]) -> SteadyTimer:
         """A new timer; its first call is due after ``period_s``, at a tick."""
         period_ns = round(period_s * 1e9)
-        # A timer that is due between two ticks would be called at one or the next, as they come.
+        # A timer that is due between two ticks would be called at one or the other, depending on their jitter.
         ticks = -((self._begin_ns - self._monotonic_ns()) // _TICK_NS)
         timer = SteadyTimer(period_ns, callback, self._begin_ns + ticks * _TICK_NS + period_ns)
         self._timers.append(timer)
         return timer
 
     def mark(self) -> int:
-        """The timers so far, for :meth:`cancel_after`."""
+        """The number of timers so far, for :meth:`cancel_after`."""
         return len(self._timers)
 
     def cancel_after(self, mark: int) -> None:
@@ -69,7 +69,7 @@ class SteadyTimers:
         del self._timers[mark:]
 
     def call_one(self) -> bool:
-        """Call the timer that has been due for longest; returns whether one was due."""
+        """Call the timer that has been due longest; returns whether one was due."""
         now_ns = self._monotonic_ns()
         timer = min(self._timers, key=lambda timer: timer.due_ns, default=None)
         if timer is None or timer.due_ns > now_ns:
@@ -85,7 +85,7 @@ class SteadyTimers:
 
 
 class WithSteadyTimers(Node):
-    """A node whose timers run as asked under an EventsExecutor too.
+    """A node whose timers keep their periods under an EventsExecutor too.
 
     A loop that spins the executor one event at a time calls :meth:`SteadyTimers.call_one` between its cycles.
     """

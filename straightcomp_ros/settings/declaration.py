@@ -1,8 +1,8 @@
-"""One declaration per parameter: default, unit, range and description live in a dataclass field.
+"""One declaration per parameter: default, unit, range and description are in a dataclass field.
 
-From these declarations come the validation of every parameter set, the descriptors that the nodes
-declare to ROS 2, and the reference documentation. A parameter set is a frozen dataclass; a field that
-is itself a parameter set is a group, addressed with a dot: ``plant.actuator.turns``.
+The validation of every parameter set, the descriptors that nodes declare to ROS 2, and the reference documentation all
+come from these declarations. A parameter set is a frozen dataclass; a field that is itself a parameter set is a group,
+addressed with a dot: ``plant.actuator.turns``.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _GROUP = "{group}"
 
 
 class RefusedParameter(ParameterError):
-    """A parameter that a set refuses beside its others, for its ``__post_init__``.
+    """Raised by the ``__post_init__`` of a set for a parameter that does not fit the set's other parameters.
 
-    The set does not know under which name it is a group of a node; :func:`from_mapping` names the parameter in full.
+    The set does not know the name of its group in a node; :func:`from_mapping` completes the parameter's name.
 
     Args:
         name: within the set.
-        text: value, reason and what is allowed; other parameters of the set are written ``{group}name`` in it.
+        text: value, reason and what is allowed; refers to other parameters of the set as ``{group}name``.
     """
 
     def __init__(self, name: str, text: str, group: str = "") -> None:
@@ -41,13 +41,13 @@ class RefusedParameter(ParameterError):
         self._name, self._text = name, text
 
     def within(self, group: str) -> RefusedParameter:
-        """The same of a set that is the group ``group``, which ends with a dot."""
+        """This error for a set that is the group ``group``, which ends with a dot."""
         return RefusedParameter(self._name, self._text, group)
 
 
 @dataclasses.dataclass(frozen=True)
 class Declaration:
-    """What is known of one parameter; ``name`` is the dotted name, ``kind`` one of bool, int, float, str."""
+    """Declaration of one parameter; ``name`` is the dotted name, ``kind`` one of bool, int, float, str."""
 
     name: str
     kind: type
@@ -60,7 +60,7 @@ class Declaration:
     choices: tuple[str, ...] = ()
 
     def allowed(self) -> str:
-        """The allowed values in words, for messages and documentation."""
+        """The allowed values in words, for messages and the documentation."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.kind is bool:
@@ -73,7 +73,7 @@ class Declaration:
         return " and ".join(bounds) or {float: "a finite number", int: "an integer", str: "a text"}[self.kind]
 
     def check(self, value: Any) -> Any:
-        """Return ``value`` as ``kind`` (an integer is accepted where a float is meant), or raise ParameterError."""
+        """Return ``value`` as ``kind`` (an integer is accepted as a float), or raise ParameterError."""
         if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         kind = type(value)
@@ -108,7 +108,7 @@ def parameter(default: Any, description: str, allowed: str = "(-inf, inf)", *, c
     """Declare a field. ``allowed`` is its range and its unit, e.g. ``"(0, 60] s"``: more than 0 and at most 60 s."""
     parts = _ALLOWED.fullmatch(allowed)
     if parts is None:
-        raise ValueError(f"allowed {allowed!r} is no interval with a unit, such as '[0, 60] s'")
+        raise ValueError(f"allowed {allowed!r} is not an interval with a unit, such as '[0, 60] s'")
     low, high = float(parts[2]), float(parts[3])
     return dataclasses.field(
         default=default,
@@ -138,7 +138,7 @@ def _field_types(parameter_set: type) -> dict[str, Any]:
 
 
 def declarations(parameter_set: type, prefix: str = "", about: str = "") -> Iterator[Declaration]:
-    """All parameters of a set and of the groups in it, in the order of declaration; ``about`` is that of its group."""
+    """All parameters of a set and its groups, in the order of declaration; ``about`` describes the set's own group."""
     for field in dataclasses.fields(parameter_set):
         kind = _field_types(parameter_set)[field.name]
         if dataclasses.is_dataclass(kind):
@@ -152,7 +152,7 @@ def declarations(parameter_set: type, prefix: str = "", about: str = "") -> Iter
 
 
 def from_mapping(parameter_set: type[T], values: Mapping[str, Any]) -> T:
-    """Build a validated parameter set from dotted names; what is not named keeps its default.
+    """Build a validated parameter set from dotted names; other parameters keep their defaults.
 
     Raises:
         ParameterError: a name is unknown (the nearest known one is suggested), or a value is refused.
@@ -195,7 +195,7 @@ def to_mapping(parameters: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings, as a YAML parameter file has them, to dotted names."""
+    """Convert nested mappings, as in a YAML parameter file, to dotted names."""
     flat: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):

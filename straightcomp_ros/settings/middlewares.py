@@ -1,4 +1,4 @@
-"""ROS 2's middlewares that we know: the profile of ours that each gets, and what differs under it."""
+"""The known ROS 2 middlewares: our profile for each, and what differs under it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 @dataclass(frozen=True)
 class Middleware:
-    """What one middleware needs of us.
+    """What differs between middlewares.
 
     Attributes:
-        variables: environment variables that name a profile; where the user has set one, ours is not used.
-        loopback: our profile for nodes on this machine only; empty for none.
+        variables: environment variables that name a profile; if the user has set one, ours is not used.
+        loopback: our profile for nodes on this computer only; empty for none.
         network: our profile for any other discovery range; empty for none.
-        uri: what stands before a profile's path in the variables.
-        loopback_range: discovery range that must be in force beside ``loopback``.
-        stamps_arrival: the time of reception is when a message came in, and not when it was taken.
+        uri: prefix of a profile's path in the variables.
+        loopback_range: discovery range required with ``loopback``.
+        stamps_arrival: the reception time is a message's time of arrival, not of its take.
     """
 
     variables: tuple[str, ...] = ()
@@ -30,11 +30,11 @@ class Middleware:
 
 
 _FAST_DDS = Middleware(
-    # By its old name and its new one.
+    # Old name and new name.
     variables=("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
     loopback="config/fastdds_loopback.xml",
     network="config/fastdds.xml",
-    # For LOCALHOST rmw_fastrtps adds shared memory, whatever the profile says.
+    # With LOCALHOST rmw_fastrtps adds shared memory, whatever the profile says.
     loopback_range="SYSTEM_DEFAULT",
     stamps_arrival=True,
 )
@@ -48,12 +48,12 @@ MIDDLEWARES = {
 
 
 def middleware(identifier: str) -> Middleware:
-    """The middleware of this name; one that is not known gets no profile, and its times of reception are not used."""
+    """The middleware of this name; an unknown one gets no profile, and its reception times are not used."""
     return MIDDLEWARES.get(identifier, Middleware())
 
 
 def profile_variables(identifier: str, environment: Mapping[str, str]) -> dict[str, str]:
-    """Environment variables that give a participant our profile; none where the user has set one, or we have none."""
+    """Environment variables that give a participant our profile; empty if the user has set one, or we have none."""
     chosen = middleware(identifier)
     on_loopback = environment.get(RANGE_VARIABLE) == "LOCALHOST"
     profile = chosen.loopback if on_loopback else chosen.network
@@ -64,11 +64,11 @@ def profile_variables(identifier: str, environment: Mapping[str, str]) -> dict[s
 
 
 def description(identifier: str, environment: Mapping[str, str]) -> str:
-    """One line for people: the middleware's name, its profile, and what differs from Fast DDS."""
+    """One line for a log: the middleware's name, its profile, and what differs from Fast DDS."""
     chosen, ours = middleware(identifier), profile_variables(identifier, environment)
     names = [name for name in chosen.variables if name in environment]
     profile = next(iter((*names, *ours.values())), "its own default")
     differs = (
-        "" if chosen.stamps_arrival else "; it does not say when a message came in: latencies end when it was sent"
+        "" if chosen.stamps_arrival else "; it does not say when a message arrived: latencies end when it was sent"
     )
     return f"{identifier}, profile: {profile}{differs}"

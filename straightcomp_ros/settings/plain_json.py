@@ -1,4 +1,4 @@
-"""Figures as JSON can say them."""
+"""Converts figures to values that JSON can represent."""
 
 import math
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """The same with lists in place of tuples, and null where a number is not finite, for which JSON has no word."""
+    """Copy with lists instead of tuples, and None instead of numbers that are not finite, which JSON lacks."""
     if isinstance(value, Mapping):
         return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -22,7 +22,7 @@ def share_path(name: str) -> Path:
     """Full path of an installed file, e.g. ``config/survey_synthetic.csv``.
 
     Raises:
-        FileNotFoundError: in none of the places where an installation puts it.
+        FileNotFoundError: no installation path has the file.
     """
     tried = []
     for base in _candidates():

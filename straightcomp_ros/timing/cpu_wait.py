@@ -1,7 +1,7 @@
-"""How long a process was ready to run and got no CPU, as Linux's scheduler counts it for each thread.
+"""Time for which a process was ready to run but got no CPU, as Linux's scheduler counts it for each thread.
 
-The count (the second number in ``/proc/PID/task/TID/schedstat``) grows while a thread waits in a run queue. What a
-hypervisor takes from the whole machine is not in it.
+The count (the second number in ``/proc/PID/task/TID/schedstat``) grows while a thread waits in a run queue. It does not
+contain the time that a hypervisor takes from the whole machine.
 """
 
 import contextlib
@@ -11,12 +11,12 @@ from typing import BinaryIO
 
 
 class CpuWait:
-    """The longest wait of any thread of this process between two looks.
+    """The longest wait of any thread of this process between two calls of :meth:`look`.
 
-    Short waits between two looks add up: to tell one long wait from many short ones, look often.
+    Short waits between two calls add up: call often to tell one long wait from many short ones.
 
     Args:
-        threads: folder with a folder for each thread; without it there is never a wait.
+        threads: folder with a folder for each thread; if it does not exist, no wait is reported.
     """
 
     def __init__(self, threads: Path = Path("/proc/self/task")) -> None:
@@ -39,7 +39,7 @@ class CpuWait:
             self._waited_ns[thread] = waited_ns
 
     def take_us(self) -> float:
-        """The longest wait since the last call, in µs; looks at new threads from now on."""
+        """The longest wait since the last call, in µs; threads started since then are included from now on."""
         with contextlib.suppress(OSError):
             for thread in set(os.listdir(self._threads)) - set(self._files):
                 with contextlib.suppress(OSError):

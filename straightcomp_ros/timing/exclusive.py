@@ -1,9 +1,9 @@
-"""Keeps other programs off the CPUs of a node, as far as its user may move them, for as long as the node lives.
+"""Keeps other programs off a node's CPUs while the node lives, as far as its user may move them.
 
-A kernel that finishes its own work first lets in no thread of any priority while it writes another program's data: only
-another CPU for that program helps. This file also runs as a process of its own. It needs nothing but Python and ends
-when its standard input does, so that a killed node leaves nothing behind. Where it is killed together with the node (a
-service or a container that is killed whole), its note of the state before remains, and the next process restores that.
+While a kernel without preemption writes another program's data on a CPU, it runs no thread there, whatever its
+priority: only moving that program to another CPU helps. This file also runs as a separate process, which needs
+only Python. It ends with its standard input, so a killed node leaves nothing behind. If it is killed together with the
+node (a whole service or container), a file with the previous state remains, and the next process restores that state.
 """
 
 import json
@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 _NAME = "straightcomp_ros/exclusive/"
-"""Of an abstract socket for each CPU that is kept free; the socket disappears with its process."""
+"""Name of an abstract socket for each CPU that is kept free; the socket disappears with its process."""
 _NOTES = Path(tempfile.gettempdir())
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _PROCESSES = Path("/proc")
@@ -28,7 +28,7 @@ _WORK_QUEUES = Path("/sys/devices/virtual/workqueue/cpumask")
 _KEPT = "kept"
 _TURN_S, _WAIT_S = 1.0, 0.01
 _REAL_TIME = (os.SCHED_FIFO, os.SCHED_RR, 6)
-"""With SCHED_DEADLINE, for which Python has no name."""
+"""6 is SCHED_DEADLINE, for which Python has no name."""
 
 _held: list[subprocess.Popen[str]] = []
 
@@ -38,7 +38,7 @@ def keep_others_off(cpus: set[int]) -> str:
 
     Returns what was done, in words; raises OSError with the reason if it is not possible.
     """
-    # A session of its own: an interrupt from the terminal is for the nodes.
+    # A separate session: an interrupt from the terminal is for the nodes only.
     command = [sys.executable, "-I", "-S", __file__, *map(str, sorted(cpus))]
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
@@ -52,7 +52,7 @@ def keep_others_off(cpus: set[int]) -> str:
 
 
 def kept_free() -> set[int]:
-    """The CPUs that are kept free now. A node that starts meanwhile does not inherit them, but may use them."""
+    """The CPUs that are kept free now. A node started meanwhile does not inherit them, but may use them."""
     with suppress(OSError):
         names = [line.rpartition(" ")[2] for line in _SOCKETS.read_text().splitlines()]
         return {int(name.rpartition("/")[2]) for name in names if name.startswith("@" + _NAME)}
@@ -61,10 +61,10 @@ def kept_free() -> set[int]:
 
 def left_behind() -> set[int]:
     """The CPUs that other programs still avoid because the process that kept them off was killed. The next node of the
-    same user with :func:`keep_others_off` for them releases them when it ends."""
+    same user that calls :func:`keep_others_off` for them releases them when it ends."""
     noted: set[int] = set()
     for note in _NOTES.glob(_note_name("*", "*")):
-        # Other users may write in that folder too.
+        # Other users may write to that folder too.
         with suppress(OSError, ValueError):
             if note.lstat().st_uid in (0, os.getuid()):
                 noted |= set(map(int, note.stem.rpartition("_")[2].split("-")))
@@ -74,19 +74,19 @@ def left_behind() -> set[int]:
 def _note_name(user: object, cpus: str) -> str:
     boot = ""
     with suppress(OSError):
-        # After another boot every program may run everywhere again.
+        # After a reboot every program may run on every CPU again.
         boot = _BOOT.read_text().strip()
     return f"straightcomp_exclusive_{boot}_{user}_{cpus}.json"
 
 
 class _Note:
-    """The state before others were kept off these CPUs, in a file of this user that outlasts a kill."""
+    """The state before others were kept off these CPUs, in a file of this user that survives a kill."""
 
     def __init__(self, cpus: set[int]) -> None:
         self._file = _NOTES / _note_name(os.getuid(), "-".join(map(str, sorted(cpus))))
 
     def read(self) -> tuple[set[int], str] | None:
-        """Threads that did not use the CPUs, and the mask of the kernel's work queues; None without a note."""
+        """Threads that did not use the CPUs, and the mask of the kernel's work queues; None without a file."""
         with suppress(OSError, ValueError, TypeError):
             if self._file.lstat().st_uid == os.getuid():
                 threads, queues = json.loads(self._file.read_text())
@@ -106,8 +106,8 @@ class _Note:
 
 
 def _serve(cpus: set[int]) -> None:
-    """Keep others off until standard input ends; OSError if that is not possible."""
-    # The node that started this may use no other CPU; the system ignores CPUs that are missing or not permitted.
+    """Keep others off until standard input ends; raise OSError if that is not possible."""
+    # This process inherited the node's CPUs; the system ignores CPUs that are missing or not permitted.
     os.sched_setaffinity(0, range(os.cpu_count() or 1))
     rest = os.sched_getaffinity(0) - cpus
     if not rest:
@@ -115,7 +115,7 @@ def _serve(cpus: set[int]) -> None:
     os.sched_setaffinity(0, rest)
     claims = [_claim(cpu) for cpu in sorted(cpus)]
     if not all(claims):
-        raise OSError("another node has them to itself")
+        raise OSError("another node keeps them free for itself")
     note = _Note(cpus)
     elsewhere, queues = note.read() or ({thread for thread, allowed in _others() if not allowed & cpus}, _queues())
     note.write(elsewhere, queues)
@@ -124,20 +124,20 @@ def _serve(cpus: set[int]) -> None:
     names = ", ".join(map(str, sorted(cpus)))
     left = f"; {refused} threads belong to other users and stay" if refused else ""
     print(f"{_KEPT} {moved} threads of other programs off CPU {names}{left}", flush=True)
-    # The node's priority, which this process inherited, was needed up to here only.
+    # The node's priority, which this process inherited, is needed only up to here.
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with suppress(KeyboardInterrupt):
         while os.read(sys.stdin.fileno(), 1):
             pass
     with suppress(OSError):
         _WORK_QUEUES.write_text(queues)
-    # Threads that began meanwhile have inherited the smaller set.
+    # Threads started meanwhile have inherited the smaller set.
     _move(lambda affinity: affinity | cpus, without=elsewhere)
     note.remove()
 
 
 def _claim(cpu: int) -> socket.socket | None:
-    """Claim this CPU; None if another process holds it for longer than that of a killed node takes to end."""
+    """Claim this CPU; None if another process keeps it for longer than a killed node's process takes to end."""
     claim = socket.socket(socket.AF_UNIX)
     deadline = time.monotonic() + _TURN_S
     while time.monotonic() <= deadline:
@@ -152,14 +152,14 @@ def _others() -> Iterator[tuple[int, set[int]]]:
     """Threads of normal priority, with the CPUs that they may use."""
     for task in _PROCESSES.glob("[0-9]*/task/[0-9]*"):
         thread = int(task.name)
-        # It may have ended meanwhile.
+        # The thread may have ended.
         with suppress(OSError):
             if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK not in _REAL_TIME:
                 yield thread, os.sched_getaffinity(thread)
 
 
 def _move(to: Callable[[set[int]], set[int]], without: Collection[int] = ()) -> tuple[int, int]:
-    """Set the affinity of each thread that keeps a CPU; repeat until no thread began meanwhile with its parent's.
+    """Change the affinity of each thread that keeps a CPU; repeat until no new thread has inherited the old affinity.
 
     Returns the numbers of threads moved and of threads that this user may not move.
     """
@@ -171,7 +171,7 @@ def _move(to: Callable[[set[int]], set[int]], without: Collection[int] = ()) -> 
         for thread, affinity in _others():
             wanted = to(affinity)
             if wanted and wanted != affinity and thread not in without and thread not in refused:
-                # Other errors: a thread of the kernel that serves one CPU, or one that has ended.
+                # Other errors: the thread has ended, or is one of the kernel's that serves a single CPU.
                 with suppress(OSError):
                     try:
                         os.sched_setaffinity(thread, wanted)
@@ -182,14 +182,14 @@ def _move(to: Callable[[set[int]], set[int]], without: Collection[int] = ()) -> 
 
 
 def _queues() -> str:
-    """The mask of the CPUs for the kernel's own work; empty where it cannot be read."""
+    """The mask of the CPUs for the kernel's own work; empty if it cannot be read."""
     with suppress(OSError):
         return _WORK_QUEUES.read_text().strip()
     return ""
 
 
 def _keep_queues_off(cpus: set[int]) -> None:
-    """Let the kernel do its own writing on the other CPUs, if this user may do so."""
+    """Let the kernel do its own work on the other CPUs, if this user may set that."""
     with suppress(OSError, ValueError):
         mask = int(_queues().replace(",", ""), 16) & ~sum(1 << cpu for cpu in cpus)
         if mask:

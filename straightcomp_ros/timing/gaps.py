@@ -1,15 +1,15 @@
-"""Counts the samples that are missing between those that came."""
+"""Counts missing samples by the stamps of those that arrived."""
 
 _RESTART_NS = 10_000_000_000
 
 
 class StampGaps:
-    """Watches the stamps of a stream whose samples lie on a grid; the grid's period is the least step seen so far.
+    """Watches the stamps of a stream whose samples lie on a grid; the grid's period is the smallest step seen so far.
 
     A step backwards, or one longer than ten seconds, is a restart of the source and no loss.
 
     Attributes:
-        lost: samples that the grid has between two stamps seen, and that did not come.
+        lost: samples of the grid between two stamps seen that did not arrive.
     """
 
     def __init__(self) -> None:
@@ -18,7 +18,7 @@ class StampGaps:
         self._period_ns = _RESTART_NS
 
     def see(self, stamp_ns: int) -> None:
-        """The next sample came; one that is repeated changes nothing."""
+        """Take the stamp of the next sample; a repeated sample changes nothing."""
         step = stamp_ns - self._last_ns
         if step == self._period_ns:
             self._last_ns = stamp_ns

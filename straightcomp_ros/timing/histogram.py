@@ -1,8 +1,8 @@
-"""Durations in bins of constant relative width: a record costs a quarter of a microsecond and no memory.
+"""Durations in bins of constant relative width: recording one costs 0.25 µs and no memory.
 
 The bins are those of a floating-point number with four bits of mantissa: 16 for each doubling of the duration, so a
-percentile is known to 6 %. Counts of several histograms add up, so the percentiles of any length of time can be had
-from those of its seconds; percentiles themselves do not add up.
+percentile is accurate to 6 %. Counts of several histograms can be added, so the percentiles of a long time follow from
+the histograms of its seconds; percentiles themselves cannot be added.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 _SUB_BITS = 4
 _EXACT = 2 << _SUB_BITS
-"""Below it every ns has a bin of its own."""
+"""Shorter durations have a bin for each ns."""
 _LARGEST_NS = (1 << 40) - 1
-"""18 minutes; what is longer counts as this."""
+"""18 minutes; longer durations count as this one."""
 _BINS = ((40 - _SUB_BITS - 1) << _SUB_BITS) + _EXACT
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """Recorded durations: their number in each bin that is not empty, bins ascending, and the longest one in ns."""
+    """Recorded durations: the count of each bin that is not empty, bins ascending, and the longest duration in ns."""
 
     counts: Mapping[int, int]
     largest_ns: int
@@ -41,7 +41,7 @@ class Distribution:
 
     @property
     def largest_us(self) -> float:
-        """The longest of them in µs; NaN when there is none."""
+        """The longest duration in µs; NaN without any."""
         return self.largest_ns * 1e-3 if self.counts else float("nan")
 
     def __add__(self, other: Distribution) -> Distribution:
@@ -63,24 +63,24 @@ class Distribution:
 
 
 def _edge(place: int) -> int:
-    """The shortest duration of a bin, ns."""
+    """The shortest duration in a bin, ns."""
     exponent = max((place >> _SUB_BITS) - 1, 0)
     return (place - (exponent << _SUB_BITS)) << exponent
 
 
 NOTHING = Distribution({}, 0)
-"""No duration at all: the start of sums."""
+"""No durations: the start value of sums."""
 
 
 class Histogram:
-    """Counts durations until they are taken."""
+    """Counts durations until :meth:`take` is called."""
 
     def __init__(self) -> None:
         self._counts = [0] * _BINS
         self._largest_ns = 0
 
     def record(self, duration_ns: int) -> None:
-        """Count one duration in ns; one below zero counts as zero."""
+        """Count one duration in ns; a negative one counts as zero."""
         if duration_ns > self._largest_ns:
             duration_ns = min(duration_ns, _LARGEST_NS)
             self._largest_ns = duration_ns

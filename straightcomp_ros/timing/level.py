@@ -1,4 +1,4 @@
-"""Level of a node's diagnostics, with hysteresis, so that it does not change each second."""
+"""Level of a node's diagnostics, with hysteresis, so that it does not change every second."""
 
 import enum
 
@@ -17,8 +17,8 @@ class Level(enum.IntEnum):
 class Levels:
     """The level of each report of one node.
 
-    A report with lost samples, or with overruns in more than 1 % of the samples, is a warning; so are the next ones
-    until five in a row had neither. An error is reported as long as it lasts, and followed by warnings in the same way.
+    A report with lost samples, or with overruns in more than 1 % of the samples, is a warning. So are the next ones
+    until five in a row had neither. An error is reported while it lasts, and warnings follow it in the same way.
     """
 
     def __init__(self) -> None:
@@ -38,5 +38,5 @@ class Levels:
         if late:
             return Level.WARN, f"{new_overruns} overruns in the last second"
         if self._clean < _CLEAN_REPORTS:
-            return Level.WARN, "running again; something was wrong a moment ago"
+            return Level.WARN, "running again; it had a problem in the last seconds"
         return Level.OK, "running"

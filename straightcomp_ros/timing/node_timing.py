@@ -1,5 +1,5 @@
-"""The timing of a node in its diagnostics, written by nodes and read from bags: names of the values, and what held a
-node up."""
+"""Names of the timing values in a node's diagnostics, which nodes write and bag readers read, and what delayed a
+node."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,38 +11,38 @@ from typing import Any, NamedTuple
 from straightcomp_ros.timing.histogram import NOTHING, Distribution
 
 SAMPLES = "samples"
-"""Samples that the node has handled since its start."""
+"""Samples that the node has processed since its start."""
 RATE = "rate_hz"
 OVERRUNS = "overruns"
 LOST = "lost_samples"
 TIMER_ERROR = "timer_error"
 LATENCY = "latency"
 AMPLIFIER = "amplifier"
-"""State of the amplifier, in the driver's report."""
+"""State of the amplifier, in the driver's diagnostics."""
 CPU_WAIT = "cpu_wait_max_us"
-"""The longest time since the report before for which a thread was ready to run and got no CPU."""
+"""The longest time since the previous report for which a thread was ready to run but got no CPU."""
 SCHEDULING = "scheduling"
 NORMAL, REFUSED = "normal", "normal, real-time priority refused"
-"""Scheduling of a node without real-time priority: none asked for, or not permitted."""
+"""Scheduling of a node without real-time priority: not requested, or not permitted."""
 _NOTED_US = 5_000.0
-"""Shorter waits than this, ten samples at 2 kHz, happen on every desktop."""
+"""Shorter delays (ten samples at 2 kHz) happen on every desktop."""
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
 
 def reporting_node(status: str, namespace: str) -> str:
-    """Name of the node in ``namespace`` that publishes a status of this name; empty for one of another namespace."""
+    """Name of the node in ``namespace`` that publishes a status of this name; empty for another namespace."""
     before, _, name = status.rpartition("/")
     return name if before == namespace.strip("/") else ""
 
 
 def percentiles_us(distribution: Distribution) -> dict[str, float]:
-    """``p50``, ``p99``, ``p999`` and ``max`` in µs; NaN where nothing was recorded."""
+    """``p50``, ``p99``, ``p999`` and ``max`` in µs; NaN without any durations."""
     values = distribution.percentiles_us(tuple(_PERCENTS.values()))
     return {**dict(zip(_PERCENTS, values, strict=True)), "max": distribution.largest_us}
 
 
 def written(name: str, distribution: Distribution) -> dict[str, str]:
-    """Values of the diagnostics for one quantity: its percentiles for people, its histogram for :func:`summarise`."""
+    """Diagnostic values of one quantity: its percentiles for people, its histogram for :func:`summarise`."""
     values = {f"{name}_{key}_us": f"{value:.1f}" for key, value in percentiles_us(distribution).items()}
     return {**values, f"{name}_histogram": distribution.to_text()}
 
@@ -55,11 +55,11 @@ class Report(NamedTuple):
 
 
 class HeldUp(NamedTuple):
-    """What held a node up, as far as its diagnostics tell.
+    """What delayed a node, as far as its diagnostics tell.
 
     Attributes:
-        no_cpu_us: longest time for which a thread of the node was ready to run and got no CPU.
-        late_us: largest lateness of its loop, from any cause.
+        no_cpu_us: longest time for which a thread of the node was ready to run but got no CPU.
+        late_us: largest lateness of its loop, whatever the cause.
         scheduling: "FIFO 40", :data:`NORMAL` or :data:`REFUSED`; empty if unknown.
     """
 
@@ -70,15 +70,15 @@ class HeldUp(NamedTuple):
 
 @dataclass(frozen=True)
 class NodeTiming:
-    """A node over a length of time.
+    """Timing of a node over some time.
 
     Attributes:
-        rate_hz: samples that it handled per second; NaN with fewer than two reports.
+        rate_hz: samples processed per second; NaN with fewer than two reports.
         overruns: periods that its loop missed.
-        lost_samples: samples that did not come to it.
-        timer_error: how much too late its loop woke up.
-        latency: from a sample until its command came in (driver only).
-        held_up: by what, and for how long.
+        lost_samples: samples that did not reach it.
+        timer_error: lateness of its loop's wake-ups.
+        latency: from a sample until its command arrived (driver only).
+        held_up: what delayed the node.
     """
 
     rate_hz: float
@@ -101,19 +101,19 @@ class NodeTiming:
 
 
 def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
-    """What held a node up over some of its reports, given by their values; ValueError if a value is no number."""
+    """What delayed a node over some of its reports, given by their values; ValueError if a value is not a number."""
     late = [float(values.get(f"{TIMER_ERROR}_max_us", "nan")) for values in reports]
     waits = [float(values.get(CPU_WAIT, "nan")) for values in reports]
     scheduling = next((values[SCHEDULING] for values in reversed(reports) if SCHEDULING in values), "")
-    # Many short waits add up to a long one, but none was longer than the lateness of the loop then. Where the scheduler
-    # counted less than half of that lateness, something else held the loop up.
+    # Many short waits add up to a long one, but none was longer than the lateness of the loop. If the scheduler counted
+    # less than half of that lateness, something else delayed the loop.
     no_cpu = [min(late_us, wait_us) for late_us, wait_us in zip(late, waits, strict=True) if wait_us >= 0.5 * late_us]
     known = [late_us for late_us in late if not math.isnan(late_us)]
     return HeldUp(max(no_cpu, default=0.0), max(known, default=0.0), scheduling)
 
 
 def blamed(nodes: Mapping[str, HeldUp]) -> str:
-    """Which of the named nodes were held up, for how long and by what, with the remedy; empty if none was for long."""
+    """Which of the named nodes were delayed, for how long and by what, and the remedy; empty if none was for long."""
     waiting = {
         name: node.no_cpu_us
         for name, node in nodes.items()
@@ -124,7 +124,7 @@ def blamed(nodes: Mapping[str, HeldUp]) -> str:
         words = ", ".join(f"the {name} got no CPU for {waiting[name] * 1e-3:.0f} ms" for name in longest_first)
         if any(nodes[name].scheduling == REFUSED for name in waiting):
             return f"{words}; real-time priority is not permitted; remedy: straightcomp doctor"
-        return f"{words}; real-time priority was not asked for; remedy: the parameter realtime.priority"
+        return f"{words}; real-time priority was not requested; remedy: the parameter realtime.priority"
     name, latest = max(nodes.items(), key=lambda node: node[1].late_us, default=("", HeldUp()))
     if latest.late_us < _NOTED_US:
         return ""
@@ -135,19 +135,19 @@ def blamed(nodes: Mapping[str, HeldUp]) -> str:
 
 
 def amplifier_on(driver: Sequence[Report]) -> tuple[int, int]:
-    """First and last report, ns since the epoch, of a driver whose amplifier is on; all time where it never is."""
+    """Times of the first and last report with the amplifier on, ns since the epoch; all time if it is never on."""
     times = [report.time_ns for report in driver if report.values.get(AMPLIFIER) == "on"]
     return (times[0], times[-1]) if times else (0, 2**63)
 
 
 def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63) -> NodeTiming:
-    """A node from its first report in [begin_ns, end_ns] to its last, times in ns since the epoch.
+    """Timing of a node from its first to its last report in [begin_ns, end_ns], times in ns since the epoch.
 
-    The first report tells of the time before it: it counts as the beginning only. ``reports`` are those of one node, in
-    the order of their times.
+    ``reports`` are those of one node in the order of their times. The first only marks the beginning, since its values
+    describe the time before it.
 
     Raises:
-        ValueError: a value is no number or no histogram of ours.
+        ValueError: a value is not a number, or not a histogram of :meth:`Distribution.to_text`.
     """
     inside = [report for report in reports if begin_ns <= report.time_ns <= end_ns]
     if len(inside) < 2:

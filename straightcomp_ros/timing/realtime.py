@@ -1,6 +1,6 @@
 """Scheduling of a node's process: priorities, CPUs, memory, and no deep sleep of the CPUs.
 
-A node runs without what the system does not permit, and reports it with the remedy.
+If the system refuses one of these, the node runs without it, and reports it with the remedy.
 """
 
 import ctypes
@@ -18,10 +18,10 @@ from straightcomp_ros.timing.exclusive import keep_others_off, kept_free, left_b
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CPU_LATENCY = "/dev/cpu_dma_latency"
 _THREADS = "/proc/self/task"
-"""Ids of the threads of this process, including the middleware's."""
+"""Ids of the threads of this process, the middleware's included."""
 
 _held: list[BinaryIO] = []
-"""Files that must stay open: closing one ends its request."""
+"""Files that must stay open: closing one withdraws its request."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class RealtimeParameters:
     """Scheduling of a node's process."""
 
     priority: int = parameter(
-        0, "SCHED_FIFO priority, the same for all nodes that talk to each other; 0: normal scheduling", "[0, 98]"
+        0, "SCHED_FIFO priority, the same for all nodes that communicate; 0: normal scheduling", "[0, 98]"
     )
     cpus: str = parameter(
         "",
@@ -46,9 +46,9 @@ class RealtimeParameters:
 
 
 def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _: None) -> list[str]:
-    """Set what the parameters ask for; call it after all threads of the node have been started.
+    """Apply the parameters; call it after all threads of the node have been started.
 
-    ``inform`` gets what was done to other programs. Returns a sentence for each request that was refused, with the
+    ``inform`` is called with what was done to other programs. Returns a sentence for each refused request, with the
     remedy.
     """
     refusals: list[str] = []
@@ -77,17 +77,17 @@ def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _
 def _set_cpus(names: str) -> None:
     permitted = os.sched_getaffinity(0) | kept_free() | left_behind()
     loop = {max(permitted)}
-    # On a machine with a single CPU it is the rest too.
+    # On a machine with a single CPU, 'rest' is that CPU too.
     rest = permitted - loop or loop
     cpus = {"loop": loop, "rest": rest}.get(names) or {int(cpu) for cpu in names.split(",")}
     for thread in map(int, os.listdir(_THREADS)):
-        # One may end meanwhile.
+        # A thread may have ended.
         with suppress(ProcessLookupError):
             os.sched_setaffinity(thread, cpus)
 
 
 def _set_priority(priority: int) -> None:
-    # For the middleware's threads too; not for those that the node itself started, which do not affect its timing.
+    # Includes the middleware's threads, but not those that the node itself started: these do not affect its timing.
     helpers = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
     for thread in map(int, os.listdir(_THREADS)):
         if thread not in helpers:

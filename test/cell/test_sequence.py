@@ -344,10 +344,10 @@ def test_a_fault_that_remains_ends_the_recovery():
 
 def test_nothing_starts_while_nobody_takes_the_trajectory():
     bench = Bench()
-    bench.obstacle = "nobody takes the stage's trajectory"
+    bench.obstacle = "no node subscribes to the stage's trajectory"
     assert not bench.sequence.command(Command.RESET)
     bench.until(State.STOPPED)
-    assert bench.sequence.message == "not ready: nobody takes the stage's trajectory"
+    assert bench.sequence.message == "not ready: no node subscribes to the stage's trajectory"
 
 
 @pytest.mark.parametrize("strokes", [-1, 10**7])

@@ -98,7 +98,7 @@ def test_the_doctor_says_what_differs_under_another_middleware(monkeypatch: pyte
     monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
     answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
     rmw = software.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
-    assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message came")
+    assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message arrived")
 
 
 def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:

@@ -69,7 +69,7 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_where_the_stat
     assert "ReloadMap is not accepted in state Stopped" in results["reload while stopped"]
     assert (results["reload"], results["center"], results["back"]) == ("done", "done", "done")
     assert (results["centred"], results["centred then"]) == (True, False)
-    assert "call Center(false) before" in results["start in the middle"]
+    assert "call Center(false) first" in results["start in the middle"]
     assert all(words in results["reload of a spoilt file"] for words in ("BadInvalidState", "survey.csv"))
     assert results["state"] == "Idle"
 

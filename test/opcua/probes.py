@@ -166,7 +166,7 @@ async def orders(url, map_file):
                 results[name] = "done"
             except CycleFailed as refused:
                 results[name] = str(refused)
-            if "before this one" not in results[name]:
+            if "previous change" not in results[name]:
                 return
             await asyncio.sleep(0.2)
 

@@ -96,7 +96,7 @@ def test_linux_counts_a_process_that_others_keep_from_its_cpu():
     ("scheduling", "remedy"),
     [
         (REFUSED, "real-time priority is not permitted; remedy: straightcomp doctor"),
-        (NORMAL, "real-time priority was not asked for; remedy: the parameter realtime.priority"),
+        (NORMAL, "real-time priority was not requested; remedy: the parameter realtime.priority"),
     ],
 )
 def test_who_got_no_cpu_is_named_with_the_remedy(scheduling, remedy):

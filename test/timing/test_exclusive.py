@@ -168,7 +168,7 @@ def test_the_nodes_that_start_meanwhile_may_use_the_cpu_all_the_same(stand, monk
 
 def test_a_second_node_is_refused_the_same_cpu_and_all_cpus_are_too_many(stand):
     stand.node()
-    assert "another node has them to itself" in stand.node()[1]
+    assert "another node keeps them free for itself" in stand.node()[1]
     assert "there is no other CPU" in stand.node(stand.all)[1]
 
 

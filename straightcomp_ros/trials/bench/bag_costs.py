@@ -1,6 +1,6 @@
-"""Bags measured: recording, reading, evaluation, what a SIGKILL takes, audit.
+"""Measures bags: recording, reading, evaluation, loss by SIGKILL, audit.
 
-Every number is measured in this call; None stands for what cannot be measured here (no ROS, a package that is absent).
+Every number is measured in this call; None stands for what cannot be measured here (no ROS, a package that is missing).
 """
 
 import random
@@ -35,7 +35,7 @@ from straightcomp_ros.trials.bench.traffic_streams import record_traffic
 
 _LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 _SOME_CHUNKS = 40_000
-"""Bytes of some chunks, and of the descriptions and parameters before them."""
+"""Size of a bag with some chunks, and the descriptions and parameters before them, in bytes."""
 
 
 def run(
@@ -44,21 +44,21 @@ def run(
     record_s: float = 20.0,
     progress: Callable[[str, float], None] = lambda text, done: None,
 ) -> dict[str, Any]:
-    """Measure all.
+    """Measure everything.
 
     Args:
         bag: a recorded stroke; a full stroke forward and back is simulated if None.
-        kill_runs: recordings that are killed.
+        kill_runs: number of recordings to kill.
         record_s: length in s of the live recording, 16,000 messages a second on 8 topics.
-        progress: called with what comes next, and the fraction that is done.
+        progress: called with the name of the next step, and the finished fraction.
 
     Returns:
-        ``record`` {lost, cpu_cores, us_per_message, bytes_per_message}: the first two of the live recording by the
-        logger's process, the others of writing ``bag`` again; ``read`` {ours_us, rosbags_us, mcap_ros2_us,
+        ``record`` {lost, cpu_cores, us_per_message, bytes_per_message}: the first two for the live recording by the
+        logger's process, the others for writing ``bag`` again; ``read`` {ours_us, rosbags_us, mcap_ros2_us,
         equal} (µs per message), ``evaluate_s``, ``kill`` {runs, max_lost_s}, ``audit`` {commands, different}.
 
     Raises:
-        BagError: the bag is refused.
+        BagError: the bag cannot be used.
         LaunchError: a node could not be started.
     """
     if bag is not None:
@@ -92,7 +92,7 @@ def run(
 
 
 def _writing(bag: Path, work: Path) -> dict[str, float]:
-    """Messages of a real run, written again: CPU time and size of each."""
+    """Write the messages of a real run again: CPU time and size of each."""
     streams = read_streams(bag, _LAYOUTS)
     messages = []
     for topic, stream in streams.items():
@@ -116,7 +116,7 @@ def _writing(bag: Path, work: Path) -> dict[str, float]:
 
 
 def _live_recording(work: Path, seconds: float) -> dict[str, float | None]:
-    """Full load on the logger: messages that its bag lacks, and what the node took of a core."""
+    """Load the logger fully: number of messages missing in its bag, and CPU cores that the node used."""
     if not ros_available():
         return {"lost": None, "cpu_cores": None}
     missing, busy = record_traffic(work, seconds)
@@ -124,7 +124,7 @@ def _live_recording(work: Path, seconds: float) -> dict[str, float | None]:
 
 
 def _wait_for(bag: Path, size: int = 1, timeout: float = 120.0) -> int:
-    """Wait until the bag's file has ``size`` bytes; returns how many it has."""
+    """Wait until the bag's file has ``size`` bytes; returns its size."""
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
         found = max((file.stat().st_size for file in bag.glob("*.mcap")), default=0)
@@ -183,7 +183,7 @@ def _mcap_ros2_us(bag: Path) -> float | None:
 
 
 def _evaluating(bag: Path) -> float:
-    """Wall time of the command, start of Python and imports included; the median of three."""
+    """Wall time of the command, including Python's start and imports; the median of three."""
     times = []
     for _ in range(3):
         started = time.perf_counter()
@@ -194,7 +194,7 @@ def _evaluating(bag: Path) -> float:
 
 
 def _killing(bag: Path, work: Path, runs: int, progress: Callable[[float], None]) -> dict[str, Any]:
-    """Recordings by the logger, killed at any moment: from the last saved message to the kill."""
+    """Kill recordings of the logger at random moments: longest time from the last saved message to the kill."""
     if not ros_available() or runs < 1:
         return {"runs": 0, "max_lost_s": None}
     worst = 0.0

@@ -1,4 +1,4 @@
-"""How many injected faults of a bus are found, and what the machine does about them."""
+"""Counts how many injected bus faults are detected, and how the machine reacts to them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,26 +10,26 @@ from straightcomp_ros.trials.bench.can_servo_trial import run_servo_trial
 
 _RATE = 0.02
 _TOGETHER, _CUT = 0.002, 0.0002
-"""Rates of each kind when all come together, in a closed loop that is to be on for most of the time."""
+"""Rates of all kinds together, for a closed loop that stays on most of the time."""
 COUNTED = tuple(kind for kind in KINDS if kind != "cut")
-"""Kinds that hurt one frame. A cut hurts the link, and is tried on a real one."""
+"""Kinds that damage one frame. A cut affects the link, and is tested on a real one."""
 _BUSES = {"classic": False, "fd": True}
 
 
 def fault_run(
     guide: StraightnessMap, frames: int, seed: int, progress: Callable[[float], object]
 ) -> tuple[dict[str, dict[str, int]], dict[str, dict[str, Any]], int]:
-    """Try each kind of fault alone on the receiver, and all together on the closed loop, on both kinds of bus.
+    """Test each kind of fault alone on the receiver, and all together on the closed loop, on both kinds of bus.
 
     Args:
         guide: of the simulated machine.
-        frames: for each kind and bus, and for each closed loop.
+        frames: number for each kind and bus, and for each closed loop.
         seed: of the faults.
-        progress: called with the share that is done.
+        progress: called with the finished fraction.
 
     Returns:
-        By kind ``injected`` and ``detected``, both buses together; by bus what the closed loop did; wrong samples
-        that were used unflagged, in all of it.
+        By kind the counts ``injected`` and ``detected`` on both buses; by bus the result of the closed loop; the total
+        of wrong samples that were used unflagged.
     """
     counts = {kind: {"injected": 0, "detected": 0} for kind in COUNTED}
     loops: dict[str, dict[str, Any]] = {}

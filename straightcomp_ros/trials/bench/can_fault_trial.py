@@ -1,4 +1,4 @@
-"""Sends a known machine's frames through faults into the receiver, and compares what comes out with the truth."""
+"""Sends a known machine's frames through faults to the receiver, and compares the received samples with the truth."""
 
 import random
 from collections.abc import Mapping
@@ -28,9 +28,9 @@ _START_NS = 1_700_000_000_000_000_000
 
 @dataclass(frozen=True)
 class Trial:
-    """What was done to the frames of the encoder and what the receiver made of it.
+    """Faults of the encoder's frames, and what the receiver made of the frames.
 
-    ``unflagged_wrong`` counts samples whose number, place or time is not that of a sample that was taken.
+    ``unflagged_wrong`` counts samples accepted with a number, position or time of no sample that was taken.
     """
 
     frames: int
@@ -40,7 +40,7 @@ class Trial:
     receiver: Receiver
 
     def detected(self, kind: str) -> int:
-        """How many faults of a kind the receiver counted, in a trial with this kind alone."""
+        """Number of faults of a kind that the receiver counted, in a trial with this kind alone."""
         counts, sequence = self.receiver.counts, self.receiver.sequence
         checks = counts["length"] + counts["crc"] + counts["alive"] + counts["state"] + counts["implausible"]
         return {
@@ -69,7 +69,7 @@ def _to_and_fro(way: int, length: int) -> int:
 def run_trial(
     rates: Mapping[str, float], *, fd: bool, frames: int = 20_000, first: int = 0, drift: float = 100e-6, seed: int = 1
 ) -> Trial:
-    """Send ``frames`` samples, of which those after the clock has settled suffer faults.
+    """Send ``frames`` samples, and inject faults after the clock has settled.
 
     Args:
         rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
@@ -79,7 +79,7 @@ def run_trial(
         drift: of the board's clock.
         seed: of jitter and faults.
     """
-    # Strikes end a real run; here every single fault is to be seen.
+    # The error counter would end a real run; here every single fault must be seen.
     parameters = CanParameters(fd=fd, strike_limit=1000, sample_memory=100_000)
     receiver, codec = Receiver(parameters), Codec(parameters.node, fd)
     faults, chance = Faults(rates, seed), random.Random(seed)
@@ -91,7 +91,7 @@ def run_trial(
         taken[index] = sampled_ns
         arrival_ns = sampled_ns + 110_000 + round(chance.expovariate(1 / 40e3))
         for frame in _frames(codec, index, arrival_ns):
-            # Faults of the slow frame are not counted with those of the encoder's.
+            # Count only the faults of the encoder's frame, not those of the slow one.
             hurt = k > _LEAD_IN and frame.identifier == codec.encoder_id and k < frames - 2
             for arrived in faults(frame) if hurt else [frame]:
                 _hand_over(receiver, arrived)

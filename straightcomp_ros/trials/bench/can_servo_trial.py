@@ -1,7 +1,7 @@
-"""The closed loop over a bad bus, in simulated time: host and emulated board whole, the bus between them spoilt.
+"""Runs the closed loop over a faulty bus in simulated time: the real host and emulated board, with faults between them.
 
-:mod:`straightcomp_ros.trials.bench.can_fault_trial` shows that each single fault is found; here is what the machine
-does about it: it runs on, or it stands in the latched safe state until it is reset, and then runs again.
+:mod:`straightcomp_ros.trials.bench.can_fault_trial` shows that each single fault is detected. This trial shows how the
+machine reacts: it keeps running, or it stays in the latched safe state until it is reset, and then runs again.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 _START_NS = 1_700_000_000_000_000_000
 _TRANSIT_NS = 100_000
 _DEAD_NS = 20_000_000
-"""A cut: the shortest time after which both ends have opened the bus again."""
+"""Duration of a cut: the shortest time after which both ends have opened the bus again."""
 _REST_NS = 100_000_000
-"""How long the trial leaves a latched fault before it resets."""
+"""Time for which the trial leaves a latched fault before it resets it."""
 _SWITCH_OFF_S = 0.002
-"""Beyond the board's command timeout: until its amplifier must be off after the host has latched a fault."""
+"""Beyond the board's command timeout: its amplifier must be off so long after the host latched a fault."""
 _REFERENCE = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class ServoTrial:
-    """What the machine did.
+    """Result of a trial of the closed loop.
 
     Attributes:
         frames: samples that the board sent.
         injected: faults by kind, both directions together.
         state: of the amplifier at the end, as the host sees it.
-        on: share of the time in which the servo was on.
-        latched: how often a fault was latched, by its words without times.
+        on: fraction of the time in which the servo was on.
+        latched: number of latched faults, by their texts without times.
         unsafe: samples that the board took with the amplifier on although the host had latched a fault longer ago than
             the board's command timeout.
-        unflagged_wrong: samples that the servo was given and that the board had not taken so, or at another time.
+        unflagged_wrong: samples that the servo got with values or times other than those that the board sampled.
     """
 
     frames: int
@@ -62,9 +62,9 @@ class ServoTrial:
 def run_servo_trial(
     rates: Mapping[str, float], guide: StraightnessMap, *, fd: bool, frames: int = 20_000, seed: int = 1
 ) -> ServoTrial:
-    """Hold the platform for ``frames`` samples while the stage moves and each frame of either side suffers faults.
+    """Hold the platform for ``frames`` samples while the stage moves, with faults in the frames of both sides.
 
-    The amplifier is switched on as soon as that is allowed, and again after each latched fault.
+    The trial switches the amplifier on as soon as possible, and again after each latched fault.
 
     Args:
         rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
@@ -89,7 +89,7 @@ def run_servo_trial(
 
 
 class _Trial:
-    """Clock, bus and operator; also stands for the host's :class:`~straightcomp_ros.hardware.can.link.Link`."""
+    """Clock, bus and operator; also replaces the host's :class:`~straightcomp_ros.hardware.can.link.Link`."""
 
     openings, transmit_full, overloads, problem, log = 1, 0, 0, "", None
 
@@ -113,7 +113,7 @@ class _Trial:
         self.on = self.unsafe = self.wrong = 0
 
     def start(self) -> None:
-        """The bus is there from the beginning."""
+        """The bus is open from the beginning."""
 
     def close(self) -> None:
         """Nothing to close."""
@@ -125,7 +125,7 @@ class _Trial:
         return self
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
-        """From the host to the board."""
+        """Send a frame from the host to the board."""
         for frame in self._arriving(self.to_board, identifier, payload, fd):
             if not frame.flags & ERROR:
                 self._board.receive(frame.identifier, frame.data, self.now)
@@ -149,7 +149,7 @@ class _Trial:
             return []
 
     def period(self) -> None:
-        """One period: commands half a period after their samples, then the next sample."""
+        """Run one period: commands half a period after their samples, then the next sample."""
         self.now += self._period_ns // 2
         for stamp_ns, current in self._answers:
             self.host.write(current, self.now, stamp_ns)
@@ -178,7 +178,7 @@ class _Trial:
                 try:
                     self.host.enable()
                 except HardwareError:
-                    # Not yet: the board has to be heard first.
+                    # Not before the host has received frames of the board.
                     return
             return
         if not self._fault_ns:

@@ -1,4 +1,4 @@
-"""What it costs to pack and to unpack the frames of the wire contract."""
+"""Measures the cost of packing and unpacking the frames of the wire contract."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -23,21 +23,21 @@ from straightcomp_ros.trials.bench.recorded_window import Recording, read_window
 from straightcomp_ros.trials.bench.window import Window, growth_mb_per_hour
 
 _SETTLE_S = 1.5
-"""Motion before the window: the caches are filled by then, and the loops are locked to each other."""
+"""Motion before the window, in which caches fill and loops lock to each other."""
 _REST_S = 1.0
-"""Time after the window, so that its last samples are answered and recorded."""
+"""Time after the window in which its last samples are answered and recorded."""
 _PAUSE_S = 0.5
 _DRIVER_TIMEOUT_S = 1.0
-"""The machine forgives this much: a stall is to be measured, not to switch the law off."""
+"""Command timeout of the machine: a stall must be measured, not switch the amplifier off."""
 _SCALED = {
     "driver": {"simulated.sample_memory": SimulatedParameters().sample_memory},
     "controller": {"reference_lead": ControllerNodeParameters().reference_lead},
 }
-"""Lengths of time that are given in samples: they stay what they are in seconds."""
+"""Durations that are parameters in samples; they are converted so that they stay the same in seconds."""
 
 
 class BenchFailed(RuntimeError):
-    """There is nothing to measure; the message says which node failed, and how."""
+    """The measurement failed; the message names the node and the reason."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Measurement:
         timing: each node in the window, from its diagnostics.
         cpu_cores: CPU cores that each node kept busy.
         rss_mb: resident memory of each node at begin and end, MB.
-        growth_mb_per_hour: slope of that memory; says something only over many minutes.
-        recording: what the bag has of the window.
+        growth_mb_per_hour: slope of that memory; meaningful only over many minutes.
+        recording: the bag's streams in the window.
         seconds: length of the window.
     """
 
@@ -93,9 +93,9 @@ def bench_parameters(
     """Parameters of a measured run.
 
     Args:
-        values: by node and dotted name, what the run starts from.
+        values: parameters to start from, by node and dotted name.
         rate: samples per second, of machine and controller.
-        seconds: that are measured; the stage moves all the time, and a little longer.
+        seconds: length of the window; the stage moves a little longer.
         priority: SCHED_FIFO priority of all nodes, with CPUs kept awake; 0 for normal scheduling.
 
     Raises:
@@ -115,7 +115,7 @@ def bench_parameters(
     chosen["controller"]["rate"] = rate
     stroke_s = 0.5 * (_SETTLE_S + seconds + _REST_S - _PAUSE_S)
     stroke, acceleration = min(STROKE, 0.2 * stroke_s), 1.0
-    # A trapezoid takes stroke/speed + speed/acceleration.
+    # A trapezoidal motion takes stroke/speed + speed/acceleration.
     speed = 0.5 * acceleration * (stroke_s - math.sqrt(stroke_s**2 - 4.0 * stroke / acceleration))
     chosen["cell"] |= {
         "motion.start": 0.0,
@@ -134,10 +134,10 @@ _CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}
 
 
 def view_beside(priority: int) -> dict[str, Sequence[str]]:
-    """The live view and a page that is open on it, as programs to run beside the graph.
+    """Commands of the live view and of a client that reads its page, to run beside the graph.
 
     Args:
-        priority: SCHED_FIFO priority of the graph's nodes, and so of the view's.
+        priority: SCHED_FIFO priority of the graph's nodes, which the view needs too.
     """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -163,8 +163,8 @@ def measure(
         values: from :func:`bench_parameters`, for the same ``seconds``.
         folder: gets bag, logs and parameter file; must not hold a bag.
         seconds: length of the window.
-        progress: called with the fraction of the stage's motion that is done.
-        beside: further programs by name that run meanwhile.
+        progress: called with the finished fraction of the stage's motion.
+        beside: further programs to run during the measurement, by name.
         look_interval: time between two looks at the nodes' memory, s.
 
     Raises:
@@ -185,7 +185,7 @@ def measure(
         progress(fraction)
         if window.finished:
             finished.append(now)
-        # The window's last samples are answered and recorded then.
+        # By then the window's last samples are answered and recorded.
         return bool(finished) and now >= finished[0] + _REST_S
 
     try:

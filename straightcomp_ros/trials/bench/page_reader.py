@@ -1,4 +1,4 @@
-"""Reads a view's news as an open page does, for measuring: python -m straightcomp_ros.trials.bench.page_reader PORT"""
+"""Reads a view's events like an open page, for measuring: python -m straightcomp_ros.trials.bench.page_reader PORT"""
 
 import contextlib
 import sys
@@ -9,7 +9,7 @@ _AGAIN_S = 0.2
 
 
 def read(port: int) -> None:
-    """Read until interrupted; connect again, as a browser does, whenever the view is not there."""
+    """Read until interrupted; reconnect like a browser whenever the view is not available."""
     while True:
         connection = HTTPConnection("127.0.0.1", port, timeout=10.0)
         with contextlib.closing(connection), contextlib.suppress(OSError, HTTPException):

@@ -9,7 +9,7 @@ from pathlib import Path
 _TICKS = os.sysconf("SC_CLK_TCK")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _UTIME = 11
-"""Place of the user time behind the command's name in /proc/PID/stat (proc(5): field 14); the system time follows."""
+"""Index of the user time after the command's name in /proc/PID/stat (proc(5): field 14); the system time follows."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def usage(process_ids: Mapping[str, int]) -> Usage:
     """
     cpu, rss = {}, {}
     for name, pid in process_ids.items():
-        # The command's name stands in parentheses and may hold anything.
+        # The command's name is in parentheses and may contain any character.
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         cpu[name] = (int(fields[_UTIME]) + int(fields[_UTIME + 1])) / _TICKS
         rss[name] = int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE * 1e-6

@@ -1,12 +1,12 @@
-"""Are the strokes that the stage made in the bags?
+"""Checks that the bags contain the strokes that the stage made.
 
-A stroke that counts is one movement of the stage one way, rest to rest, that was commanded and took place as a whole
-while the recording was known to be whole: the driver ran and was active from its beginning to its end, a logger was
-recording, as its reports say, and neither was stopped, paused, killed, brought down or exchanged meanwhile. When it was
-commanded follows from when the stage was seen to leave its rest and from the trajectory that it was given, not from
-the bags. It is found if a bag's encoder stream has a stroke (:func:`straightcomp_ros.analysis.record.motion_of`) of the
-same direction that covers more than half of its time and takes no more than half as long again; samples that are
-missing within it are not judged here.
+A stroke counts if it is one movement of the stage one way, rest to rest, that was commanded and took place completely
+while the recording was known to be complete: the driver was active all the time, the logger's reports said that it
+recorded, and neither was stopped, paused, killed, deactivated or restarted meanwhile. Its commanded time follows from
+the time at which the stage was seen to leave its rest and from its trajectory, not from the bags. It is found if the
+encoder stream of a bag has a stroke (:func:`straightcomp_ros.analysis.record.motion_of`) in the same direction that
+covers more than half of its time and takes at most half as long again. Missing samples within a stroke are not
+checked here.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.straightness.survey import Direction
 
 _LONGEST = 1.5
-"""A recorded stroke that takes longer than so many commanded ones is several that were taken for one."""
+"""A recorded stroke that takes longer than so many commanded ones is several, detected as one."""
 
 
 class Stroke(NamedTuple):
@@ -39,7 +39,7 @@ class Commanded:
 
     Args:
         stroke_ns: duration of a stroke; forward and backward in turn, the first forward.
-        strokes: how many a motion has.
+        strokes: number of strokes in a motion.
     """
 
     def __init__(self, stroke_ns: int, strokes: int) -> None:
@@ -55,15 +55,15 @@ class Commanded:
 
     @property
     def recording(self) -> bool:
-        """Whether the recording is known to be whole."""
+        """Whether the recording is known to be complete."""
         return self._recording_ns > 0
 
     def begin(self, at_ns: int) -> None:
-        """A motion began."""
+        """Note that a motion began."""
         self._moving_ns = at_ns
 
     def end(self, at_ns: int) -> None:
-        """It ended, by itself or not; without one, nothing."""
+        """Note that the motion ended, finished or not; without effect if there is none."""
         if self._moving_ns:
             last_ns = self._moving_ns + self._strokes * self._stroke_ns
             self._motions.append((self._moving_ns, min(at_ns, last_ns)))
@@ -74,17 +74,17 @@ class Commanded:
         return self.moving and now_ns > self._moving_ns + self._strokes * self._stroke_ns
 
     def record(self, at_ns: int) -> None:
-        """From now on everything is recorded."""
+        """Note that the recording is complete from now on."""
         self._recording_ns = self._recording_ns or at_ns
 
     def interrupt(self, at_ns: int) -> None:
-        """From now on that is not known, or not so."""
+        """Note that the recording is not known to be complete from now on."""
         if self._recording_ns and at_ns > self._recording_ns:
             self._recordings.append((self._recording_ns, at_ns))
         self._recording_ns = 0
 
     def strokes(self) -> list[Stroke]:
-        """Those that count, of all motions and recordings that have ended."""
+        """The strokes that count, of all motions and recordings that have ended."""
         return [
             stroke
             for stroke in self._made()
@@ -92,7 +92,7 @@ class Commanded:
         ]
 
     def motions(self) -> list[tuple[int, int]]:
-        """Begin and end of each, ns since the epoch."""
+        """Begin and end of each motion, ns since the epoch."""
         return list(self._motions)
 
     def _made(self) -> list[Stroke]:
@@ -104,7 +104,7 @@ class Commanded:
 
 
 def strokes_in(bag: Path, motions: Sequence[tuple[int, int]]) -> list[Stroke]:
-    """The strokes in a bag, each motion for itself: between two the stage may stand elsewhere at once.
+    """The strokes in a bag, for each motion separately: between two motions the stage's position may jump.
 
     Raises:
         BagError: the bag cannot be read.
@@ -130,7 +130,7 @@ def strokes_in(bag: Path, motions: Sequence[tuple[int, int]]) -> list[Stroke]:
 
 
 def missing(commanded: Sequence[Stroke], found: Sequence[Stroke]) -> list[Stroke]:
-    """Strokes that were commanded and not found."""
+    """Strokes that were commanded but not found."""
     return [stroke for stroke in commanded if not any(_is(stroke, other) for other in found)]
 
 
@@ -142,10 +142,10 @@ def _is(stroke: Stroke, found: Stroke) -> bool:
 
 
 def readable(bag: Path) -> tuple[Path, bool]:
-    """The bag itself where it was finished, otherwise what `recover` makes of it; and whether it was finished.
+    """The bag itself if it was finished, otherwise what `recover` makes of it; and whether it was finished.
 
     Raises:
-        BagError: nothing in it can be saved.
+        BagError: nothing in it can be recovered.
     """
     if (bag / "metadata.yaml").exists():
         return bag, True

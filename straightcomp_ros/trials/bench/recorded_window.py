@@ -1,4 +1,4 @@
-"""What a bag says of a window of its run: which samples are missing on which topic, and the loop's latency."""
+"""Evaluates a bag in a time window: samples missing on each topic, and the loop's latency."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ class Recording:
 
     Attributes:
         expected: samples that the sampling clock took in the window.
-        missing: by topic, how many of them have no message there.
-        amplifier_on: fraction of the recorded samples with the amplifier on; the law is at work only there.
+        missing: by topic, the number of these samples without a message.
+        amplifier_on: fraction of the recorded samples with the amplifier on, which the law acts on.
         latency: (n,) time in s from each sample to the arrival of its command at the driver, as far as recorded.
     """
 
@@ -30,7 +30,7 @@ class Recording:
 
     @property
     def lost_samples(self) -> int:
-        """Samples without a command, wherever they were lost: before the law, behind it, or by the logger."""
+        """Samples without a command, wherever they were lost: before the law, after it, or by the logger."""
         return self.missing[COMMAND.topic]
 
     def latency_us(self) -> dict[str, float]:
@@ -63,7 +63,7 @@ def read_window(bag: Path, rate: int, begin_ns: int, end_ns: int) -> Recording:
     if ENCODER.topic not in streams or not inside(ENCODER.topic).any():
         raise BagError(f"bag {bag}: has no messages on '{ENCODER.topic}' in the window that was measured")
     phase = int(streams[ENCODER.topic].stamp[inside(ENCODER.topic)][0])
-    # Samples lie on a grid: what is lost at an edge of the window counts too.
+    # Samples lie on a grid, so losses at an edge of the window count too.
     expected = -((phase - end_ns) // period_ns) + (phase - begin_ns) // period_ns
     missing = {
         stream.topic: expected

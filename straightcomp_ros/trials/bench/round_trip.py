@@ -1,4 +1,4 @@
-"""Times the way from an emulated board to its host and back, with hub, board and host in processes of their own."""
+"""Times the round trip from an emulated board to its host and back, with hub, board and host as separate processes."""
 
 import json
 import signal
@@ -33,22 +33,21 @@ _LOOK_S = 0.1
 
 
 class RoundTripFailed(RuntimeError):
-    """There is nothing to measure; the message says what failed."""
+    """The measurement failed; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class RoundTrip:
-    """What was measured.
+    """Result of the measurement.
 
     Attributes:
-        times: s, from the moment at which the board sent a sample to that at which another node of the bus had read the
-            host's answer.
+        times: in s, from the board's sending of a sample until another node of the bus has read the host's answer.
         send_us: median µs to hand a frame to python-can's interface of the hub.
         receive_us: median µs to take one from it.
-        hub_cores: CPU cores that the hub kept busy meanwhile.
-        lost: samples that did not come; cuts do not count.
-        cuts: times that the hub cut the link.
-        reopened: times that the host found it cut and opened it again.
+        hub_cores: CPU cores that the hub kept busy.
+        lost: samples that did not arrive; those lost in cuts do not count.
+        cuts: number of times that the hub cut the link.
+        reopened: number of times that the host found the link cut and opened it again.
     """
 
     times: NDArray[np.float64]
@@ -65,12 +64,12 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
 
     Args:
         values: parameters by node and dotted name: the board is the driver's machine, on its kind of bus.
-        folder: an empty one with a short path.
+        folder: an empty folder with a short path.
         seconds: length of the measurement.
         cuts: how often to cut the link.
 
     Raises:
-        RoundTripFailed: a process ended, or nothing comes.
+        RoundTripFailed: a process ended, or no sample arrives.
         ParameterError: a parameter is refused.
     """
     driver = {**values["driver"], **on_hub(values["driver"], str(folder / "bus"))}
@@ -113,7 +112,7 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
 
 
 class _Host:
-    """Answers each sample with "off" in a thread of its own, as the driver's loop does."""
+    """Answers each sample with "off" in a separate thread, like the driver's loop."""
 
     def __init__(self, parameters: CanParameters) -> None:
         self.receiver = Receiver(parameters)
@@ -160,7 +159,7 @@ def _bus(parameters: CanParameters, identifier: int) -> can.BusABC:
 
 
 def _costs(parameters: CanParameters) -> tuple[float, float]:
-    """Median µs of a frame for sender and receiver; the receiver finds its frames waiting."""
+    """Median µs of a frame for sender and receiver; the receiver's frames have arrived before."""
     identifier, payload = 0x123, bytes(16 if parameters.fd else 8)
     sending, receiving = [], []
     with _bus(parameters, identifier) as sender, _bus(parameters, identifier) as receiver:

@@ -1,10 +1,10 @@
-"""Did this machine stand still? A watch on each CPU, with the nodes' scheduling, that does nothing else.
+"""Detects stalls of this computer: a process on each CPU, scheduled like the nodes, that only sleeps and wakes up.
 
     python -m straightcomp_ros.trials.bench.stalls CPU PRIORITY
 
-sleeps for 2 ms again and again, and prints when it woke up later than that by 5 ms or more: the time in ns since the
-epoch and the lateness in ms. What holds it up holds up a node on that CPU as well: a hypervisor, another program of the
-same priority, and a node of ours that keeps the CPU for so long by itself, which it cannot tell from the others.
+sleeps for 2 ms repeatedly, and prints each wake-up that is late by 5 ms or more: the time in ns since the epoch and the
+lateness in ms. Whatever delays it also delays a node on that CPU: a hypervisor, another program of the same priority,
+or a node of ours that keeps the CPU for so long itself, which cannot be told from the others.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _SLEEP_NS, _NOTED_NS = 2_000_000, 5_000_000
 
 
 class Stalls:
-    """Use it as a context manager: the watches run meanwhile.
+    """The watches on all CPUs; they run while this context manager is open.
 
     Args:
-        folder: for what they print.
+        folder: for their output.
         priority: SCHED_FIFO priority, 0 for normal scheduling.
     """
 
@@ -48,7 +48,7 @@ class Stalls:
                 process.stdin.close()
 
     def total_ms(self, begin_ns: int, end_ns: int) -> float:
-        """How long the CPU that stood still for longest did so, in ms, by all stalls that reach into this time.
+        """Total stall time in ms of the CPU with the longest, over all stalls that overlap this time.
 
         Args:
             begin_ns, end_ns: ns since the epoch.
@@ -60,7 +60,7 @@ def _total_ms(file: Path, begin_ns: int, end_ns: int) -> float:
     total = 0.0
     for line in file.read_text().splitlines():
         time_ns, _, late = line.partition(" ")
-        # The last line may be half written.
+        # The last line may be incomplete.
         with contextlib.suppress(ValueError):
             if int(time_ns) >= begin_ns and int(time_ns) - float(late) * 1e6 <= end_ns:
                 total += float(late)
@@ -68,7 +68,7 @@ def _total_ms(file: Path, begin_ns: int, end_ns: int) -> float:
 
 
 def main() -> int:
-    """Watch until killed, or until whoever started it is gone."""
+    """Watch until killed, or until the parent process has ended."""
     cpu, priority = map(int, sys.argv[1:3])
     os.sched_setaffinity(0, {cpu})
     if priority:

@@ -1,4 +1,4 @@
-"""cell, for measuring: goes on when the amplifier is switched off, so that an overloaded graph can be measured too.
+"""cell, for measurements: continues when the amplifier goes off, so that an overloaded graph can be measured too.
 It never ends by itself.
 
 python -m straightcomp_ros.trials.bench.steady_cell --ros-args …
@@ -17,12 +17,12 @@ _PATIENCE_S = 5.0
 
 
 class SteadySequence(CellSequence):
-    """Switches the amplifier on again whenever a fault has switched it off; ends when it is told to."""
+    """Switches the amplifier on again whenever a fault has switched it off; ends only on command."""
 
     _began = _duration = 0.0
 
     def tick(self, seen: Observation) -> None:
-        """Go on, whatever faults there are."""
+        """Continue, whatever faults there are."""
         super().tick(replace(seen, faults={}))
 
     def _trouble(self, seen: Observation) -> str:
@@ -51,7 +51,7 @@ class SteadySequence(CellSequence):
 
     @property
     def progress(self) -> float:
-        """By the clock: samples may be missing."""
+        """Progress by the clock, since samples may be missing."""
         return (self._now - self._began) / self._duration if self._duration else 0.0
 
 

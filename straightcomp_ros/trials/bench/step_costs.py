@@ -1,4 +1,4 @@
-"""What the parts cost that are called once in each cycle: laws, messages, and a cycle of the simulation."""
+"""Measures the functions that are called once in each cycle: laws, messages, and a cycle of the simulation."""
 
 import statistics
 import time
@@ -16,7 +16,7 @@ _CALLS = 1000
 
 @dataclass(frozen=True)
 class Cost:
-    """Time of one call in µs: the median over repeats of many calls, the least and the largest."""
+    """Time of one call in µs: the median over repeats of many calls, the smallest and the largest."""
 
     median: float
     least: float
@@ -39,7 +39,7 @@ def cost(work: Callable[[], object], calls: int, repeats: int) -> Cost:
 
 
 def law_costs(parameters: ControlParameters, rate: int, repeats: int) -> dict[str, Cost]:
-    """One step of each law, the platform's error swinging by half a micrometre about the reference."""
+    """One step of each law, with the platform's error swinging by half a micrometre about the reference."""
     return {name: _law_cost(replace(parameters, law=name), rate, repeats) for name in LAWS}
 
 
@@ -80,14 +80,14 @@ def _message_costs(layout: Any, repeats: int) -> dict[str, Cost]:
 
 
 def simulation_cost(values: Mapping[str, Mapping[str, Any]], repeats: int) -> tuple[Cost, float]:
-    """One sample of `straightcomp simulate`, and how many seconds it simulates in one.
+    """Cost of one sample of `straightcomp simulate`, and how many seconds it simulates in one.
 
     Raises:
         ParameterError: a parameter is refused.
         SurveyError: the map is refused.
     """
     rate = node_parameters("driver", values["driver"]).simulated.rate
-    # What is made once, before the first sample, is no cost of a sample.
+    # Exclude what is made once, before the first sample.
     simulations = [Simulation(values) for _ in range(repeats + 1)]
     samples = len(simulations.pop().run().time)
     times = []

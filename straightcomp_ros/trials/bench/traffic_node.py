@@ -1,4 +1,4 @@
-"""Eight topics at 2 kHz, some messages at a time: what `straightcomp bench bags` has the logger record.
+"""Publishes eight topics at 2 kHz, in batches: the load that `straightcomp bench bags` has the logger record.
 
 python -m straightcomp_ros.trials.bench.traffic_node --ros-args -p seconds:=20.0
 """
@@ -23,13 +23,13 @@ from straightcomp_ros.trials.bench.traffic_streams import BEGUN, ENDED, TRAFFIC
 
 _PERIOD_NS = 1_000_000_000 // DEFAULT_RATE
 _BURST = 8
-"""Messages of a topic that are published at a time."""
+"""Messages of a topic that are published in one batch."""
 _SETTLE_NS = 1_000_000_000
-"""A reader that is found is connected a moment later, and what is sent last is still under way."""
+"""Time for a discovered subscriber to be connected, and for the last messages to arrive."""
 _LOOK_EVERY = 12
-"""Cycles between two looks for subscribers."""
+"""Cycles between two checks for subscribers."""
 _ROWS = 1000
-"""Different messages of each topic."""
+"""Number of different messages of each topic."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class TrafficParameters:
 
 
 class TrafficNode:
-    """Publishes noise, which costs a recording more than a machine's signals do: no compression makes it smaller.
+    """Publishes noise, which costs a recording more than a machine's signals: it cannot be compressed.
 
-    What a stall held up is published after it: the number of messages is that of the time.
+    After a stall it publishes the missed messages, so that their number follows the time.
     """
 
     def __init__(self, node: Node) -> None:
@@ -98,7 +98,7 @@ class TrafficNode:
             print(ENDED, self._count, (self._end_ns - begin_ns) * 1e-9, flush=True)
 
     def close(self) -> None:
-        """Nothing to make safe."""
+        """There is nothing to make safe."""
 
 
 def main() -> int:

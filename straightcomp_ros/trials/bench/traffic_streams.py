@@ -1,4 +1,4 @@
-"""The logger under load: eight topics at 2 kHz from a process of their own, recorded by the real node."""
+"""Loads the logger: the real node records eight topics at 2 kHz from a separate process."""
 
 import subprocess
 import sys
@@ -14,15 +14,15 @@ from straightcomp_ros.contract import DEFAULT_RATE, DISPLACEMENT, PACKAGE, POSIT
 from straightcomp_ros.trials.bench.processes import cores, usage
 
 BESIDE_THE_STREAMS = (DISPLACEMENT, POSITION)
-"""Topics that the logger records only when it is asked to (`other_topics`)."""
+"""Topics that the logger records only on request (`other_topics`)."""
 TRAFFIC = (*STREAMS, *BESIDE_THE_STREAMS)
 """What the node `traffic` publishes, each at :data:`DEFAULT_RATE`: 16,000 messages a second in all."""
 BEGUN = "publishing"
-"""What the node prints when every topic has a subscriber and it begins."""
+"""Printed by the node when every topic has a subscriber and it begins."""
 ENDED = "published"
-"""What it prints at its end, followed by the number of messages of each topic, and the time in s that they took."""
+"""Printed at its end, followed by the number of messages of each topic, and the time in s that they took."""
 _LEAST_RATE = 0.95
-"""Fraction of the rate below which the measurement says nothing of a logger at that rate."""
+"""Fraction of the rate below which the measurement does not represent a logger at that rate."""
 _SETTLE_S = 1.0
 """Time for the logger to fetch the last messages."""
 
@@ -31,11 +31,11 @@ def record_traffic(work: Path, seconds: float) -> tuple[int, float]:
     """Record for ``seconds``; the bag is ``traffic`` in the folder ``work``.
 
     Returns:
-        How many of the published messages the bag lacks, and how many CPU cores the logger took meanwhile.
+        Number of published messages that the bag lacks, and number of CPU cores that the logger used.
 
     Raises:
         LaunchError: a node could not be started.
-        BagError: the machine was too busy to publish at the rate.
+        BagError: the computer was too busy to publish at the rate.
     """
     bag = work / "traffic"
     others = "|".join(f"/{stream.topic}" for stream in BESIDE_THE_STREAMS)
@@ -58,15 +58,15 @@ def record_traffic(work: Path, seconds: float) -> tuple[int, float]:
 
 
 def lost(bag: Path, published: int) -> int:
-    """How many messages a bag lacks of ``published`` on each topic of :data:`TRAFFIC`; none is counted twice."""
+    """How many messages of ``published`` a bag lacks on the topics of :data:`TRAFFIC`; none is counted twice."""
     streams = read_streams(bag, {stream.topic: stream.layout for stream in TRAFFIC})
     return len(TRAFFIC) * published - sum(len(np.unique(stream.stamp)) for stream in streams.values())
 
 
 def _said(word: str, graph: Graph, process: subprocess.Popen[str]) -> list[str]:
-    """What follows a word at the beginning of a line, when the node prints it."""
+    """The rest of the line that the node prints after a word."""
     assert process.stdout is not None
-    # rclpy too prints here: warnings of its executor.
+    # rclpy prints warnings of its executor there too.
     for line in process.stdout:
         first, *others = line.split() or [""]
         if first == word:

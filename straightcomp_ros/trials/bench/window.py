@@ -1,4 +1,4 @@
-"""The part of a run that is measured: begins and ends between reports of progress, looks at the processes in it."""
+"""The measured part of a run: begins and ends between reports of progress, with looks at the processes in between."""
 
 from collections.abc import Callable, Mapping
 
@@ -8,10 +8,10 @@ from straightcomp_ros.trials.bench.processes import Usage
 
 
 class Window:
-    """Call it again and again while the graph runs; it takes looks at the processes at the right times.
+    """Looks at the processes at the right times; call it repeatedly while the graph runs.
 
     Args:
-        look: gives the present usage.
+        look: returns the current usage.
         settle: time in s from the first call to the begin.
         seconds: from begin to end.
         interval: time in s between looks.
@@ -26,7 +26,7 @@ class Window:
         self.finished = False
 
     def __call__(self, now: float) -> None:
-        """It is ``now``, in s of a monotonic clock."""
+        """Look if it is time to at ``now``, in s of a monotonic clock."""
         if self._begin is None:
             self._begin = self._next = now + self._settle
         over = now >= self._begin + self._seconds

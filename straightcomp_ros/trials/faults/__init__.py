@@ -1,1 +1,1 @@
-"""Makes each fault in the running graph, and measures how soon it is latched."""
+"""Injects each fault into the running graph, and measures how soon it is latched."""

@@ -1,7 +1,7 @@
-"""driver, for trials: its machine, its clock and the way of its commands fail on demand.
+"""driver, for trials: its machine, its clock and its connection for commands fail on demand.
 
-`inject` (diagnostic_msgs/DiagnosticStatus) names the fault, an empty name ends it; `injected` tells when it began.
-The name `new_machine` asks for another simulated machine, at rest in the middle.
+A message on `inject` (diagnostic_msgs/DiagnosticStatus) names a fault, an empty name ends it; a message on `injected`
+tells when it began. The name `new_machine` requests another simulated machine, at rest in the middle.
 
     python -m straightcomp_ros.trials.faults.faulty_driver --ros-args …
 """
@@ -38,7 +38,7 @@ class FaultyDriver(DriverComponent):
 
     def _on_inject(self, message: DiagnosticStatus) -> None:
         kind = message.name
-        # The middleware's clock is not stepped with it: the times of reception must fit again afterwards.
+        # The middleware's clock is not stepped with ours: afterwards the reception times must match again.
         self._late_ns = self._step_ns = 0
         if kind == CLOCK_STEP:
             self._step_ns = _STEP_NS

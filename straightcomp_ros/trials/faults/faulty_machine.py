@@ -1,4 +1,4 @@
-"""A machine that fails on demand: between another machine and who uses it, for trials of what finds faults."""
+"""A machine that fails on demand: wraps another machine, for trials of fault detection."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +9,7 @@ from straightcomp_ros.safety.faults import Fault
 
 _JUMP = 5e-3
 _RUN_AWAY = 1.5
-"""m/s: no jump, and out of any map soon."""
+"""m/s: not detected as a jump, but soon outside any map."""
 
 
 def _replaced(**numbers: float) -> Callable[[Sample, Sample], Sample]:
@@ -27,9 +27,9 @@ KINDS: Mapping[str, Callable[[Sample, Sample], Sample]] = {
         x=sample.x - _RUN_AWAY * (sample.stamp_ns - first.stamp_ns) * 1e-9
     ),
 }
-"""Kinds of faults, and what each makes of a sample, given the first one that it befalls."""
+"""Kinds of faults, and what each makes of a sample, given the first sample that it affects."""
 BOARD = "board"
-"""The kind in which the board reports a fault of its own."""
+"""The kind in which the board itself reports a fault."""
 
 
 class FaultyHardware(Hardware):
@@ -37,7 +37,7 @@ class FaultyHardware(Hardware):
 
     Args:
         inner: the machine.
-        began: called with the kind and the time (ns) of the first sample that it befalls.
+        began: called with the kind and the time (ns) of the first sample that it affects.
     """
 
     def __init__(self, inner: Hardware, began: Callable[[str, int], None]) -> None:
@@ -56,7 +56,7 @@ class FaultyHardware(Hardware):
         self._kind, self._first = kind, None
 
     def replace(self, inner: Hardware) -> None:
-        """Go on with another machine, whatever has become of this one, and without a fault."""
+        """Continue with another machine, whatever state this one is in, and without a fault."""
         self._inner.close()
         self._inner = inner
         self._kind = self._fault = ""

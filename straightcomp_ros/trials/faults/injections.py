@@ -1,4 +1,4 @@
-"""Makes each fault in the running graph, again and again, and measures until it is latched."""
+"""Injects each fault into the running graph repeatedly, and measures the time until it is latched."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
 """s, in the trials."""
 _PATIENCE_S = 8.0
 _ANSWER_S, _REQUESTS = 1.0, 8
-"""A node that has just come up may lose a request, or its answer."""
+"""Timeout and number of requests: a node that has just started may lose one, or its answer."""
 _AGAIN = 3
-"""Injections in the place of one in whose time the machine stood still, so that another fault came first."""
+"""Repetitions of an injection during which the computer stalled, so that another fault came first."""
 _OTHERS = {
     Fault.COMMAND_TIMEOUT: COMMAND_TIMEOUT * 1e3 - 5.0,
     Fault.SAMPLE_TIMEOUT: SAMPLE_TIMEOUT * 1e3 - 1000.0,
 }
-"""What these trials' parameters add to the faults' own times, which are those of the defaults."""
+"""Time that these trials' parameters add to the faults' reaction times, which are those of the defaults."""
 
 
 def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -44,14 +44,14 @@ def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[
 
 
 class Trial(NamedTuple):
-    """One way to make a fault.
+    """One way to cause a fault.
 
     Attributes:
         name: of the row.
-        fault: that must be found.
-        make: makes it; returns when, ns since the epoch, or None where the driver tells.
-        judge: waits until it is found; returns when, or None. Then it looks at what must follow, adding what does not
-            to the list, and leaves the graph so that it can be switched on again.
+        fault: that must be latched.
+        make: causes it; returns when, ns since the epoch, or None if the driver reports when.
+        judge: waits until the fault is latched; returns when, or None. Then it checks the reactions that must follow,
+            adds failures to the list, and leaves the graph in a state in which it can be switched on again.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Trial(NamedTuple):
 
 
 def _latched(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """The driver has latched it."""
+    """Wait until the driver has latched it."""
     if not stand.until(lambda: stand.fault is not None, _PATIENCE_S) or stand.fault.fault is not trial.fault:
         return None
     found = stand.fault.time_ns
@@ -70,7 +70,7 @@ def _latched(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
 
 
 def _latched_and_going_on(stopped: str) -> Callable[[Stand, Trial, list[str]], int | None]:
-    """The same; then the stopped node goes on."""
+    """The same, and continue the stopped node."""
 
     def judge(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
         found = _latched(stand, trial, failures)
@@ -81,7 +81,7 @@ def _latched_and_going_on(stopped: str) -> Callable[[Stand, Trial, list[str]], i
 
 
 def _latched_and_restarted(killed: str) -> Callable[[Stand, Trial, list[str]], int | None]:
-    """The same; then the killed node is started again."""
+    """The same, and start the killed node again."""
 
     def judge(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
         found = _latched(stand, trial, failures)
@@ -92,7 +92,7 @@ def _latched_and_restarted(killed: str) -> Callable[[Stand, Trial, list[str]], i
 
 
 def _driver_missed(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """The controller misses the samples."""
+    """Check that the controller reports missing samples."""
     if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S) or stand.tripped.fault is not trial.fault:
         return None
     return stand.tripped.time_ns
@@ -117,12 +117,12 @@ def _driver_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]
 
 
 def _logger_missed(stand: Stand) -> int | None:
-    """Its heartbeat is missed."""
+    """Wait until the logger's heartbeat is missing."""
     return time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"], _PATIENCE_S) else None
 
 
 def _logger_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """The same, and the loop goes on."""
+    """The same; the loop must keep running."""
     found = _logger_missed(stand)
     _check_going_on(stand, failures)
     stand.signal("logger", signal.SIGCONT)
@@ -130,7 +130,7 @@ def _logger_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str])
 
 
 def _logger_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """The same, and the loop goes on."""
+    """The same; the loop must keep running."""
     found = _logger_missed(stand)
     _check_going_on(stand, failures)
     failures += stand.restart("logger")
@@ -138,7 +138,7 @@ def _logger_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]
 
 
 def _recording_ended(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """The logger has failed, with a whole bag, and the loop goes on."""
+    """Check that the logger has failed with a complete bag, and that the loop keeps running."""
     if not stand.until(lambda: stand.exit_code("logger") is not None, _PATIENCE_S):
         return None
     found = time.time_ns()
@@ -171,7 +171,7 @@ def _signalled(name: str, number: signal.Signals) -> Callable[[Stand], int]:
 def _commanded(current: float) -> Callable[[Stand], int]:
     def make(stand: Stand) -> int:
         at_ns = time.time_ns()
-        # Newer than the controller's, so that it is not taken for a second answer.
+        # Newer than the controller's, so that it is not treated as a repeated answer.
         stand.command(at_ns, current)
         return at_ns
 
@@ -235,7 +235,7 @@ TRIALS = (
     Trial("logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), _logger_missed_and_restarted),
     Trial("disk full under the logger", Fault.RECORDING_STOPPED, _disk_full, _recording_ended),
 )
-"""All that is tried, in this order."""
+"""All trials, in this order."""
 
 
 def run_trials(
@@ -251,11 +251,11 @@ def run_trials(
         values: from :func:`trial_parameters`.
         folder: for bags and logs.
         repeats: injections of each fault.
-        progress: called before each injection with the row's name and the fraction that is done.
-        trials: which.
+        progress: called before each injection with the row's name and the finished fraction.
+        trials: the trials to run.
 
     Raises:
-        LaunchError: the graph does not come up, or not again.
+        LaunchError: the graph does not start, or not again.
     """
     rows = []
     with Stand(folder, values) as stand:

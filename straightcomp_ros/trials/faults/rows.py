@@ -1,4 +1,4 @@
-"""What a trial of faults found: how often, how fast, and whether that is fast enough."""
+"""Result of a fault trial: how often and how fast the fault was detected, and whether that is fast enough."""
 
 import math
 import statistics
@@ -9,15 +9,15 @@ from typing import Any
 
 @dataclass
 class Row:
-    """One fault.
+    """Result for one fault.
 
     Attributes:
-        name: of the fault and how it was made.
-        limit_ms: within which it must be latched.
+        name: of the fault and how it was caused.
+        limit_ms: the fault must be latched within this time.
         reaction, reset: in words.
-        injected: times that it was made.
+        injected: number of injections.
         times_ms: of each detection.
-        failures: what was not as it must be, each time that something was not.
+        failures: in words, one entry for each failure of an injection.
     """
 
     name: str
@@ -30,7 +30,7 @@ class Row:
 
     @property
     def green(self) -> bool:
-        """Detected each time, in time, with all that follows as it must."""
+        """Whether each injection was detected in time, with all reactions as they must be."""
         return (
             self.injected > 0
             and len(self.times_ms) == self.injected
@@ -56,7 +56,7 @@ class Row:
 
 
 def summary(rows: Sequence[Row], seconds: float) -> dict[str, Any]:
-    """All rows, whether all are green, and how long it took in s."""
+    """All rows, whether all are green, and the duration in s."""
     return {
         "faults": [row.to_display() for row in rows],
         "all_green": bool(rows) and all(row.green for row in rows),

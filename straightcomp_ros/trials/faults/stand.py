@@ -1,4 +1,4 @@
-"""The running graph as a stand for trials of faults: starts it, moves the stage, makes faults, sees what is latched."""
+"""The running graph as a test stand for faults: starts it, moves the stage, injects faults, sees what is latched."""
 
 from __future__ import annotations
 
@@ -34,36 +34,36 @@ from straightcomp_ros.trials.faults.faulty_driver import INJECT, INJECTED, NEW_M
 
 _FAULTY_DRIVER = (sys.executable, "-m", FaultyDriver.__module__)
 _START_S = 90.0
-"""A busy machine takes its time to start a node, and the middleware to connect it."""
+"""Time limit, since a busy computer takes long to start a node, and the middleware to connect it."""
 _ANSWER_S = 3.0
 _REPLY_S = 1.0
-"""A request to a node that was killed is lost: it goes to whoever is known."""
+"""Time limit of one request: it is lost if it goes to a killed node that is still known."""
 _SETTLE_S = 0.1
 _REFUSALS = 2
 _SENDS = 3
 _AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
 _STROKE, _SPEED, ACCELERATION = 0.1, 0.1, 0.4
 MOTION_STROKES, STROKE_S = 600, _STROKE / _SPEED + _SPEED / ACCELERATION
-"""How many strokes a motion has, and how long each takes in s: forward and backward in turn, without a rest."""
+"""Number of strokes in a motion, and duration of each in s: forward and backward in turn, without a rest."""
 _STOP_S = 30.0
 
 
 class Seen(NamedTuple):
-    """A fault, and when it was latched, ns since the epoch."""
+    """A fault, and the time at which it was latched, ns since the epoch."""
 
     fault: Fault
     time_ns: int
 
 
 class Stand:
-    """Use it as a context manager: the end stops all processes.
+    """The graph's processes; this context manager stops them at its end.
 
     Args:
         folder: gets bags, logs and the parameter file.
         values: parameters by node and dotted name.
 
     Raises:
-        LaunchError: the graph does not come up.
+        LaunchError: the graph does not start.
     """
 
     def __init__(self, folder: Path, values: Mapping[str, Mapping[str, Any]]) -> None:
@@ -97,7 +97,7 @@ class Stand:
     def __enter__(self) -> Stand:
         for name in RECORDED:
             self.start(name)
-        # Who talks with nodes of real-time priority needs the same one.
+        # A process that communicates with nodes of real-time priority needs the same priority.
         realtime.apply(self._realtime)
         return self
 
@@ -107,7 +107,7 @@ class Stand:
         rclpy.try_shutdown()
 
     def start(self, name: str) -> None:
-        """Start a node, again if it has ended."""
+        """Start a node; start it again if it has ended."""
         parameters, command = {}, None
         if name == "driver":
             command = _FAULTY_DRIVER
@@ -126,13 +126,13 @@ class Stand:
         return self._folder / f"bag_{self.bags}"
 
     def signal(self, name: str, number: signal.Signals) -> int:
-        """Send a signal to a node; returns when, ns since the epoch."""
+        """Send a signal to a node; returns the time, ns since the epoch."""
         at_ns = time.time_ns()
         os.kill(self.processes[name], number)
         return at_ns
 
     def exit_code(self, name: str) -> int | None:
-        """How a node has ended, None while it runs."""
+        """A node's exit code; None while it runs."""
         return self._graph.exit_code(name)
 
     def alive(self, names: tuple[str, ...] = RECORDED) -> bool:
@@ -140,11 +140,11 @@ class Stand:
         return all(self.exit_code(name) is None for name in names)
 
     def spin(self, seconds: float) -> None:
-        """Let so much time pass."""
+        """Spin for this time."""
         self.until(lambda: False, seconds)
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Wait for a condition, at most so long; returns whether it came true."""
+        """Wait for a condition, at most for the given time; returns whether it became true."""
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
@@ -157,7 +157,7 @@ class Stand:
         return True
 
     def echo(self, on: bool) -> None:
-        """Be a second controller, or no longer: say each command again."""
+        """Start or stop acting as a second controller that repeats each command."""
         if on:
             self._unspun = unspun_node(self.node)
             self._echoed = SubscriptionQueue(self.node, self._unspun, COMMAND)
@@ -166,32 +166,32 @@ class Stand:
             self._unspun.destroy_node()
 
     def inject(self, kind: str) -> None:
-        """Ask the driver for a fault; an empty text ends it."""
+        """Request a fault from the driver; an empty text ends it."""
         self._inject.publish(DiagnosticStatus(name=kind))
 
     def enable(self) -> bool:
-        """Ask for the amplifier; returns whether it was switched on."""
+        """Request the amplifier; returns whether it was switched on."""
         answer = self.call(SetBool, "driver/enable", SetBool.Request(data=True))
         return answer is not None and answer.success
 
     def move(self) -> None:
-        """Start the motion. The driver refuses it while the stage is not where the motion begins, so while it moves."""
+        """Start the motion. The driver refuses it unless the stage is at the motion's start, e.g. while it moves."""
         self._trajectory.publish(_MOTION)
 
     def kill(self, name: str) -> None:
-        """End a node's process, if it runs."""
+        """Kill a node's process, if it runs."""
         if self.exit_code(name) is None:
             self.signal(name, signal.SIGKILL)
 
     def restart(self, name: str) -> list[str]:
-        """Start a node again that was killed, once it is gone; returns what else has gone wrong, in words."""
+        """Start a killed node again once its process has ended; returns further failures in words."""
         ended = not self.alive(tuple(other for other in RECORDED if other != name))
         self.until(lambda: self.exit_code(name) is not None, _STOP_S)
         self.start(name)
         return ["another node has ended too"] if ended else []
 
     def stop(self) -> dict[str, int | None]:
-        """Interrupt all nodes and wait until they have ended; returns their exit codes, None where one goes on."""
+        """Interrupt all nodes and wait for their ends; returns their exit codes, None for one that keeps running."""
         for name in RECORDED:
             if self.exit_code(name) is None:
                 self.signal(name, signal.SIGINT)
@@ -202,7 +202,7 @@ class Stand:
         """Bring the whole graph to its working state: all nodes active, stage moving, amplifier on.
 
         Raises:
-            LaunchError: that is not to be had.
+            LaunchError: the graph does not reach that state.
         """
         deadline = time.monotonic() + _START_S
         refusals = 0
@@ -218,7 +218,7 @@ class Stand:
                 self.move()
             refusals += 1
             if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.fault in _AT_THE_STOP:
-                # The platform may have been driven to its stop, where no law gets it off.
+                # The platform may be at its mechanical stop, where no law gets it off.
                 self.inject(NEW_MACHINE)
                 self._sends = _SENDS
                 continue
@@ -234,7 +234,7 @@ class Stand:
         )
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
-        """Ask a service of a node; returns its answer, or None where none came."""
+        """Call a service of a node; returns its answer, or None without one."""
         client = self._clients.get(service)
         if client is None:
             client = self._clients[service] = self.node.create_client(kind, service)
@@ -267,4 +267,4 @@ def _strokes() -> JointTrajectory:
 
 _MOTION = _strokes()
 MOTION = trajectory_from_message(_MOTION)
-"""What :meth:`Stand.move` starts."""
+"""The motion that :meth:`Stand.move` starts."""

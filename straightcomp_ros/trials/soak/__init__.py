@@ -1,1 +1,1 @@
-"""Runs the graph for a long time while random things are done to it."""
+"""Runs the graph for a long time with random actions on it."""

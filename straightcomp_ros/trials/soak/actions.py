@@ -1,4 +1,4 @@
-"""What a soak run does to the running graph, and what must follow: each action returns what was not so, in words."""
+"""The actions of a soak run on the running graph, and their checks: each action returns its failures in words."""
 
 import signal
 import time
@@ -17,22 +17,22 @@ from straightcomp_ros.safety.faults import HELD_UP, Fault
 from straightcomp_ros.trials.soak.scene import Scene
 
 ENABLE_LIMIT_S = 2.0
-"""From asking for the amplifier to 'on', with no fault latched and fresh commands."""
+"""Longest time from a request for the amplifier to 'on', with no fault latched and fresh commands."""
 _PATIENCE_S = 10.0
 _TAKEN_BY_A_KILL_S = 0.5
-"""What SIGKILL may take of a recording."""
+"""Longest part of a recording that SIGKILL may lose."""
 _FADE_S = 0.7
-"""The feedforward refuses a change of its map while the one before is going on, for 0.5 s."""
+"""The feedforward refuses a change of its map during the previous one, which takes 0.5 s."""
 
 
 def amplifier_off_and_on(scene: Scene) -> list[str]:
-    """Off at once and without a fault; on again within :data:`ENABLE_LIMIT_S`."""
+    """Amplifier off at once and without a fault; on again within :data:`ENABLE_LIMIT_S`."""
     failures: list[str] = []
     stand = scene.stand
     scene.ask(SetBool, "driver/enable", SetBool.Request(data=False))
     if not stand.until(lambda: stand.condition == "off", 1.0):
         if stand.condition == "fault":
-            # It was latched before the request came, and nobody caused it.
+            # A fault was latched before the request arrived; no action caused it.
             scene.may_latch((), failures)
             return failures
         failures.append(f"the amplifier is '{stand.condition}' after it was switched off")
@@ -50,7 +50,7 @@ def amplifier_off_and_on(scene: Scene) -> list[str]:
 
 
 def reload_map(scene: Scene) -> list[str]:
-    """The map's file is read again; the amplifier stays on."""
+    """Read the map's file again; the amplifier must stay on."""
     failures: list[str] = []
     scene.stand.spin(_FADE_S)
     answer = scene.ask(Trigger, "feedforward/reload_map", Trigger.Request())
@@ -62,13 +62,13 @@ def reload_map(scene: Scene) -> list[str]:
 
 
 def another_map(scene: Scene) -> list[str]:
-    """The feedforward goes over to another file; the amplifier stays on."""
+    """Change the feedforward to another map file; the amplifier must stay on."""
     scene.stand.spin(_FADE_S)
     return _changed(scene, "feedforward", {"map.file": scene.rng.choice(scene.maps)})
 
 
 def another_law(scene: Scene) -> list[str]:
-    """The controller goes over to another law and gains, all of which hold the platform; the amplifier stays on."""
+    """Change the controller to another law and gains, all of which hold the platform; the amplifier must stay on."""
     between = scene.rng.uniform
     return _changed(
         scene,
@@ -83,7 +83,7 @@ def another_law(scene: Scene) -> list[str]:
 
 
 def refused_parameters(scene: Scene) -> list[str]:
-    """A request with one wrong value is refused as a whole: what could be changed is as it was too."""
+    """Set parameters with one wrong value: the request must be refused as a whole, with all values unchanged."""
     failures: list[str] = []
     node, values = scene.rng.choice(_REFUSED)
     before = _values(scene, node, values)
@@ -100,17 +100,17 @@ def refused_parameters(scene: Scene) -> list[str]:
 
 
 def pause_and_resume(scene: Scene) -> list[str]:
-    """The recorder leaves some time out."""
+    """Pause the recorder for some time."""
     return _recorded_in_parts(scene, "pause", "resume", (0.1, 0.5))
 
 
 def another_bag(scene: Scene) -> list[str]:
-    """The recorder finishes its bag and begins another."""
+    """Let the recorder finish its bag and begin another."""
     return _recorded_in_parts(scene, "stop", "start", (0.0, 0.3))
 
 
 def split(scene: Scene) -> list[str]:
-    """The bag goes on in a new file; nothing is lost, so the recording is not taken for interrupted."""
+    """Continue the bag in a new file. Nothing is lost, so the recording does not count as interrupted."""
     failures: list[str] = []
     _recorder(scene, "split", failures)
     scene.must_be_on(failures)
@@ -118,7 +118,7 @@ def split(scene: Scene) -> list[str]:
 
 
 def kill(scene: Scene) -> list[str]:
-    """SIGKILL of a node, and another in its place. Without the logger the loop goes on."""
+    """Kill a node with SIGKILL and start it again. Without the logger the loop must keep running."""
     failures: list[str] = []
     stand, name = scene.stand, scene.rng.choice(scene.killable)
     scene.note(f"  {name}")
@@ -142,7 +142,7 @@ def kill(scene: Scene) -> list[str]:
 
 
 def stop_for_long(scene: Scene) -> list[str]:
-    """SIGSTOP for longer than the timeouts: a fault is latched. Without the logger the loop goes on."""
+    """SIGSTOP for longer than the timeouts: a fault must be latched. Without the logger the loop must keep running."""
     failures: list[str] = []
     name = scene.rng.choice(RECORDED)
     _halt(scene, name)
@@ -156,13 +156,13 @@ def stop_for_long(scene: Scene) -> list[str]:
     if name == "logger":
         scene.must_be_on(failures)
     elif name == "driver":
-        # By its own clock the commands were missing for longer than by the controller's the samples.
+        # By its own clock the driver has missed commands for even longer than the controller has missed samples.
         scene.must_latch(HELD_UP, failures)
     return [f"{name}: {words}" for words in failures]
 
 
 def stop_for_short(scene: Scene) -> list[str]:
-    """SIGSTOP for less than the timeouts: on a busy machine a fault may be latched all the same."""
+    """SIGSTOP for less than the timeouts: on a busy computer a fault may be latched all the same."""
     failures: list[str] = []
     name = scene.rng.choice(RECORDED)
     _halt(scene, name)
@@ -174,7 +174,7 @@ def stop_for_short(scene: Scene) -> list[str]:
 
 
 def down_and_up(scene: Scene) -> list[str]:
-    """Amplifier off, all nodes inactive, in the order of the signals' way and back: no fault, all active again."""
+    """Amplifier off, all nodes inactive in the order of the signals, and back: no fault, all active again."""
     failures: list[str] = []
     stand = scene.stand
     scene.interrupt()
@@ -187,7 +187,7 @@ def down_and_up(scene: Scene) -> list[str]:
             _change_state(scene, name, transition, state, failures)
         stand.spin(scene.rng.uniform(0.0, 0.3))
     if stand.condition == "fault":
-        # With the amplifier off there is no reason for one, and before that only a stall of the whole machine.
+        # With the amplifier off nothing can cause a fault, and before that only a stall of the whole computer.
         scene.may_latch((), failures)
     return failures
 
@@ -206,7 +206,7 @@ ACTIONS: Mapping[str, Callable[[Scene], list[str]]] = {
     "SIGSTOP, short": stop_for_short,
     "deactivate, activate": down_and_up,
 }
-"""All kinds, by name. Each finds the graph at work and returns what was not as it must be."""
+"""All kinds of action, by name. Each finds the graph at work and returns its failures."""
 _ORDER = ("driver", "feedforward", "controller", "logger")
 _REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
     ("controller", {"control.law": "linear", "control.smc_observer.surface": -1.0}),
@@ -217,7 +217,7 @@ _REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
     ("driver", {"current_limit": 0.95, "simulated.rate": 1000}),
     ("logger", {"min_free_bytes": 1000, "output": "elsewhere"}),
 )
-"""Parameters of which the second cannot be, by node."""
+"""By node, parameters of which the second is invalid."""
 
 
 def _changed(scene: Scene, node: str, values: Mapping[str, Any]) -> list[str]:
@@ -257,7 +257,7 @@ def _recorded_in_parts(scene: Scene, end: str, begin: str, between_s: tuple[floa
 def _recorder(scene: Scene, service: str, failures: list[str]) -> None:
     lost = scene.result.answers_lost
     answer = scene.ask(Trigger, f"logger/{service}", Trigger.Request())
-    # A request whose answer was lost was done all the same; the second is refused then.
+    # A request whose answer was lost was executed all the same; the repeated request is then refused.
     if not answer.success and scene.result.answers_lost == lost:
         failures.append(f"{service} was refused: {answer.message}")
 
@@ -270,7 +270,7 @@ def _halt(scene: Scene, name: str) -> None:
 
 
 def _must_trip(scene: Scene, failures: list[str]) -> None:
-    """The controller must miss the samples and ask for the amplifier to be switched off."""
+    """The controller must report missing samples and request the amplifier off."""
     stand = scene.stand
     if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S):
         failures.append(f"the controller has not asked for the amplifier to be switched off within {_PATIENCE_S:g} s")
@@ -282,7 +282,7 @@ def _must_trip(scene: Scene, failures: list[str]) -> None:
 def _change_state(scene: Scene, name: str, transition: int, state: str, failures: list[str]) -> None:
     stand = scene.stand
     request = ChangeState.Request(transition=Transition(id=transition))
-    # Judged by what the node says of itself: the answer may be lost, and a second request then refused.
+    # Check the node's reported state: the answer may be lost, and a repeated request is then refused.
     stand.call(ChangeState, f"{name}/change_state", request)
     if not stand.until(lambda: stand.heartbeats.states[name] == state, _PATIENCE_S):
         failures.append(f"{name} is {stand.heartbeats.states[name]}; it must be {state}")

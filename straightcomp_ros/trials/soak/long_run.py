@@ -1,4 +1,4 @@
-"""Runs the graph for a long time, does random things to it, and sees whether it is at work again after each."""
+"""Runs the graph for a long time, does random actions to it, and checks that it works again after each."""
 
 import random
 import shutil
@@ -23,11 +23,11 @@ from straightcomp_ros.trials.soak.scene import Scene
 from straightcomp_ros.trials.soak.verdict import Actions, Lives, Soak, exits
 
 WARM_UP_S = 10.0
-"""Age from which a process is looked at: until then it allocates what it keeps."""
+"""Age from which a process is checked for growth: until then it allocates what it keeps."""
 _NEXT_DIAGNOSTICS_S = 1.5
 _PAUSE_S = (0.2, 2.0)
 _NEW_GRAPHS = 3
-"""Times that all nodes are started anew where the graph does not come up again, before the run is given up."""
+"""How often all nodes are restarted if the graph does not recover, before the run is given up."""
 
 
 def run_soak(
@@ -37,20 +37,20 @@ def run_soak(
     seed: int,
     progress: Callable[[str, float], None] = lambda kind, fraction: None,
 ) -> Soak:
-    """Run.
+    """Run the graph with actions for ``seconds``, then check what it left.
 
-    In the first half two of the nodes are killed, in the second the two others, so that each has a process that lives
-    for half of the time. All kinds of action are done equally often, in random order.
+    Only two of the nodes are killed in the first half, and only the other two in the second, so that each has a process
+    that lives for half of the time. All kinds of action are done equally often, in random order.
 
     Args:
         values: from :func:`straightcomp_ros.trials.faults.injections.trial_parameters`.
         folder: for bags and logs.
-        seconds: that actions are done; the start, the end and the reading of the bags come on top.
-        seed: of the choices. What the machine does with them differs from run to run.
-        progress: called before each action with its kind and the fraction of the time that is over.
+        seconds: duration of the actions; start, end and reading of the bags take extra time.
+        seed: of the random choices. Their effects differ from run to run.
+        progress: called before each action with its kind and the elapsed fraction of the time.
 
     Raises:
-        LaunchError: the graph does not come up at all.
+        LaunchError: the graph does not start.
     """
     rng = random.Random(seed)
     result, lives = Soak(seed), Lives()
@@ -82,7 +82,7 @@ def run_soak(
 
 
 def _maps(values: Mapping[str, Mapping[str, Any]], folder: Path) -> tuple[str, ...]:
-    """The map's file, and the same elsewhere: another one might lead the platform out of its travel."""
+    """The map's file, and a copy of it: a different map might lead the platform out of its travel."""
     file = node_parameters("feedforward", values["feedforward"]).map.file
     copy = folder.absolute() / "another_map.csv"
     shutil.copyfile(find_survey(file), copy)
@@ -96,7 +96,7 @@ def _kinds(rng: random.Random) -> Iterator[str]:
 
 
 def _done(scene: Scene, kind: str, result: Soak) -> bool:
-    """Do one action and go back to work; returns whether that was possible."""
+    """Do one action and restore normal operation; returns whether that was possible."""
     failures: list[str] = []
     back = True
     scene.note(kind)
@@ -113,7 +113,7 @@ def _done(scene: Scene, kind: str, result: Soak) -> bool:
 
 
 def _start_anew(scene: Scene, result: Soak) -> None:
-    """All nodes killed and started, so that the rest of the time is not lost."""
+    """Kill and start all nodes, so that the rest of the time is not lost."""
     scene.interrupt(before_s=1.0)
     scene.end_motion()
     for name in RECORDED:
@@ -129,10 +129,10 @@ def _start_anew(scene: Scene, result: Soak) -> None:
 def _look(scene: Scene, lives: Lives) -> None:
     now, stand = time.monotonic(), scene.stand
     warm = {name: pid for name, pid in stand.processes.items() if now - stand.started[name] >= WARM_UP_S}
-    # What has ended by itself, or does not answer, is found by the next action.
+    # A node that has ended by itself, or does not answer, is found by the next action.
     with suppress(OSError, LaunchError):
         if "feedforward" in warm and warm["feedforward"] not in lives:
-            # Its thread for maps starts with the first that it is given, and stays; so does the file that counts the
+            # The node's thread for maps starts with its first job and stays. So does the file that counts this
             # thread's waits for a CPU, which the node opens with its next diagnostics.
             scene.ask(Trigger, "feedforward/reload_map", Trigger.Request())
             stand.spin(_NEXT_DIAGNOSTICS_S)
@@ -140,7 +140,7 @@ def _look(scene: Scene, lives: Lives) -> None:
 
 
 def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
-    """Between two actions the amplifier stays on."""
+    """Check that the amplifier stays on between two actions."""
     failures: list[str] = []
     scene.must_be_on(failures)
     if failures:
@@ -148,13 +148,13 @@ def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
         result.actions[kind].failed += 1
         result.actions[kind].failures += [f"later, with nothing done: {words}" for words in failures]
     if scene.stand.condition != "on":
-        # Also after a fault that may be: the next action is not to find it.
+        # Restore also after a permitted fault: the next action must not find it.
         with suppress(LaunchError):
             scene.back_to_work()
 
 
 def _end(scene: Scene, result: Soak, lives: Lives) -> None:
-    """Stop the nodes as an operator does."""
+    """Stop the nodes like an operator."""
     _look(scene, lives)
     result.lives = lives.finished(list(scene.stand.processes.values()))
     scene.interrupt()

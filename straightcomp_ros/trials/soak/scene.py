@@ -1,4 +1,4 @@
-"""The stand in a soak run: sees how the stage moves and what the logger writes, and brings all back to work."""
+"""The stand in a soak run: observes the stage's motion and the logger's work, and restores normal operation."""
 
 import math
 import random
@@ -21,17 +21,17 @@ from straightcomp_ros.trials.faults.stand import ACCELERATION, MOTION, MOTION_ST
 from straightcomp_ros.trials.soak.verdict import Soak
 
 _STALL_MS, _STALL_S = 80.0, 1.0
-"""Stalls of so long in all, in the time before a fault, may have led to it."""
+"""Total duration of stalls, in the time before a fault, that may have caused it."""
 _REACTION_S = 3.0
-"""Longest time until a fault is latched: the trials of faults measure how soon, here it is asked whether."""
+"""Longest time until a fault is latched. The fault trials measure how soon; this run checks whether."""
 _REQUESTS = 2
 _BACK_S = 15.0
 _LEFT, _BEGUN = 50e-6, 2e-3
-"""Way in m from where a motion starts within which its begin is taken."""
+"""Distance in m from a motion's start within which its beginning is detected."""
 _ASTRAY = 5e-3
-"""Distance in m from where the stage should be that ends a motion: the machine is a new one."""
+"""Distance in m from the stage's commanded position that ends a motion: the machine was replaced."""
 _WHOLE = 0.9
-"""Part of the samples that a logger must receive from report to report, so that it counts as connected."""
+"""Fraction of the samples that a logger must receive from report to report to count as connected."""
 
 
 class _Report(NamedTuple):
@@ -41,16 +41,16 @@ class _Report(NamedTuple):
 
 
 class Scene:
-    """What actions act on.
+    """Everything that actions act on.
 
     Args:
         stand: with the graph started.
-        rng: chooses.
+        rng: makes the random choices.
         rate: samples per second.
         result: gets faults and times.
-        stalls: tells whether this machine stood still.
-        log: file for what is done, and when.
-        maps: files with a map that the feedforward may be given.
+        stalls: tells whether this computer stalled.
+        log: file that lists the actions with their times.
+        maps: map files between which the feedforward may change.
 
     Attributes:
         killable: nodes that may be killed now.
@@ -78,22 +78,22 @@ class Scene:
         stand.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def note(self, words: str) -> None:
-        """Write down what is done now."""
+        """Log an action."""
         with self._log.open("a") as log:
             log.write(f"{time.time():.3f} {words}\n")
 
     def end_motion(self) -> None:
-        """The machine ends now."""
+        """Note that the machine, and with it the motion, ends now."""
         self._ended_ns = time.time_ns()
         self.commanded.end(self._ended_ns)
 
     def interrupt(self, before_s: float = 0.0) -> None:
-        """From now on, or since a little before, the recording is not known to be whole."""
+        """Note that from now on, or since a little before, the recording is not known to be complete."""
         self._interrupted_ns, self._report = time.time_ns(), None
         self.commanded.interrupt(self._interrupted_ns - round(before_s * 1e9))
 
     def ask(self, kind: Any, service: str, request: Any) -> Any:
-        """Ask a service, a second time if no answer comes: a node that has just come up may lose it.
+        """Call a service, a second time if no answer comes: a node that has just started may lose the request.
 
         Raises:
             LaunchError: no answer came.
@@ -106,7 +106,7 @@ class Scene:
         raise LaunchError(f"service '{service}' does not answer")
 
     def must_latch(self, allowed: Sequence[Fault], failures: list[str]) -> None:
-        """One of these faults must be latched, and keep the amplifier off."""
+        """Check that one of these faults is latched and keeps the amplifier off."""
         stand = self.stand
         if not stand.until(lambda: stand.fault is not None and stand.condition == "fault", _REACTION_S):
             failures.append(f"no fault within {_REACTION_S:g} s, the amplifier is '{stand.condition}'")
@@ -116,21 +116,21 @@ class Scene:
             failures.append("the fault was not latched: the amplifier could be switched on")
 
     def may_latch(self, allowed: Sequence[Fault], failures: list[str]) -> None:
-        """The amplifier must be on, or off with one of these faults."""
+        """Check that the amplifier is on, or off with one of these faults."""
         if self.stand.condition == "fault" and self.stand.fault is not None:
             self._count(allowed, failures)
         elif self.stand.condition != "on":
             failures.append(f"the amplifier is '{self.stand.condition}' and no fault is latched")
 
     def must_be_on(self, failures: list[str]) -> None:
-        """The amplifier must be on."""
+        """Check that the amplifier is on."""
         self.may_latch((), failures)
 
     def back_to_work(self) -> None:
-        """Amplifier on, stage moving, all recorded, whatever happened before.
+        """Restore normal operation after any action: amplifier on, stage moving, everything recorded.
 
         Raises:
-            LaunchError: what of it is not to be had.
+            LaunchError: the graph does not reach that state; the message says what is missing.
         """
         begin = time.monotonic()
         stand = self.stand
@@ -138,7 +138,7 @@ class Scene:
             self.end_motion()
         stand.switch_on()
         if not self.commanded.moving:
-            # The trajectory may have come before the driver was connected.
+            # The trajectory may have been published before the driver was connected.
             self._until(lambda: self.commanded.moving, "the stage does not move", then=stand.move)
         self._until(lambda: self.commanded.recording, "the logger does not record every stream", then=lambda: None)
         self.result.back_s.append(time.monotonic() - begin)

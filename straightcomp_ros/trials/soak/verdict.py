@@ -1,4 +1,4 @@
-"""What a soak run found: actions by kind, processes that grew, strokes, bags; and whether all was as it must be."""
+"""Result of a soak run: actions by kind, processes that grew, strokes, bags; and whether the run passed."""
 
 import time
 from collections import Counter
@@ -10,7 +10,7 @@ from straightcomp_ros.trials.bench.processes import Usage, descriptors, threads,
 from straightcomp_ros.trials.bench.window import growth_mb_per_hour
 
 MEMORY_SPAN_S = 240.0
-"""Time over which a process's memory must have been seen before its slope says anything."""
+"""Shortest time over which the slope of a process's memory is meaningful."""
 MEMORY_LIMIT_MB_PER_HOUR = 60.0
 
 
@@ -35,13 +35,13 @@ def look(process_id: int) -> Look:
 
 @dataclass
 class Life:
-    """One process from its warm-up to its end; all looks are taken with the whole graph at work.
+    """One process from the end of its warm-up to its end; all looks are taken while the whole graph works.
 
     Attributes:
         name: of the node.
-        process_id: of it.
+        process_id: of the process.
         looks: oldest first.
-        survived: it was there at the run's end; the others were killed.
+        survived: it was running at the run's end; the others were killed.
     """
 
     name: str
@@ -56,15 +56,15 @@ class Life:
 
     @property
     def slope_mb_per_hour(self) -> float:
-        """Of its memory, least squares over all looks; NaN with fewer than two."""
+        """Slope of its memory, least squares over all looks; NaN with fewer than two."""
         of_all = [Usage(look.time_ns, {}, {self.name: look.rss_mb}) for look in self.looks]
         return growth_mb_per_hour(of_all)[self.name]
 
     def failures(self) -> list[str]:
-        """Growth that must not be, in words.
+        """Inadmissible growth, in words.
 
-        Descriptors and threads: the last look has more than the first. A single look may be taken while a peer that was
-        killed is still known beside its successor; such a peak is passed over unless it is there at the end.
+        Descriptors and threads: the last look has more than the first. A look may be taken while a killed peer is still
+        known beside its successor; such a peak is ignored unless it is in the last look.
         """
         first, last = self.looks[0], self.looks[-1]
         who = f"{self.name} (process {self.process_id}, {self.seconds:.0f} s)"
@@ -99,7 +99,7 @@ class Lives:
         self._all: dict[int, Life] = {}
 
     def see(self, process_ids: Mapping[str, int]) -> None:
-        """Take a look at each; a process that is new is taken up with this one.
+        """Take a look at each process; a new process is added with this look.
 
         Raises:
             OSError: one has ended.
@@ -111,7 +111,7 @@ class Lives:
         return process_id in self._all
 
     def finished(self, survivors: Sequence[int]) -> list[Life]:
-        """Those of which there is more than one look, with a note of who survived."""
+        """Processes with more than one look, marked if they survived."""
         for process_id, life in self._all.items():
             life.survived = process_id in survivors
         return [life for life in self._all.values() if len(life.looks) > 1]
@@ -119,14 +119,14 @@ class Lives:
 
 @dataclass
 class Actions:
-    """One kind of action: how often done, how often something was not as it must be, and what, in words."""
+    """One kind of action: the number of runs, the number of runs with failures, and the failures in words."""
 
     done: int = 0
     failed: int = 0
     failures: list[str] = field(default_factory=list)
 
     def add(self, failures: Sequence[str]) -> None:
-        """Count one."""
+        """Count one action."""
         self.done += 1
         self.failed += bool(failures)
         self.failures += failures
@@ -134,20 +134,20 @@ class Actions:
 
 @dataclass
 class Soak:
-    """A run.
+    """Result of a run.
 
     Attributes:
         seed, seconds: of the run.
         actions: by kind.
-        faults: faults that were latched as they must, or may, by name.
-        stalls: faults that were latched by themselves while this machine stood still
-            (:mod:`straightcomp_ros.trials.bench.stalls`), by name; without that they are failures.
-        answers_lost: requests to services that were not answered in time, and were made again.
-        enable_s, back_s: times from asking for the amplifier to 'on', and from an action to the whole graph at work.
+        faults: number of faults latched as required or permitted, by name.
+        stalls: number of faults that the graph latched by itself while this computer stalled
+            (:mod:`straightcomp_ros.trials.bench.stalls`), by name; without a stall they are failures.
+        answers_lost: service requests that were not answered in time, and were repeated.
+        enable_s, back_s: times from a request for the amplifier to 'on', and from an action to normal operation.
         lives: processes.
-        strokes: of which kind see :mod:`straightcomp_ros.trials.bench.recorded_strokes`: ``commanded``, ``found``.
-        bags: ``finished`` and ``recovered``, numbers.
-        failures: what belongs to no action.
+        strokes: numbers ``commanded`` and ``found``, as :mod:`straightcomp_ros.trials.bench.recorded_strokes` defines.
+        bags: numbers ``finished`` and ``recovered``.
+        failures: those that belong to no action.
     """
 
     seed: int
@@ -170,7 +170,7 @@ class Soak:
 
     @property
     def passed(self) -> bool:
-        """Whether something was done and nothing failed."""
+        """Whether at least one action was done and nothing failed."""
         return any(actions.done for actions in self.actions.values()) and not self.all_failures()
 
     def to_display(self) -> dict[str, Any]:
@@ -195,7 +195,7 @@ class Soak:
 
 
 def exits(codes: Mapping[str, int | None]) -> list[str]:
-    """Which nodes did not end with 0 when they were told to stop, in words."""
+    """Which nodes did not end with exit code 0 after an interrupt, in words."""
     return [
         f"{name} did not stop" if code is None else f"{name} stopped with exit code {code}"
         for name, code in codes.items()

@@ -1,6 +1,6 @@
-"""Measure this machine: the running graph, or the parts of it that are called in each cycle."""
+"""Measure this computer: the running graph, or the functions that are called in each cycle."""
 
-SUMMARY = "measure the graph's timing, or what its parts cost"
+SUMMARY = "measure the graph's timing, or the cost of its functions"
 TOOLS = ("bags", "can", "graph", "step")
 TOOL = "BENCH"
-"""What the help calls one of them."""
+"""Placeholder for a tool's name in the help text."""

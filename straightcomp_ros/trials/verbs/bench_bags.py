@@ -1,4 +1,5 @@
-"""What recording, reading and judging bags costs, what a SIGKILL takes, and whether an audit finds all the same."""
+"""Measure the cost of recording, reading and evaluating bags, the loss by a SIGKILL, and whether an audit reproduces
+every command."""
 
 import argparse
 from pathlib import Path

@@ -1,8 +1,8 @@
-"""Measure the CAN path: what frames cost, how long the way round is, and whether every fault is found.
+"""Measure the CAN path: cost of frames, duration of the round trip, and whether every fault is detected.
 
 The round trip runs from an emulated board through the hub to a host and back to another node of the bus, each in a
-process of its own. The fault run sends frames of known samples through injected faults, each kind alone and all
-together with the closed loop, on both kinds of bus; cuts are made on the link of the round trip."""
+separate process. The fault run sends frames of known samples through injected faults on both kinds of bus: each kind of
+fault alone, then all together with the closed loop. Cuts are made on the link of the round trip."""
 
 import argparse
 import tempfile
@@ -35,13 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--frames", type=int, default=20_000, help="samples sent for each kind of fault (default: %(default)s)"
     )
     parser.add_argument("--seconds", type=float, default=10.0, help="length of the round trip (default: %(default)s)")
-    parser.add_argument("--cuts", type=int, default=10, help="times that the link is cut (default: %(default)s)")
+    parser.add_argument("--cuts", type=int, default=10, help="number of cuts of the link (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the faults (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print; exit code 1 if a fault was not found or a wrong sample was used."""
+    """Measure and print; exit code 1 if a fault was not detected or a wrong sample was used."""
     for name, (least, most) in _LIMITS.items():
         check_range(f"--{name}", getattr(options, name), least, most)
     values = chosen_parameters(options)
@@ -66,7 +66,7 @@ def _figures(values: dict[str, dict[str, Any]], options: argparse.Namespace) -> 
     fd = driver.can.fd
     guide = load_map(driver.guide)
     costs = codec_costs(_REPEATS)
-    # A socket's path has room for about a hundred characters.
+    # The path of a Unix socket is limited to about a hundred characters.
     with tempfile.TemporaryDirectory(prefix="straightcomp_") as folder, progress_bar() as bar:
         task = bar.add_task("round trip", total=None)
         trip = measure_round_trip(values, Path(folder), options.seconds, options.cuts)

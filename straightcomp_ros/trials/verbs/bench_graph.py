@@ -1,7 +1,7 @@
-"""Run driver, feedforward, controller and logger as they run on a machine, stage moving, and measure them.
+"""Run driver, feedforward, controller and logger as in operation, with the stage moving, and measure them.
 
-Prints for each node its rate, overruns, how late its loop woke up, CPU and memory; for the graph the latency from
-sample to command and what was lost. The window begins when all nodes are connected and have settled."""
+Prints the rate, overruns, lateness of the loop, CPU and memory of each node, and the graph's latency from sample to
+command and its losses. The window begins when all nodes are connected and have settled."""
 
 import argparse
 import tempfile
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--soak",
         type=float,
         metavar="MINUTES",
-        help="a window of so many minutes, to see whether memory grows; the bag takes about 1 MB/s",
+        help="use a window of this many minutes, to see whether memory grows; the bag takes about 1 MB/s",
     )
     parser.add_argument(
         "--priority",
@@ -53,15 +53,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--triggers",
         action="store_true",
-        help="afterwards the same with the controller's other trigger (sample, timer), and the ratio of both",
+        help="repeat with the controller's other trigger (sample, timer), and print the ratio of both",
     )
-    parser.add_argument("--view", action="store_true", help="afterwards the same with the live view open beside it")
+    parser.add_argument("--view", action="store_true", help="repeat with the live view open")
     parser.add_argument("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print."""
+    """Measure and print."""
     require_ros()
     check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
     seconds = options.seconds

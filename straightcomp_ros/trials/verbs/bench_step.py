@@ -1,5 +1,5 @@
-"""Time the parts that are called once in each cycle: a step of each control law, packing and unpacking each stream's
-messages, and one sample of `straightcomp simulate`. Medians over repeats; the least is the machine at its best."""
+"""Time the functions that are called once in each cycle: a step of each control law, packing and unpacking of each
+stream's messages, and one sample of `straightcomp simulate`. Prints the median, least and largest of repeats."""
 
 import argparse
 from typing import Any
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_parameter_options(parser)
     parser.add_argument(
-        "--repeats", type=int, default=25, help="repeats of 1000 calls of each part (default: %(default)s)"
+        "--repeats", type=int, default=25, help="repeats of 1000 calls of each function (default: %(default)s)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 

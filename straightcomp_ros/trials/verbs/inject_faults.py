@@ -1,4 +1,4 @@
-"""Make every fault in the running graph, measure how soon it is latched, and say whether that is soon enough.
+"""Inject every fault into the running graph, measure how soon it is latched, and tell whether that is soon enough.
 
 Starts driver, feedforward, controller and logger on the simulated machine, and injects each fault with the stage moving
 and the amplifier on. Exit code 0 if every row is green."""
@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_parameter_options(parser)
     parser.add_argument("--quick", action="store_true", help=f"{_QUICK} injections of each instead of {_REPEATS}")
-    parser.add_argument("--only", metavar="TEXT", default="", help="only faults with this text in their name")
-    parser.add_argument("--output", "-o", metavar="FOLDER", help="keep bags and logs there")
+    parser.add_argument("--only", metavar="TEXT", default="", help="inject only faults with this text in their name")
+    parser.add_argument("--output", "-o", metavar="FOLDER", help="keep bags and logs in this folder")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
                 chosen,
             )
         except LaunchError as error:
-            # It names the folder's logs, so they stay.
+            # The message names the folder of the logs, so keep it.
             end.pop_all()
             raise CommandFailed(str(error)) from error
     figures = summary(rows, time.monotonic() - begin)

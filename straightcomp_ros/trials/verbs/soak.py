@@ -1,9 +1,9 @@
-"""Run the graph for a long time while random things are done to it, and say whether it came back to work each time.
+"""Run the graph for a long time with random actions on it, and tell whether it recovered from each.
 
 Starts driver, feedforward, controller and logger on the simulated machine with the stage moving. The actions:
-amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL and restart. After each the safety
-state and the work of the whole graph are checked; at the end bags, strokes, descriptors, threads and memory. Exit code
-0 only if nothing failed."""
+amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL and restart. After each action the
+safety state and the work of the whole graph are checked; at the end bags, strokes, descriptors, threads and memory.
+Exit code 0 only if nothing failed."""
 
 import argparse
 import tempfile
@@ -23,13 +23,13 @@ SUMMARY = "run the graph for a long time under random actions and check it after
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_parameter_options(parser)
-    parser.add_argument("--minutes", type=float, default=30.0, help="how long (default: 30)")
-    parser.add_argument("--seed", type=int, default=1, help="of the random choices (default: 1)")
+    parser.add_argument("--minutes", type=float, default=30.0, help="duration of the actions in minutes (default: 30)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the random choices (default: 1)")
     parser.add_argument(
         "--output",
         "-o",
         metavar="FOLDER",
-        help="keep bags, logs, what was done there; new or empty",
+        help="keep bags, logs and the list of actions in this new or empty folder",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
