@@ -44,7 +44,8 @@ class Crossfade:
         if not self._done:
             self.new.reset(y)
         self._done += 1
-        weight = self._done / self._samples
+        # A fade that another change replaces is stepped beyond its own end.
+        weight = min(1.0, self._done / self._samples)
         before, after = self._old.step(y, *others), self.new.step(y, *others)
         if self._done >= self._samples:
             self._finished(self)

@@ -125,3 +125,26 @@ def test_a_reset_ends_a_fade():
     fade = Crossfade(*(make_law(ControlParameters(law=law), 1.0 / RATE) for law in ("linear", "smc")), 10, ended.append)
     fade.reset(0.0)
     assert ended == [fade]
+
+
+class Steady:
+    """A law that always answers the same current."""
+
+    def __init__(self, current):
+        self._current = current
+
+    def reset(self, y):
+        """Nothing to forget."""
+
+    def step(self, *_):
+        return Command(self._current, *(math.nan,) * (len(Command._fields) - 1))
+
+
+def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws():
+    # The first fade is the second one's old law, and is stepped beyond its own end.
+    first = Crossfade(Steady(0.0), Steady(0.1), 10, lambda _: None)
+    currents = [first.step(0.0).current for _ in range(5)]
+    second = Crossfade(first, Steady(0.1), 10, lambda _: None)
+    currents += [second.step(0.0).current for _ in range(10)]
+    assert max(currents) == pytest.approx(0.1) and currents == sorted(currents)
+    assert max(steps_of(currents)) <= 0.2 / 10 + 1e-12
