@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO
 
 from straightcomp_ros.settings.declaration import parameter
@@ -20,6 +21,9 @@ _CPU_LATENCY = "/dev/cpu_dma_latency"
 _THREADS = "/proc/self/task"
 """Ids of the threads of this process, the middleware's included."""
 
+_POLLING = "dds.asyn"
+"""Fast DDS's thread for asynchronous sending. It polls a lock that another thread holds (ros2/rmw_fastrtps issue 666):
+at the same priority on the same CPU it would keep that thread, and all others there, from running for ever."""
 _held: list[BinaryIO] = []
 """Files that must stay open: closing one withdraws its request."""
 
@@ -87,11 +91,15 @@ def _set_cpus(names: str) -> None:
 
 
 def _set_priority(priority: int) -> None:
-    # Includes the middleware's threads, but not those that the node itself started: these do not affect its timing.
+    # For the middleware's threads too; not for those that the node itself started, which do not affect its timing.
     helpers = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
     for thread in map(int, os.listdir(_THREADS)):
-        if thread not in helpers:
-            with suppress(ProcessLookupError):
+        if thread in helpers:
+            continue
+        with suppress(FileNotFoundError, ProcessLookupError):
+            if Path(_THREADS, str(thread), "comm").read_text().startswith(_POLLING):
+                os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(max(1, priority - 1)))
+            else:
                 os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
 
 

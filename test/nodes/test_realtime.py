@@ -43,6 +43,30 @@ def test_all_threads_but_the_node_s_own_helpers_get_the_priority_or_the_refusal_
         assert f"True {os.SCHED_OTHER} 0" in threads
 
 
+MIDDLEWARE = """
+import os, rclpy
+from rclpy.node import Node
+from straightcomp_ros.timing import realtime
+rclpy.init()
+node = Node("node")
+for refusal in realtime.apply(realtime.RealtimeParameters(priority=7)):
+    print("refused", refusal)
+for thread in os.listdir("/proc/self/task"):
+    name = open(f"/proc/self/task/{thread}/comm").read().strip()
+    print(name, os.sched_getscheduler(int(thread)), os.sched_getparam(int(thread)).sched_priority)
+"""
+
+
+def test_fast_dds_s_polling_thread_cannot_keep_a_cpu_from_the_threads_that_it_waits_for():
+    result = subprocess.run([sys.executable, "-c", MIDDLEWARE], capture_output=True, text=True, timeout=60, check=True)
+    found = {name: rest for name, _, rest in (line.partition(" ") for line in result.stdout.splitlines())}
+    if "refused" in found:
+        pytest.skip(found["refused"])
+    polling = {name for name in found if name.startswith("dds.asyn")}
+    assert polling and {found.pop(name) for name in polling} == {f"{os.SCHED_RR} 6"}
+    assert {rest for name, rest in found.items() if name.startswith("dds.")} == {f"{os.SCHED_FIFO} 7"}
+
+
 def test_the_process_stays_on_the_cpus_named():
     cpu = max(os.sched_getaffinity(0))
     assert report(f"cpus='{cpu}'")[-1].startswith(f"[{cpu}]")
