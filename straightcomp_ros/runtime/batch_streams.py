@@ -114,7 +114,8 @@ class CopiedPublisher:
     Args:
         node: creates the publishers.
         stream: what to publish.
-        copied: also publish batches; False in lockstep, where the next message waits for the answer to the last one.
+        copied: also publish batches. False in lockstep: the next message waits for the answer to the last one, so a
+            batch would never fill.
     """
 
     def __init__(self, node: Node, stream: Stream, copied: bool) -> None:
