@@ -15,7 +15,7 @@ from straightcomp_ros.control.laws import make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
-from straightcomp_ros.runtime.batch_streams import BatchPublisher, BatchQueue, CopiedPublisher
+from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
 from straightcomp_ros.runtime.managed import ManagedNode
@@ -76,9 +76,7 @@ class ControllerComponent:
         else:
             self._unspun = unspun_node(node)
             self._samples = SubscriptionQueue(node, self._unspun, ENCODER)
-            self._references = SubscriptionQueue(
-                node, self._unspun, REFERENCE, BatchQueue(node, self._unspun, REFERENCE)
-            )
+            self._references = batched_queue(node, self._unspun, REFERENCE)
             period_ns = round(1e9 / parameters.rate)
             self._spare_ns = _SPARE_REFERENCES * period_ns
             self._apart_ns = period_ns // 2

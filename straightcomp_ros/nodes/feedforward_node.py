@@ -10,13 +10,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
-from straightcomp_ros.runtime.batch_streams import BatchPublisher, BatchQueue
+from straightcomp_ros.runtime.batch_streams import BatchPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.periodic import PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
-from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
+from straightcomp_ros.runtime.streams import unspun_node
 from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.settings.declaration import ParameterError
@@ -53,7 +53,7 @@ class FeedforwardComponent:
         self._centred = False
         self._gaps = StampGaps()
         self._unspun = unspun_node(node)
-        self._queue = SubscriptionQueue(node, self._unspun, ENCODER, BatchQueue(node, self._unspun, ENCODER))
+        self._queue = batched_queue(node, self._unspun, ENCODER)
         self.loop = PeriodicLoop(round(parameters.interval * 1e9), self._cycle)
         node.create_service(Trigger, "~/reload_map", self._on_reload_map)
         node.create_service(SetBool, "~/center", self._on_center)

@@ -8,11 +8,11 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
-from straightcomp_ros.runtime.batch_streams import BatchQueue
+from straightcomp_ros.runtime.batch_streams import batched_queue
 from straightcomp_ros.runtime.graph_services import GraphServices
 from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.runner import run
-from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
+from straightcomp_ros.runtime.streams import unspun_node
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
 from straightcomp_ros.timing.realtime import RealtimeParameters
 from straightcomp_ros.view.page_server import ActionRefused, ViewServer
@@ -41,7 +41,7 @@ class ViewNode:
         self.node, self.done, self.realtime, self.loop = node, Future(), realtime, None
         self._watch, self._services = GraphWatch(node), GraphServices(node, _NODES)
         unspun = unspun_node(node)
-        self._reference = SubscriptionQueue(node, unspun, REFERENCE, BatchQueue(node, unspun, REFERENCE))
+        self._reference = batched_queue(node, unspun, REFERENCE)
         self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
         self._wanted: list[Callable[[], None]] = []
         buttons = {

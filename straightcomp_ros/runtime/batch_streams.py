@@ -21,6 +21,7 @@ from straightcomp_ros.runtime.inside_rclpy import raw_publish
 from straightcomp_ros.runtime.streams import (
     Messages,
     RawQueue,
+    SubscriptionQueue,
     message_type,
     stream_publisher,
     stream_qos,
@@ -225,3 +226,8 @@ class BatchQueue:
             self._looked_ns = now_ns
             if not self._batches.connected:
                 self._direct = self._make_direct()
+
+
+def batched_queue(node: Node, unspun: Node, stream: Stream) -> SubscriptionQueue:
+    """A queue of a stream's messages that are taken from its batches; arguments as of :class:`BatchQueue`."""
+    return SubscriptionQueue(node, unspun, stream, BatchQueue(node, unspun, stream))

@@ -21,7 +21,7 @@ from straightcomp_ros.contract import (
     SAFETY_STATE,
     UNCONNECTED,
 )
-from straightcomp_ros.runtime.batch_streams import BatchQueue
+from straightcomp_ros.runtime.batch_streams import batched_queue
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES, reporting_node
@@ -59,9 +59,7 @@ class GraphWatch:
         self._queues = [SubscriptionQueue(node, unspun, POSITION)]
         if batches:
             streams = (CONTROLLER_STATE, DRIVER_STATE)
-            self._queues += [
-                SubscriptionQueue(node, unspun, stream, BatchQueue(node, unspun, stream)) for stream in streams
-            ]
+            self._queues += [batched_queue(node, unspun, stream) for stream in streams]
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._safety = SafetyState()

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import socket
 import subprocess
 import sys
 import threading
@@ -17,6 +16,7 @@ asyncua = pytest.importorskip("asyncua", reason="the extra 'opcua' is not instal
 from asyncua.crypto.cert_gen import setup_self_signed_certificate  # noqa: E402
 from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: E402
 
+from straightcomp_ros.cell.demonstration import free_port  # noqa: E402
 from straightcomp_ros.cell.observation import Observation  # noqa: E402
 from straightcomp_ros.cell.packml import Command, Order  # noqa: E402
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters  # noqa: E402
@@ -26,12 +26,6 @@ from straightcomp_ros.opcua.users import add_user  # noqa: E402
 
 PROBES = Path(__file__).with_name("probes.py")
 WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fault_code=6, fresh=True, x=0.25))
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def start(probe, *arguments):

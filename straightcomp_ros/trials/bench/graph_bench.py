@@ -1,7 +1,6 @@
 """Measures the running graph: rate, lateness, CPU, memory of each node; latency and losses of the whole."""
 
 import math
-import socket
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +11,7 @@ from typing import Any
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.cell.cycle import RECORDED, as_parameter_file, run_cycle
+from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import LaunchError, verb_command
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, ControllerNodeParameters, node_parameters
 from straightcomp_ros.contract import DEFAULT_RATE, PACKAGE, STROKE
@@ -139,9 +139,7 @@ def view_beside(priority: int) -> dict[str, Sequence[str]]:
     Args:
         priority: SCHED_FIFO priority of the graph's nodes, which the view needs too.
     """
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = str(probe.getsockname()[1])
+    port = str(free_port())
     return {
         "view": verb_command("view", "--port", port, "--priority", str(priority)),
         "page": [sys.executable, "-m", f"{PACKAGE}.trials.bench.page_reader", port],

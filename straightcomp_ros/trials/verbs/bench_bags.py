@@ -6,7 +6,7 @@ from pathlib import Path
 
 from straightcomp_ros.cli.law_tables import figures_table
 from straightcomp_ros.cli.options import check_range
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import console, print_json, progress_bar
 
 SUMMARY = "recording, reading, evaluation, SIGKILL, audit"
 _MOST_KILL_RUNS = 10_000
@@ -23,21 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print."""
-    from straightcomp_ros.bags import BagError
-    from straightcomp_ros.cell.launcher import LaunchError
     from straightcomp_ros.trials.bench.bag_costs import flattened, run
 
     check_range("--kill-runs", options.kill_runs, 0, _MOST_KILL_RUNS)
-    try:
-        with progress_bar() as bar:
-            task = bar.add_task("starting", total=1.0)
-            figures = run(
-                Path(options.bag) if options.bag else None,
-                options.kill_runs,
-                progress=lambda text, done: bar.update(task, description=text, completed=done),
-            )
-    except (BagError, LaunchError) as error:
-        raise CommandFailed(str(error)) from error
+    with progress_bar() as bar:
+        task = bar.add_task("starting", total=1.0)
+        figures = run(
+            Path(options.bag) if options.bag else None,
+            options.kill_runs,
+            progress=lambda text, done: bar.update(task, description=text, completed=done),
+        )
     if options.json:
         print_json(figures)
         return 0

@@ -13,15 +13,13 @@ import numpy as np
 
 from straightcomp_ros.cli.law_tables import can_tables
 from straightcomp_ros.cli.options import check_range
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.output import console, print_json, progress_bar
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.guide_map import load_map
-from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.trials.bench.bus_faults_found import fault_run
 from straightcomp_ros.trials.bench.codec import codec_costs, per_frame
-from straightcomp_ros.trials.bench.round_trip import RoundTripFailed, measure_round_trip
+from straightcomp_ros.trials.bench.round_trip import measure_round_trip
 
 SUMMARY = "µs per CAN frame, round trip through the hub, faults injected and found"
 _REPEATS = 25
@@ -44,13 +42,7 @@ def run(options: argparse.Namespace) -> int:
     """Measure and print; exit code 1 if a fault was not detected or a wrong sample was used."""
     for name, (least, most) in _LIMITS.items():
         check_range(f"--{name}", getattr(options, name), least, most)
-    values = chosen_parameters(options)
-    try:
-        figures = _figures(values, options)
-    except (ParameterError, SurveyError) as error:
-        raise CommandFailed(str(error), exit_code=2) from error
-    except RoundTripFailed as error:
-        raise CommandFailed(str(error)) from error
+    figures = _figures(chosen_parameters(options), options)
     if options.json:
         print_json(figures)
     else:

@@ -14,11 +14,10 @@ from rich.table import Table
 from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cli.law_tables import rounded, titled_table
 from straightcomp_ros.cli.options import check_range, output_folder
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar, require_ros
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.trials.bench.graph_bench import (
     BenchFailed,
     Measurement,
@@ -68,12 +67,7 @@ def run(options: argparse.Namespace) -> int:
     if options.soak is not None:
         check_range("--soak", options.soak, _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
         seconds = 60.0 * options.soak
-    try:
-        values = bench_parameters(
-            chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.priority
-        )
-    except ParameterError as error:
-        raise CommandFailed(str(error), exit_code=2) from error
+    values = bench_parameters(chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.priority)
     with ExitStack() as stack:
         folder = (
             output_folder("--output", options.output)
@@ -89,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
             figures["with_view"] = _measured(values, folder / "view", seconds, "with view", beside=beside).to_display()
         if options.triggers:
             first = values["controller"].setdefault("trigger", ControllerNodeParameters().trigger)
-            second = values["controller"]["trigger"] = "timer" if first == "sample" else "sample"
+            second = values["controller"]["trigger"] = _other(first)
             figures |= {"trigger": first, second: _measured(values, folder / second, seconds, second).to_display()}
             figures["ratio"] = ratios(figures, figures[second])
     if options.json:
@@ -109,17 +103,14 @@ def _measured(
     if (folder / "bag").exists():
         raise CommandFailed(f"--output: {folder} holds a bag; name another folder", exit_code=2)
     try:
-        with progress_bar() as bar:
-            task = bar.add_task(f"measuring {words}", total=1.0)
-            return measure(
-                values,
-                folder,
-                seconds,
-                progress=lambda done: bar.update(task, completed=done),
-                beside=beside,
-            )
+        with working(f"measuring {words}") as advance:
+            return measure(values, folder, seconds, progress=advance, beside=beside)
     except BenchFailed as error:
         raise CommandFailed(f"{words}: {error}") from error
+
+
+def _other(trigger: str) -> str:
+    return "timer" if trigger == "sample" else "sample"
 
 
 def ratios(figures: dict[str, Any], other: dict[str, Any]) -> dict[str, float]:
@@ -148,7 +139,7 @@ def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
         console.print(_table(figures["with_view"], "With the live view open"))
         _print_whole(figures["with_view"])
     if "trigger" in figures:
-        second = "timer" if figures["trigger"] == "sample" else "sample"
+        second = _other(figures["trigger"])
         console.print(_table(figures[second], f"With trigger '{second}'"))
         _print_whole(figures[second])
         shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["ratio"].items())

@@ -56,10 +56,10 @@ def run(options: argparse.Namespace) -> int:
                 lambda name, done: bar.update(task, description=name, completed=done),
                 chosen,
             )
-        except LaunchError as error:
+        except LaunchError:
             # The message names the folder of the logs, so keep it.
             end.pop_all()
-            raise CommandFailed(str(error)) from error
+            raise
     figures = summary(rows, time.monotonic() - begin)
     if options.json:
         print_json(figures)

@@ -12,7 +12,6 @@ from typing import Any
 
 from rich.table import Table
 
-from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.cli.law_tables import rounded, titled_table
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
@@ -47,16 +46,13 @@ def run(options: argparse.Namespace) -> int:
     values = trial_parameters(chosen_parameters(options))
     with tempfile.TemporaryDirectory() as folder, progress_bar() as bar:
         task = bar.add_task("starting", total=1.0)
-        try:
-            result = run_soak(
-                values,
-                Path(options.output or folder),
-                60.0 * options.minutes,
-                options.seed,
-                lambda kind, done: bar.update(task, description=kind, completed=done),
-            )
-        except LaunchError as error:
-            raise CommandFailed(str(error)) from error
+        result = run_soak(
+            values,
+            Path(options.output or folder),
+            60.0 * options.minutes,
+            options.seed,
+            lambda kind, done: bar.update(task, description=kind, completed=done),
+        )
     figures = result.to_display()
     if options.json:
         print_json(figures)
