@@ -23,7 +23,9 @@ _THREADS = "/proc/self/task"
 
 _POLLING = "dds.asyn"
 """Fast DDS's thread for asynchronous sending. It polls a lock that another thread holds (ros2/rmw_fastrtps issue 666):
-at the same priority on the same CPU it would keep that thread, and all others there, from running for ever."""
+at the same priority on the same CPU it would keep that thread, and all others there, from running for ever. It takes
+turns (SCHED_RR), since there is no priority below 1."""
+
 _held: list[BinaryIO] = []
 """Files that must stay open: closing one withdraws its request."""
 
