@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from contact import CHANGES, KINDS, SLIP, UNDAMPED, Contact, plant_with, run, spring_force
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,74 +17,11 @@ from straightcomp_ros.model.extended_friction import (
     PLAIN,
     SLIPPING,
     TIME,
-    extended_force,
-    lugre_now,
-    step_friction,
 )
-from straightcomp_ros.model.friction_changes import age_after, band_factor, band_value, rest_factor
 from straightcomp_ros.model.lugre import FrictionParameters, bristle_after, friction_force, stribeck_force
 from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS, MaxwellSlipParameters, block_after
 from straightcomp_ros.model.plant import Plant, PlantParameters, PlantState, advance, as_array
-from straightcomp_ros.settings.declaration import ParameterError, from_mapping
-
-STEP = 25e-6
-CHANGES = {
-    "friction.bands.fraction": 0.3,
-    "friction.bands.seed": 7,
-    "friction.rest.growth": 0.2,
-    "friction.step.factor": 1.7,
-    "friction.step.time": 0.02,
-}
-SLIP = {"friction.model": "maxwell_slip"}
-UNDAMPED = {"friction.bristle_damping": 0.0, "friction.viscous": 0.0}
-KINDS = [SLIP, CHANGES, {**SLIP, **CHANGES}, {**SLIP, "friction.maxwell_slip.attraction": 1e9}]
-
-
-def plant_with(values) -> PlantParameters:
-    return from_mapping(PlantParameters, values)
-
-
-class Contact:
-    """Friction alone, moved as the test says; the functions that the plant calls, as plain Python."""
-
-    def __init__(self, values) -> None:
-        self.parameters = plant_with(values)
-        self.plant = self.parameters.constants()
-        self.constants = as_array(self.plant)
-        self.state = np.array(PlantState())
-        self.place, self.force = 0.0, 0.0
-
-    def move(self, velocity: float, duration: float = STEP) -> float:
-        """Friction after a step at constant velocity."""
-        self.place += velocity * duration
-        lugre = lugre_now(self.constants, self.plant.lugre, self.state, self.place)
-        step_friction(self.constants, lugre, self.state, velocity, duration)
-        self.force = extended_force(self.constants, lugre, self.state, velocity)
-        return self.force
-
-    def go(self, distance: float, speed: float = 1e-5, steps: int = 200) -> list[float]:
-        """Forces on a way of this length with this sign."""
-        duration = abs(distance) / speed / steps
-        return [self.move(math.copysign(speed, distance), duration) for _ in range(steps)]
-
-    def stored(self) -> float:
-        """Energy in the springs, J."""
-        if self.parameters.friction.model == "lugre":
-            return 0.5 * self.plant.lugre.bristle_stiffness * float(self.state[2]) ** 2
-        count = self.parameters.friction.maxwell_slip.blocks
-        blocks = self.state[BLOCK : BLOCK + count]
-        springs = np.array(self.plant.extension[12 : 12 + count])
-        return float(0.5 * np.sum(blocks**2 / springs))
-
-
-def run(values, start: PlantState, command: float, samples: int, bias: float = 1.0) -> np.ndarray:
-    """States after each half millisecond, (samples, fields)."""
-    constants, state = as_array(plant_with(values).constants()), np.array(start)
-    states = []
-    for _ in range(samples):
-        advance(constants, state, bias, command, 500_000)
-        states.append(state.copy())
-    return np.array(states)
+from straightcomp_ros.settings.declaration import ParameterError
 
 
 def test_the_shipped_parameters_are_plain_lugre():
@@ -97,33 +35,6 @@ def test_plain_friction_reads_the_first_seven_fields_only():
     short = np.array(PlantState(velocity=1e-4, bias=1.0))[:7].copy()
     advance(as_array(PlantParameters().constants()), short, 1.0, 0.02, 5_000_000)
     np.testing.assert_array_equal(short, run({}, PlantState(velocity=1e-4, bias=1.0), 0.02, 10)[-1][:7])
-
-
-@pytest.mark.parametrize(
-    "nothing",
-    [
-        {"friction.bands.width": 1e-5, "friction.bands.seed": 3},
-        {"friction.step.time": 0.01, "friction.rest.time": 2.0},
-        {"friction.maxwell_slip.blocks": 8},
-    ],
-)
-def test_changes_of_no_size_are_plain_lugre(nothing):
-    start = PlantState(velocity=1e-4, bias=1.0)
-    np.testing.assert_array_equal(run(nothing, start, 0.02, 20), run({}, start, 0.02, 20))
-
-
-def test_a_step_that_has_not_come_is_plain_lugre():
-    start = PlantState(velocity=1e-4, bias=1.0)
-    late = run({"friction.step.factor": 3.0, "friction.step.time": 1.0}, start, 0.02, 20)
-    np.testing.assert_allclose(late[:, :7], run({}, start, 0.02, 20)[:, :7], rtol=1e-12)
-
-
-@pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
-def test_bands_too_small_to_matter_are_none(model):
-    start = PlantState(velocity=1e-4, bias=1.0)
-    banded = run({"friction.model": model, "friction.bands.fraction": 1e-12}, start, 0.02, 20)
-    none = run({"friction.model": model}, start, 0.02, 20)
-    np.testing.assert_allclose(banded[:, :7], none[:, :7], rtol=1e-6)
 
 
 @pytest.mark.parametrize("values", KINDS)
@@ -155,12 +66,6 @@ def test_springs_never_store_more_than_the_motion_supplied(values, motion):
             # An exact step of the bristle: the trapezium is not the integral, the largest force bounds it.
             most = max(before * velocity, spring_force(contact) * velocity) * 5e-5
             assert contact.stored() - stored <= most + 1e-18
-
-
-def spring_force(contact: Contact) -> float:
-    if contact.parameters.friction.model == "lugre":
-        return contact.plant.lugre.bristle_stiffness * float(contact.state[2])
-    return float(contact.state[BLOCK : BLOCK + MOST_BLOCKS].sum())
 
 
 @pytest.mark.parametrize("values", KINDS)
@@ -277,66 +182,6 @@ def test_blocks_share_stiffness_and_limit():
     assert shares[-1] / shares[0] == pytest.approx(3.0)
     distances = shares / springs
     assert distances[-1] / distances[0] == pytest.approx(20.0)
-
-
-def test_bands_vary_up_to_the_fraction_smoothly_and_by_the_seed_alone():
-    y = np.linspace(-1e-4, 1e-4, 20001)
-    factors = np.array([band_factor(0.3, 2e-6, 5, place) for place in y.tolist()])
-    assert 0.7 <= factors.min() < 0.75 and 1.25 < factors.max() <= 1.3
-    # Slope of the cubic: 1.5 times the largest change over the band's width.
-    assert np.abs(np.diff(factors)).max() <= 1.5 * 0.6 * 1e-8 / 2e-6 * (1 + 1e-6)
-    assert factors.tolist() == [band_factor(0.3, 2e-6, 5, place) for place in y.tolist()]
-    assert factors.tolist() != [band_factor(0.3, 2e-6, 6, place) for place in y.tolist()]
-
-
-def test_values_of_the_bands_are_spread_evenly_and_are_the_same_on_every_machine():
-    values = np.array([band_value(1, band) for band in range(-5000, 5000)])
-    assert np.abs(values).max() <= 1.0
-    assert values.mean() == pytest.approx(0.0, abs=0.03) and values.var() == pytest.approx(1 / 3, rel=0.05)
-    assert abs(np.corrcoef(values[1:], values[:-1])[0, 1]) < 0.05
-
-
-def test_sliding_force_follows_the_bands():
-    contact = Contact({**SLIP, **UNDAMPED, "friction.bands.fraction": 0.3, "friction.maxwell_slip.attraction": 1e9})
-    contact.go(1e-5, 1e-3)
-    forces, factors = [], []
-    for _ in range(500):
-        forces.append(contact.move(1e-3))
-        factors.append(band_factor(0.3, 2e-6, 0, contact.place))
-    np.testing.assert_allclose(forces, 0.43 * np.array(factors), rtol=0.05)
-
-
-def test_age_is_the_time_at_rest_and_sliding_renews_the_contact():
-    assert age_after(2.0, 0.0, 3.0, 5e-6) == 5.0
-    assert age_after(100.0, 1e-3, 1.0, 5e-6) == pytest.approx(5e-6 / 1e-3)
-    half = age_after(age_after(2.0, 1e-6, 0.5, 5e-6), 1e-6, 0.5, 5e-6)
-    assert half == pytest.approx(age_after(2.0, 1e-6, 1.0, 5e-6))
-    assert age_after(2.0, 1e-17, 3.0, 5e-6) == pytest.approx(age_after(2.0, 1e-14, 3.0, 5e-6), rel=1e-6)
-
-
-def test_static_friction_grows_with_the_logarithm_of_rest_up_to_its_bound():
-    assert rest_factor(0.1, 1.0, 2.0, 0.0) == 1.0
-    assert rest_factor(0.1, 1.0, 2.0, math.e - 1.0) == pytest.approx(1.1)
-    assert rest_factor(0.1, 1.0, 2.0, 1e9) == 2.0
-
-
-@pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
-def test_the_longer_the_rest_the_higher_the_break_away_force(model):
-    peaks = []
-    for rest in (0.0, 1.0, 10.0, 1e9):
-        contact = Contact({**UNDAMPED, "friction.model": model, "friction.rest.growth": 0.2})
-        contact.move(0.0, rest)
-        peaks.append(max(contact.go(1e-5, 2e-6, 2000)))
-    assert peaks == sorted(peaks) and len(set(peaks)) == 4
-    assert 0.75 < peaks[-1] <= 0.43 + 2.0 * (0.645 - 0.43)
-
-
-@pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
-def test_a_step_multiplies_the_sliding_force_from_its_time_on(model):
-    contact = Contact({**UNDAMPED, "friction.model": model, "friction.step.factor": 2.0, "friction.step.time": 0.1})
-    forces = [contact.move(1e-2) for _ in range(8000)]
-    assert forces[3900] == pytest.approx(0.43, rel=1e-3)
-    assert forces[-1] == pytest.approx(0.86, rel=1e-3)
 
 
 def test_the_machine_code_is_the_python_code():
