@@ -1,0 +1,134 @@
+"""Law `friction`: friction inside observer and law, its size adapted, and a constant command at rest.
+
+What limits a law without a friction model is local instability: while the platform slides near the Stribeck velocity,
+friction falls with speed and acts like a negative stiffness, ten times that of the magnets. Here observer and law know
+the friction F̂ = s F(z, v) of the LuGre model (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995;
+`model/lugre.py`), driven by a velocity that is mostly the reference's,
+
+    v = ṙ + m (v̂ − ṙ),   ż = v − σ0 |v| z / g(v),
+
+with a share m of the observer's v̂. m = 1 would feed the encoder's noise through the steep slope of friction at v = 0,
+m = 0 would not notice when the platform sticks. The observer (`observer.py`) estimates only the rest d of the disturbance:
+
+    M v̇ = f_c(y, i) + M d − F̂(z, v).
+
+The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at which the command acts. It decays with the rate κ:
+
+    a = r̈ − λ (ẏ − ṙ) − κ σ − d + F̂/M.
+
+The size s is fitted while the law runs (`friction_size.py`). It starts low: too much friction makes limit cycles of
+micrometres, too little is harmless. Whenever s changes, d gives what F̂ takes, and the command does not jump.
+
+At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around the resting
+reference for a while, the command is held at the mean of the last ones. When the hold ends, the difference between held
+and computed command decays with the rate κ, so that leaving rest makes no step.
+
+Tuning: `gain_allowance` as of `smc_observer`; then the observer's bandwidth, λ and κ together. With
+T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.2125/T_d in Hz, λ = 0.597/T_d, κ = 0.409/T_d.
+"""
+
+import math
+from typing import NamedTuple
+
+from straightcomp_ros.control.friction_size import Fit, SizeGains, fitted
+from straightcomp_ros.control.friction_size import start as fit_at_start
+from straightcomp_ros.control.law import Command
+from straightcomp_ros.control.observer import (
+    Estimate,
+    Loop,
+    corrected,
+    current_for,
+    limited,
+    moment_after,
+    next_prior,
+    with_measured_current,
+)
+from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.model.lugre import LuGre, bristle_after, friction_force
+
+_MEAN_WEIGHT = 0.02
+"""Of the newest command in the mean that is held at rest."""
+
+
+class RestGains(NamedTuple):
+    """Half width of the band in m, wait in s until the hold, and what a difference keeps from sample to sample."""
+
+    band: float
+    wait: float
+    kept: float
+
+
+class Gains(NamedTuple):
+    """λ and κ in 1/s, the share m, the friction model, and the constants of fit, rest and loop."""
+
+    surface: float
+    reaching: float
+    share: float
+    lugre: LuGre
+    size: SizeGains
+    rest: RestGains
+    loop: Loop
+
+
+class Rest(NamedTuple):
+    """Time within the band in s, mean command in A, and what is added to the computed command, A."""
+
+    time: float
+    mean: float
+    offset: float
+
+
+class State(NamedTuple):
+    """The next sample as predicted with friction but for d, the command in A, z in m, fit and rest."""
+
+    prior: Estimate
+    command: float
+    bristle: float
+    fit: Fit
+    rest: Rest
+
+
+def start(size: float, y: float) -> State:
+    """State at rest at ``y`` in m, with ``size`` of friction."""
+    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0))
+
+
+def rest_gains(band: float, wait: float, reaching: float, period: float) -> RestGains:
+    """Constants at rest; ``reaching`` is κ."""
+    return RestGains(band, wait, math.exp(-reaching * period))
+
+
+@compilable
+def step(
+    g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
+) -> tuple[State, Command]:
+    """One sample; see the module."""
+    observed = corrected(g.loop.observer, with_measured_current(g.loop, state.prior, current), y)
+    velocity = r_dot + g.share * (observed.velocity - r_dot)
+    bristle = bristle_after(g.lugre, state.bristle, velocity, g.loop.period)
+    unit = -friction_force(g.lugre, bristle, velocity) / g.loop.mass
+    fit = fitted(g.size, state.fit, r, r_dot, unit, observed.disturbance)
+    others = observed.disturbance - (fit.size - state.fit.size) * fit.lag3
+    now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
+    at = moment_after(g.loop, now, state.command, r, r_dot, r_ddot)
+    sigma = at.rate_error + g.surface * at.position_error
+    holding = r_ddot - g.surface * at.rate_error - at.action.disturbance
+    equivalent = current_for(g.loop, at.action.y, holding)
+    asked = current_for(g.loop, at.action.y, holding - g.reaching * sigma)
+    rest = _rested(g.rest, state.rest, g.loop.period, asked, r_dot, r_ddot, y - r)
+    asked += rest.offset
+    answer = limited(g.loop, asked)
+    after = next_prior(g.loop, at.action, answer)
+    prior = Estimate(after.y, after.velocity, others, after.current)
+    rest = Rest(rest.time, rest.mean + _MEAN_WEIGHT * (answer - rest.mean), rest.offset)
+    command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
+    return State(prior, answer, bristle, fit, rest), command
+
+
+@compilable
+def _rested(g: RestGains, rest: Rest, period: float, asked: float, r_dot: float, r_ddot: float, error: float) -> Rest:
+    """The time within the band with this sample, and the offset of its command."""
+    if r_dot != 0.0 or r_ddot != 0.0 or abs(error) > g.band:
+        return Rest(0.0, rest.mean, g.kept * rest.offset)
+    time = rest.time + period
+    return Rest(time, rest.mean, rest.mean - asked if time > g.wait else g.kept * rest.offset)
