@@ -46,15 +46,22 @@ from straightcomp_ros.control.observer import (
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.lugre import LuGre, bristle_after, friction_force
 
-_MEAN_WEIGHT = 0.02
-"""Of the newest command in the mean that is held at rest."""
-
 
 class RestGains(NamedTuple):
-    """Half width of the band in m, wait in s until the hold, and what a difference keeps from sample to sample."""
+    """Constants at rest.
+
+    Attributes:
+        band: largest |y − r| of the reading, m.
+        speed: largest |ṙ|, m/s.
+        wait: time at rest until the command is held, s.
+        weight: of the newest command in the mean that is held.
+        kept: share of the difference between held and computed command that is left after a sample.
+    """
 
     band: float
+    speed: float
     wait: float
+    weight: float
     kept: float
 
 
@@ -93,9 +100,10 @@ def start(size: float, y: float) -> State:
     return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0))
 
 
-def rest_gains(band: float, wait: float, reaching: float, period: float) -> RestGains:
-    """Constants at rest; ``reaching`` is κ."""
-    return RestGains(band, wait, math.exp(-reaching * period))
+def rest_gains(band: float, speed: float, wait: float, reaching: float, period: float) -> RestGains:
+    """Constants at rest; ``reaching`` is κ. The mean is over a quarter of the wait, so that the approach is forgotten."""
+    weight = 1.0 - math.exp(-4.0 * period / wait) if wait > 0.0 else 1.0
+    return RestGains(band, speed, wait, weight, math.exp(-reaching * period))
 
 
 @compilable
@@ -115,20 +123,19 @@ def step(
     holding = r_ddot - g.surface * at.rate_error - at.action.disturbance
     equivalent = current_for(g.loop, at.action.y, holding)
     asked = current_for(g.loop, at.action.y, holding - g.reaching * sigma)
-    rest = _rested(g.rest, state.rest, g.loop.period, asked, r_dot, r_ddot, y - r)
+    rest = _rested(g.rest, state.rest, g.loop.period, asked, r_dot, y - r)
     asked += rest.offset
     answer = limited(g.loop, asked)
     after = next_prior(g.loop, at.action, answer)
     prior = Estimate(after.y, after.velocity, others, after.current)
-    rest = Rest(rest.time, rest.mean + _MEAN_WEIGHT * (answer - rest.mean), rest.offset)
+    rest = Rest(rest.time, rest.mean + g.rest.weight * (answer - rest.mean), rest.offset)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
     return State(prior, answer, bristle, fit, rest), command
 
 
 @compilable
-def _rested(g: RestGains, rest: Rest, period: float, asked: float, r_dot: float, r_ddot: float, error: float) -> Rest:
-    """The time within the band with this sample, and the offset of its command."""
-    if r_dot != 0.0 or r_ddot != 0.0 or abs(error) > g.band:
-        return Rest(0.0, rest.mean, g.kept * rest.offset)
-    time = rest.time + period
+def _rested(g: RestGains, rest: Rest, period: float, asked: float, r_dot: float, error: float) -> Rest:
+    """The time at rest with this sample, and the offset of its command."""
+    at_rest = abs(r_dot) <= g.speed and abs(error) <= g.band
+    time = rest.time + period if at_rest else 0.0
     return Rest(time, rest.mean, rest.mean - asked if time > g.wait else g.kept * rest.offset)

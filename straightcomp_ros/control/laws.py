@@ -69,6 +69,7 @@ class FrictionDesign:
         "Largest |y − r| at rest at which the command is held; two counts of the encoder; 0 never holds",
         "[0, 1e-3] m",
     )
+    rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
     rest_wait: float = parameter(0.1, "Time within that band until the command is held", "[0, 10] s")
     lugre: FrictionParameters = group(FrictionParameters, "Friction model of the law friction")
 
@@ -148,7 +149,7 @@ def _friction_law(parameters: ControlParameters, period: float) -> Law:
         design.velocity_share,
         design.lugre.constants(),
         size_gains(design.bandwidth, period, design.memory, nominal.travel, design.largest_size),
-        friction_law.rest_gains(design.rest_band, design.rest_wait, design.reaching, period),
+        friction_law.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, design.reaching, period),
         loop._replace(observer=spread_observer_gains(design.bandwidth, design.third_pole, period)),
     )
     first_size = min(design.first_size, design.largest_size)
