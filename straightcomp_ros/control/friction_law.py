@@ -113,8 +113,7 @@ def step(
     """One sample; see the module."""
     observed = corrected(g.loop.observer, with_measured_current(g.loop, state.prior, current), y)
     velocity = r_dot + g.share * (observed.velocity - r_dot)
-    bristle = bristle_after(g.lugre, state.bristle, velocity, g.loop.period)
-    unit = -friction_force(g.lugre, bristle, velocity) / g.loop.mass
+    bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
     fit = fitted(g.size, state.fit, r, r_dot, unit, observed.disturbance)
     others = observed.disturbance - (fit.size - state.fit.size) * fit.lag3
     now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
@@ -131,6 +130,17 @@ def step(
     rest = Rest(rest.time, rest.mean + g.rest.weight * (answer - rest.mean), rest.offset)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
     return State(prior, answer, bristle, fit, rest), command
+
+
+@compilable
+def _unit_friction(g: Gains, size: float, bristle: float, velocity: float) -> tuple[float, float]:
+    """z after this sample's period, m, and the acceleration by friction divided by its size, m/s²."""
+    if size <= 0.0:
+        return bristle, 0.0
+    coulomb, static, stribeck_velocity, stiffness, damping, viscous = g.lugre
+    lugre = LuGre(size * coulomb, size * static, stribeck_velocity, stiffness, damping, viscous)
+    after = bristle_after(lugre, bristle, velocity, g.loop.period)
+    return after, -friction_force(lugre, after, velocity) / (size * g.loop.mass)
 
 
 @compilable
