@@ -8,7 +8,7 @@ the friction F̂ = s F(z, v) of the LuGre model (Canudas de Wit, Olsson, Åströ
     v = ṙ + m (v̂ − ṙ),   ż = v − σ0 |v| z / g(v),
 
 with a share m of the observer's v̂. m = 1 would feed the encoder's noise through the steep slope of friction at v = 0,
-m = 0 would not notice when the platform sticks. The observer (`observer.py`) estimates only the rest d of the disturbance:
+m = 0 would not notice when the platform sticks. The observer (`observer.py`) estimates what is left of the disturbance, d:
 
     M v̇ = f_c(y, i) + M d − F̂(z, v).
 
@@ -19,9 +19,9 @@ The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at 
 The size s is fitted while the law runs (`friction_size.py`). It starts low: too much friction makes limit cycles of
 micrometres, too little is harmless. Whenever s changes, d gives what F̂ takes, and the command does not jump.
 
-At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around the resting
-reference for a while, the command is held at the mean of the last ones. When the hold ends, the difference between held
-and computed command decays with the rate κ, so that leaving rest makes no step.
+At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around a resting
+reference for a while, the command is held at the mean of the last ones. When the hold ends, the difference between
+held and computed command decays with the rate κ, so that leaving rest makes no step.
 
 Tuning: `gain_allowance` as of `smc_observer`; then the observer's bandwidth, λ and κ together. With
 T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.2125/T_d in Hz, λ = 0.597/T_d, κ = 0.409/T_d.
@@ -30,8 +30,7 @@ T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.2125/T_d in Hz, λ = 0.597/T_d, κ = 0.
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.friction_size import Fit, SizeGains, fitted
-from straightcomp_ros.control.friction_size import start as fit_at_start
+from straightcomp_ros.control.friction_size import Fit, SizeGains, fit_at_start, fitted
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.observer import (
     Estimate,
@@ -101,7 +100,8 @@ def start(size: float, y: float) -> State:
 
 
 def rest_gains(band: float, speed: float, wait: float, reaching: float, period: float) -> RestGains:
-    """Constants at rest; ``reaching`` is κ. The mean is over a quarter of the wait, so that the approach is forgotten."""
+    """Constants at rest; ``reaching`` is κ."""
+    # The mean is over a quarter of the wait: it must forget the approach.
     weight = 1.0 - math.exp(-4.0 * period / wait) if wait > 0.0 else 1.0
     return RestGains(band, speed, wait, weight, math.exp(-reaching * period))
 
@@ -115,7 +115,7 @@ def step(
     velocity = r_dot + g.share * (observed.velocity - r_dot)
     bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
     fit = fitted(g.size, state.fit, r, r_dot, unit, observed.disturbance)
-    others = observed.disturbance - (fit.size - state.fit.size) * fit.lag3
+    others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
     now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
     at = moment_after(g.loop, now, state.command, r, r_dot, r_ddot)
     sigma = at.rate_error + g.surface * at.position_error

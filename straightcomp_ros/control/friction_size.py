@@ -4,16 +4,19 @@ The disturbance that an observer estimates, d in m/s², is fitted by
 
     d = c + b r + s F̄
 
-with the reference r and F̄, the acceleration by the nominal friction model. F̄ passes the lag that the observer's estimate
-has (three poles of first order), so that both sides of the equation are equally late. c takes what is constant, b an
-error of the magnets' stiffness; without them both would be taken for friction. s is the size of friction.
+with the reference r and F̄, the acceleration by friction of size 1. The observer's estimate lags: a sampled observer with
+the poles p, p and q answers an acceleration u that acts for the samples up to the present one by
+
+    (1 − p)² (1 − q) z (z + 1) / (2 (z − p)² (z − q)) u,
+
+and F̄ passes the same lag before it is compared. c takes what is constant, b an error of the magnets' stiffness; without
+them both would be taken for friction. s is the size of friction.
 
 Normal equations and forgetting as in Åström and Wittenmark, Adaptive Control, 2nd ed. 1995, ch. 2. Forgetting lets the
-covariance P grow where nothing excites a direction; it is held below `_LARGEST_VARIANCE`, and the fit is paused while
+covariance P grow where nothing excites a direction: it is held below `_LARGEST_VARIANCE`, and the fit is paused while
 the reference rests.
 """
 
-import math
 from typing import NamedTuple
 
 from straightcomp_ros.model.compiled import compilable
@@ -23,8 +26,6 @@ _FIRST_VARIANCE = 1.0
 _LARGEST_VARIANCE = 10.0
 _SMALLEST_SIZE = 0.1
 """Without friction in the law the fit has nothing to correct: too little is harmless, none would be a dead end."""
-_SLOWEST = 2e-6
-"""m/s; below this rate of the reference the fit is paused."""
 
 
 class SizeGains(NamedTuple):
@@ -32,19 +33,32 @@ class SizeGains(NamedTuple):
 
     Attributes:
         kept: weight that the past keeps from one sample to the next.
-        follow: weight of a new value in each of the three lags.
+        double, third: weights of a new value in the lags of the observer's double pole and of its third pole.
         travel: m, by which r is scaled.
+        speed: |ṙ| in m/s up to which the fit is paused.
         largest: bound of s.
     """
 
     kept: float
-    follow: float
+    double: float
+    third: float
     travel: float
+    speed: float
     largest: float
 
 
+class Lags(NamedTuple):
+    """The last F̄ and the one before, and their mean behind one, two and three lags, m/s²."""
+
+    last: float
+    before: float
+    first: float
+    second: float
+    third: float
+
+
 class Fit(NamedTuple):
-    """c in m/s², b times the travel in m/s², s, the upper triangle of P, and F̄ behind one, two and three lags, m/s²."""
+    """c in m/s², b times the travel in m/s², s, the upper triangle of P, and the lags of F̄."""
 
     constant: float
     slope: float
@@ -55,47 +69,45 @@ class Fit(NamedTuple):
     p11: float
     p12: float
     p22: float
-    lag1: float
-    lag2: float
-    lag3: float
+    lags: Lags
 
 
-def size_gains(bandwidth: float, period: float, memory: float, travel: float, largest: float) -> SizeGains:
-    """Constants for the observer's bandwidth in Hz, the period and the time constant of forgetting in s."""
-    follow = 1.0 - math.exp(-2.0 * math.pi * bandwidth * period)
-    return SizeGains(math.exp(-period / memory), follow, travel, largest)
-
-
-def start(size: float) -> Fit:
+def fit_at_start(size: float) -> Fit:
     """The fit before the first sample."""
     p = _FIRST_VARIANCE
-    return Fit(0.0, 0.0, size, p, 0.0, 0.0, p, 0.0, p, 0.0, 0.0, 0.0)
+    return Fit(0.0, 0.0, size, p, 0.0, 0.0, p, 0.0, p, Lags(0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 @compilable
-def fitted(g: SizeGains, fit: Fit, r: float, r_dot: float, unit: float, rest: float) -> Fit:
+def lagged(g: SizeGains, lags: Lags, unit: float) -> Lags:
+    """The lags at the next sample; ``unit`` is F̄ until then."""
+    first = lags.first + g.double * (0.5 * (lags.last + lags.before) - lags.first)
+    second = lags.second + g.double * (first - lags.second)
+    return Lags(unit, lags.last, first, second, lags.third + g.third * (second - lags.third))
+
+
+@compilable
+def fitted(g: SizeGains, fit: Fit, r: float, r_dot: float, unit: float, others: float) -> Fit:
     """The fit after one sample.
 
     Args:
         g: the constants.
         fit: before the sample.
         r, r_dot: reference, m and m/s.
-        unit: F̄, m/s².
-        rest: disturbance beyond what the law has taken for friction, m/s²; d is that and s F̄ behind the lags.
+        unit: F̄ from this sample to the next, m/s².
+        others: the observer's disturbance without friction, m/s²; with s F̄ behind the lags it is d.
     """
-    lag1 = fit.lag1 + g.follow * (unit - fit.lag1)
-    lag2 = fit.lag2 + g.follow * (lag1 - fit.lag2)
-    lag3 = fit.lag3 + g.follow * (lag2 - fit.lag3)
+    lags = lagged(g, fit.lags, unit)
+    if abs(r_dot) <= g.speed:
+        return Fit(*fit[:9], lags)
     c, b, s, p00, p01, p02, p11, p12, p22 = fit[:9]
-    if abs(r_dot) < _SLOWEST:
-        return Fit(c, b, s, p00, p01, p02, p11, p12, p22, lag1, lag2, lag3)
-    x = r / g.travel
-    k0 = p00 + p01 * x + p02 * lag3
-    k1 = p01 + p11 * x + p12 * lag3
-    k2 = p02 + p12 * x + p22 * lag3
-    spread = g.kept + k0 + k1 * x + k2 * lag3
-    # s F̄ is on both sides.
-    miss = (rest - c - b * x) / spread
+    x, f = r / g.travel, lags.third
+    k0 = p00 + p01 * x + p02 * f
+    k1 = p01 + p11 * x + p12 * f
+    k2 = p02 + p12 * x + p22 * f
+    spread = g.kept + k0 + k1 * x + k2 * f
+    # s F̄ is on both sides of the equation.
+    miss = (others - c - b * x) / spread
     return Fit(
         c + k0 * miss,
         b + k1 * miss,
@@ -106,7 +118,5 @@ def fitted(g: SizeGains, fit: Fit, r: float, r_dot: float, unit: float, rest: fl
         min(_LARGEST_VARIANCE, (p11 - k1 * k1 / spread) / g.kept),
         (p12 - k1 * k2 / spread) / g.kept,
         min(_LARGEST_VARIANCE, (p22 - k2 * k2 / spread) / g.kept),
-        lag1,
-        lag2,
-        lag3,
+        lags,
     )

@@ -1,11 +1,12 @@
 """The laws by name, and the parameters that the controller takes."""
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
 from straightcomp_ros.control import friction_law, sliding_mode, smc_observer, super_twisting
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
-from straightcomp_ros.control.friction_size import size_gains
+from straightcomp_ros.control.friction_size import SizeGains
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.observer import Loop, nominal_loop, spread_observer_gains
 from straightcomp_ros.model.lugre import FrictionParameters
@@ -143,14 +144,24 @@ def _friction_law(parameters: ControlParameters, period: float) -> Law:
         current_limit=parameters.current_limit,
         gain_allowance=design.gain_allowance,
     )
+    observer = spread_observer_gains(design.bandwidth, design.third_pole, period)
+    rate = 2.0 * math.pi * design.bandwidth * period
+    size = SizeGains(
+        kept=math.exp(-period / design.memory),
+        double=1.0 - math.exp(-rate),
+        third=1.0 - math.exp(-rate * design.third_pole),
+        travel=nominal.travel,
+        speed=design.rest_speed,
+        largest=design.largest_size,
+    )
     gains = friction_law.Gains(
         design.surface,
         design.reaching,
         design.velocity_share,
         design.lugre.constants(),
-        size_gains(design.bandwidth, period, design.memory, nominal.travel, design.largest_size),
+        size,
         friction_law.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, design.reaching, period),
-        loop._replace(observer=spread_observer_gains(design.bandwidth, design.third_pole, period)),
+        loop._replace(observer=observer),
     )
     first_size = min(design.first_size, design.largest_size)
     return Law(gains, partial(friction_law.start, first_size), friction_law.step, compiled=True)
