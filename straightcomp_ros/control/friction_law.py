@@ -2,13 +2,13 @@
 
 What limits a law without a friction model is local instability: while the platform slides near the Stribeck velocity,
 friction falls with speed and acts like a negative stiffness, ten times that of the magnets. Here observer and law know
-the friction F̂ = s F(z, v) of the LuGre model (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995;
+the friction F̂ of the LuGre model (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995;
 `model/lugre.py`), driven by a velocity that is mostly the reference's,
 
     v = ṙ + m (v̂ − ṙ),   ż = v − σ0 |v| z / g(v),
 
 with a share m of the observer's v̂. m = 1 would feed the encoder's noise through the steep slope of friction at v = 0,
-m = 0 would not notice when the platform sticks. The observer (`observer.py`) estimates what is left of the disturbance, d:
+m = 0 would not notice when the platform sticks. The observer (`observer.py`) estimates d, the rest of the disturbance:
 
     M v̇ = f_c(y, i) + M d − F̂(z, v).
 
@@ -16,8 +16,8 @@ The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at 
 
     a = r̈ − λ (ẏ − ṙ) − κ σ − d + F̂/M.
 
-The size s is fitted while the law runs (`friction_size.py`). It starts low: too much friction makes limit cycles of
-micrometres, too little is harmless. Whenever s changes, d gives what F̂ takes, and the command does not jump.
+The size s of F̂ multiplies F_C and F_S, and is fitted while the law runs (`friction_size.py`). It starts low: too much
+friction makes limit cycles of micrometres, too little is harmless. When s changes, d gives what F̂ takes.
 
 At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around a resting
 reference for a while, the command is held at the mean of the last ones. When the hold ends, the difference between
@@ -102,7 +102,7 @@ def start(size: float, y: float) -> State:
 def rest_gains(band: float, speed: float, wait: float, reaching: float, period: float) -> RestGains:
     """Constants at rest; ``reaching`` is κ."""
     # The mean is over a quarter of the wait: it must forget the approach.
-    weight = 1.0 - math.exp(-4.0 * period / wait) if wait > 0.0 else 1.0
+    weight = 1.0 - math.exp(-4.0 * period / wait)
     return RestGains(band, speed, wait, weight, math.exp(-reaching * period))
 
 
@@ -136,6 +136,7 @@ def step(
 def _unit_friction(g: Gains, size: float, bristle: float, velocity: float) -> tuple[float, float]:
     """z after this sample's period, m, and the acceleration by friction divided by its size, m/s²."""
     if size <= 0.0:
+        # Only in the linearisation of `margins.py`.
         return bristle, 0.0
     coulomb, static, stribeck_velocity, stiffness, damping, viscous = g.lugre
     lugre = LuGre(size * coulomb, size * static, stribeck_velocity, stiffness, damping, viscous)

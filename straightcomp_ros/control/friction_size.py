@@ -4,8 +4,8 @@ The disturbance that an observer estimates, d in m/s², is fitted by
 
     d = c + b r + s F̄
 
-with the reference r and F̄, the acceleration by friction of size 1. The observer's estimate lags: a sampled observer with
-the poles p, p and q answers an acceleration u that acts for the samples up to the present one by
+with the reference r and F̄ = −F̂/(s M). The observer's estimate lags: with the poles p, p and q it follows an
+acceleration u, which acts from one sample to the next, by
 
     (1 − p)² (1 − q) z (z + 1) / (2 (z − p)² (z − q)) u,
 

@@ -71,7 +71,7 @@ class FrictionDesign:
         "[0, 1e-3] m",
     )
     rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
-    rest_wait: float = parameter(0.1, "Time within that band until the command is held", "[0, 10] s")
+    rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
     lugre: FrictionParameters = group(FrictionParameters, "Friction model of the law friction")
 
 
