@@ -112,24 +112,38 @@ def step(
 ) -> tuple[State, Command]:
     """One sample; see the module."""
     observed = corrected(g.loop.observer, with_measured_current(g.loop, state.prior, current), y)
-    velocity = r_dot + g.share * (observed.velocity - r_dot)
-    bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
-    fit = fitted(g.size, state.fit, r, r_dot, unit, observed.disturbance)
-    others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
-    now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
+    friction = _known_friction(g, state, observed, r, r_dot)
+    now = Estimate(observed.y, observed.velocity, friction.disturbance, observed.current)
     at = moment_after(g.loop, now, state.command, r, r_dot, r_ddot)
     sigma = at.rate_error + g.surface * at.position_error
     holding = r_ddot - g.surface * at.rate_error - at.action.disturbance
     equivalent = current_for(g.loop, at.action.y, holding)
     asked = current_for(g.loop, at.action.y, holding - g.reaching * sigma)
-    rest = _rested(g.rest, state.rest, g.loop.period, asked, r_dot, y - r)
-    asked += rest.offset
+    asked, rest = _held(g, state.rest, asked, y, r, r_dot)
     answer = limited(g.loop, asked)
     after = next_prior(g.loop, at.action, answer)
-    prior = Estimate(after.y, after.velocity, others, after.current)
-    rest = Rest(rest.time, rest.mean + g.rest.weight * (answer - rest.mean), rest.offset)
+    prior = Estimate(after.y, after.velocity, friction.others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
-    return State(prior, answer, bristle, fit, rest), command
+    return State(prior, answer, friction.bristle, friction.fit, rest), command
+
+
+class _Friction(NamedTuple):
+    """z in m, the fit, the disturbance without friction, and with it, m/s²."""
+
+    bristle: float
+    fit: Fit
+    others: float
+    disturbance: float
+
+
+@compilable
+def _known_friction(g: Gains, state: State, observed: Estimate, r: float, r_dot: float) -> _Friction:
+    """Friction from this sample to the next, and what it leaves of the observer's disturbance."""
+    velocity = r_dot + g.share * (observed.velocity - r_dot)
+    bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
+    fit = fitted(g.size, state.fit, r, r_dot, unit, observed.disturbance)
+    others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
+    return _Friction(bristle, fit, others, others + fit.size * unit)
 
 
 @compilable
@@ -145,8 +159,12 @@ def _unit_friction(g: Gains, size: float, bristle: float, velocity: float) -> tu
 
 
 @compilable
-def _rested(g: RestGains, rest: Rest, period: float, asked: float, r_dot: float, error: float) -> Rest:
-    """The time at rest with this sample, and the offset of its command."""
-    at_rest = abs(r_dot) <= g.speed and abs(error) <= g.band
-    time = rest.time + period if at_rest else 0.0
-    return Rest(time, rest.mean, rest.mean - asked if time > g.wait else g.kept * rest.offset)
+def _held(g: Gains, rest: Rest, asked: float, y: float, r: float, r_dot: float) -> tuple[float, Rest]:
+    """The command for the one that the law asks for, A, and the rest with this sample."""
+    at_rest = abs(r_dot) <= g.rest.speed and abs(y - r) <= g.rest.band
+    time = rest.time + g.loop.period if at_rest else 0.0
+    if time > g.rest.wait:
+        return rest.mean, Rest(time, rest.mean, rest.mean - asked)
+    offset = g.rest.kept * rest.offset
+    mean = rest.mean + g.rest.weight * (limited(g.loop, asked + offset) - rest.mean)
+    return asked + offset, Rest(time, mean, offset)

@@ -13,8 +13,8 @@ and F̄ passes the same lag before it is compared. c takes what is constant, b a
 them both would be taken for friction. s is the size of friction.
 
 Normal equations and forgetting as in Åström and Wittenmark, Adaptive Control, 2nd ed. 1995, ch. 2. Forgetting lets the
-covariance P grow where nothing excites a direction: it is held below `_LARGEST_VARIANCE`, and the fit is paused while
-the reference rests.
+covariance P grow where nothing excites a direction: nothing is forgotten while the trace of P would exceed
+`_LARGEST_TRACE`, and the fit is paused while the reference rests.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from straightcomp_ros.model.compiled import compilable
 
 _FIRST_VARIANCE = 1.0
 """Of c, b times the travel, and s, in units of the variance of one sample's disturbance."""
-_LARGEST_VARIANCE = 10.0
+_LARGEST_TRACE = 30.0
 _SMALLEST_SIZE = 0.1
 """Without friction in the law the fit has nothing to correct: too little is harmless, none would be a dead end."""
 
@@ -108,15 +108,10 @@ def fitted(g: SizeGains, fit: Fit, r: float, r_dot: float, unit: float, others: 
     spread = g.kept + k0 + k1 * x + k2 * f
     # s F̄ is on both sides of the equation.
     miss = (others - c - b * x) / spread
+    p00, p01, p02 = p00 - k0 * k0 / spread, p01 - k0 * k1 / spread, p02 - k0 * k2 / spread
+    p11, p12, p22 = p11 - k1 * k1 / spread, p12 - k1 * k2 / spread, p22 - k2 * k2 / spread
+    grow = 1.0 / g.kept if p00 + p11 + p22 <= _LARGEST_TRACE * g.kept else 1.0
+    s = max(_SMALLEST_SIZE, min(g.largest, s + k2 * miss))
     return Fit(
-        c + k0 * miss,
-        b + k1 * miss,
-        max(_SMALLEST_SIZE, min(g.largest, s + k2 * miss)),
-        min(_LARGEST_VARIANCE, (p00 - k0 * k0 / spread) / g.kept),
-        (p01 - k0 * k1 / spread) / g.kept,
-        (p02 - k0 * k2 / spread) / g.kept,
-        min(_LARGEST_VARIANCE, (p11 - k1 * k1 / spread) / g.kept),
-        (p12 - k1 * k2 / spread) / g.kept,
-        min(_LARGEST_VARIANCE, (p22 - k2 * k2 / spread) / g.kept),
-        lags,
+        c + k0 * miss, b + k1 * miss, s, grow * p00, grow * p01, grow * p02, grow * p11, grow * p12, grow * p22, lags
     )
