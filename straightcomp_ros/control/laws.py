@@ -1,14 +1,18 @@
 """The laws by name, and the parameters that the controller takes."""
 
+import math
 from dataclasses import dataclass
+from functools import partial
 
-from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting
+from straightcomp_ros.control import friction_law, sliding_mode, smc_observer, super_twisting
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
+from straightcomp_ros.control.friction_size import SizeGains
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.observer import Loop, nominal_loop
+from straightcomp_ros.control.observer import Loop, nominal_loop, spread_observer_gains
+from straightcomp_ros.model.lugre import FrictionParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 
-LAWS = ("linear", "smc", "super_twisting", "smc_observer")
+LAWS = ("linear", "smc", "super_twisting", "smc_observer", "friction")
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,40 @@ class TwistingDesign:
 
 
 @dataclass(frozen=True)
+class FrictionDesign:
+    """Observer, friction model and reaching law of 'friction'."""
+
+    bandwidth: float = parameter(199.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
+    third_pole: float = parameter(1.28, "Third pole of the observer relative to its bandwidth", "[0.1, 10]")
+    delay: float = parameter(0.88, "Loop delay that the observer assumes", "[0, 1] samples")
+    surface: float = parameter(559.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
+    reaching: float = parameter(383.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
+    gain_allowance: float = parameter(
+        1.7,
+        "Factor by which a current is assumed to accelerate more than nominal; above 1 leaves gain margin",
+        "[0.1, 10]",
+    )
+    velocity_share: float = parameter(
+        0.3,
+        "Share of the observed velocity in the velocity of the friction model; the rest is the reference's",
+        "[0, 1]",
+    )
+    first_size: float = parameter(
+        0.15, "Friction at the start, relative to the friction model; too much makes limit cycles", "[0.1, 10]"
+    )
+    largest_size: float = parameter(4.0, "Largest friction relative to the friction model", "[0.1, 10]")
+    memory: float = parameter(2.0, "Time constant with which the fit of friction's size forgets", "[0.1, 1000] s")
+    rest_band: float = parameter(
+        0.2e-6,
+        "Largest |y − r| at rest at which the command is held; two counts of the encoder; 0 never holds",
+        "[0, 1e-3] m",
+    )
+    rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
+    rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
+    lugre: FrictionParameters = group(FrictionParameters, "Friction model of the law friction")
+
+
+@dataclass(frozen=True)
 class ControlParameters:
     """Law, its design, and the nominal plant."""
 
@@ -46,6 +84,7 @@ class ControlParameters:
     smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
     super_twisting: TwistingDesign = group(TwistingDesign, "Law super_twisting")
     smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")
+    friction: FrictionDesign = group(FrictionDesign, "Law friction")
     nominal: NominalPlant = group(NominalPlant, "Nominal plant of the laws")
 
     def __post_init__(self) -> None:
@@ -87,7 +126,42 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
         delayed = loop(delay_samples=twisting.delay, bandwidth=twisting.bandwidth)
         gains = super_twisting.gains(twisting.surface, twisting.disturbance_rate, delayed)
         return Law(gains, super_twisting.start, super_twisting.step, compiled=True)
+    if parameters.law == "friction":
+        return _friction_law(parameters, period)
     observer = parameters.smc_observer
     delayed = loop(delay_samples=observer.delay, bandwidth=observer.bandwidth, gain_allowance=observer.gain_allowance)
     reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, delayed)
     return Law(reaching, smc_observer.start, smc_observer.step, compiled=True)
+
+
+def _friction_law(parameters: ControlParameters, period: float) -> Law:
+    design, nominal = parameters.friction, parameters.nominal
+    loop = nominal_loop(
+        nominal,
+        period=period,
+        delay_samples=design.delay,
+        bandwidth=design.bandwidth,
+        current_limit=parameters.current_limit,
+        gain_allowance=design.gain_allowance,
+    )
+    observer = spread_observer_gains(design.bandwidth, design.third_pole, period)
+    rate = 2.0 * math.pi * design.bandwidth * period
+    size = SizeGains(
+        kept=math.exp(-period / design.memory),
+        double=1.0 - math.exp(-rate),
+        third=1.0 - math.exp(-rate * design.third_pole),
+        travel=nominal.travel,
+        speed=design.rest_speed,
+        largest=design.largest_size,
+    )
+    gains = friction_law.Gains(
+        design.surface,
+        design.reaching,
+        design.velocity_share,
+        design.lugre.constants(),
+        size,
+        friction_law.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, design.reaching, period),
+        loop._replace(observer=observer),
+    )
+    first_size = min(design.first_size, design.largest_size)
+    return Law(gains, partial(friction_law.start, first_size), friction_law.step, compiled=True)

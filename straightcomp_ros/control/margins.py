@@ -87,6 +87,9 @@ def sampled_plant(nominal: NominalPlant, *, period: float, delay: float, amplifi
 def linearised(law: Law) -> StateSpace:
     """From reading (m) to commanded current (A): the law about rest at the centre, with the reference at zero.
 
+    All numbers of its state are zero there: the law 'friction' is taken without friction. States that do not act on the
+    current are left out.
+
     Raises:
         ValueError: the law is not linear there.
     """
@@ -107,7 +110,18 @@ def linearised(law: Law) -> StateSpace:
     columns, coarser = slopes(_STEP), slopes(2.0 * _STEP)
     if not np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
         raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
-    return StateSpace(columns[:size, :size], columns[:size, size], columns[size, :size], float(columns[size, size]))
+    # A clock or a paused fit would be a pole on the unit circle, though the current does not depend on it.
+    seen = _seen(columns[:size, :size], columns[size, :size])
+    a, b, c = columns[np.ix_(seen, seen)], columns[seen, size], columns[size, seen]
+    return StateSpace(a, b, c, float(columns[size, size]))
+
+
+def _seen(a: Matrix, c: Matrix) -> NDArray[np.intp]:
+    """Places of the states on which the output depends, through others too."""
+    seen = c != 0.0
+    for _ in range(len(c)):
+        seen |= np.any(a[seen] != 0.0, axis=0)
+    return np.flatnonzero(seen)
 
 
 def loop_margins(

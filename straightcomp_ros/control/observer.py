@@ -84,6 +84,15 @@ class Moment(NamedTuple):
     rate_error: float
 
 
+def spread_observer_gains(bandwidth: float, third: float, period: float) -> ObserverGains:
+    """As :func:`observer_gains`, with the third pole ``third`` times as fast as the other two."""
+    p = math.exp(-2.0 * math.pi * bandwidth * period)
+    q = math.exp(-2.0 * math.pi * bandwidth * third * period)
+    # 3 − s₁ − s₂ + 3 s₃ with the elementary symmetric polynomials of the poles.
+    velocity = 3.0 - (2.0 * p + q) - (p * p + 2.0 * p * q) + 3.0 * p * p * q
+    return ObserverGains(1.0 - p * p * q, 0.5 * velocity / period, (1.0 - p) ** 2 * (1.0 - q) / period**2)
+
+
 def observer_gains(bandwidth: float, period: float) -> ObserverGains:
     """Gains that put all poles of the sampled observer at exp(−2π bandwidth period); Hz and s."""
     pole = math.exp(-2.0 * math.pi * bandwidth * period)
@@ -194,6 +203,12 @@ def moment_of_action(
         current: measured in the coils at the sample, A; NaN where it is not measured.
     """
     now = corrected(g.observer, with_measured_current(g, prior, current), y)
+    return moment_after(g, now, command, r, r_dot, r_ddot)
+
+
+@compilable
+def moment_after(g: Loop, now: Estimate, command: float, r: float, r_dot: float, r_ddot: float) -> Moment:
+    """As :func:`moment_of_action`, from the estimate for the sample."""
     action = predicted(g.actuator, g.mass, g.before_action, now, command)
     target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
     return Moment(now, action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
