@@ -164,7 +164,8 @@ def _held(g: Gains, rest: Rest, asked: float, y: float, r: float, r_dot: float) 
     at_rest = abs(r_dot) <= g.rest.speed and abs(y - r) <= g.rest.band
     time = rest.time + g.loop.period if at_rest else 0.0
     if time > g.rest.wait:
-        return rest.mean, Rest(time, rest.mean, rest.mean - asked)
+        # A single computed command is as noisy as the reading; its mean is what the hold has kept from the platform.
+        return rest.mean, Rest(time, rest.mean, rest.offset + g.rest.weight * (rest.mean - asked - rest.offset))
     offset = g.rest.kept * rest.offset
     mean = rest.mean + g.rest.weight * (limited(g.loop, asked + offset) - rest.mean)
     return asked + offset, Rest(time, mean, offset)

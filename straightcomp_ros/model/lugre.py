@@ -33,8 +33,8 @@ class LuGre(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FrictionParameters:
-    """Friction between slider and platform."""
+class LuGreParameters:
+    """The constants of the LuGre model."""
 
     coulomb: float = parameter(0.43, "Coulomb friction F_C", "(0, 1000] N")
     static: float = parameter(0.645, "Static friction F_S, at least F_C", "(0, 1000] N")
@@ -42,11 +42,6 @@ class FrictionParameters:
     bristle_stiffness: float = parameter(1e6, "Bristle stiffness σ0", "(0, 1e+10] N/m")
     bristle_damping: float = parameter(1000.0, "Bristle damping σ1", "[0, 1e6] N·s/m")
     viscous: float = parameter(10.0, "Viscous friction σ2", "[0, 100000] N·s/m")
-    model: str = parameter("lugre", "Model of the friction: bristles, or elasto-slip blocks", choices=_MODELS)
-    maxwell_slip: MaxwellSlipParameters = group(MaxwellSlipParameters, "Simulated friction (Maxwell-slip)")
-    bands: BandParameters = group(BandParameters, "Simulated friction along y")
-    rest: RestParameters = group(RestParameters, "Simulated friction after rest")
-    step: StepParameters = group(StepParameters, "Simulated step of friction")
 
     def __post_init__(self) -> None:
         if self.static < self.coulomb:
@@ -58,6 +53,17 @@ class FrictionParameters:
     def constants(self) -> LuGre:
         """The constants of the friction functions."""
         return LuGre(*astuple(self)[: len(LuGre._fields)])
+
+
+@dataclass(frozen=True)
+class FrictionParameters(LuGreParameters):
+    """Friction between slider and platform."""
+
+    model: str = parameter("lugre", "Model of the friction: bristles, or elasto-slip blocks", choices=_MODELS)
+    maxwell_slip: MaxwellSlipParameters = group(MaxwellSlipParameters, "Simulated friction (Maxwell-slip)")
+    bands: BandParameters = group(BandParameters, "Simulated friction along y")
+    rest: RestParameters = group(RestParameters, "Simulated friction after rest")
+    step: StepParameters = group(StepParameters, "Simulated step of friction")
 
     def extension(self) -> tuple[float, ...]:
         """The constants beyond LuGre's, in the order of :mod:`straightcomp_ros.model.extended_friction`: (28,)."""
