@@ -29,7 +29,6 @@ NAMES = {
     "smc": "`smc`, with the map's rates fed forward",
     "super_twisting": "`super_twisting`, for comparison",
     "smc_observer": "`smc_observer`",
-    "friction": "`friction`",
 }
 """First cell of each law's row."""
 HEADS = (

@@ -86,7 +86,13 @@ def run(options: argparse.Namespace) -> None:
 
 def _row(summary: LawSummary) -> list[object]:
     pp = [f"{value * 1e6:.3f}" for value in summary.pp.values()]
-    return [summary.law, *pp, f"{summary.control_rms_step['p50'] * 1e3:.1f}", sum(summary.failures.values()), summary.limit_cycles]
+    return [
+        summary.law,
+        *pp,
+        f"{summary.control_rms_step['p50'] * 1e3:.1f}",
+        sum(summary.failures.values()),
+        summary.limit_cycles,
+    ]
 
 
 def _conditions(ranges: UncertaintyParameters) -> str:

@@ -4,31 +4,15 @@ import math
 from dataclasses import dataclass
 from functools import partial
 
-from straightcomp_ros.control import friction_law, sliding_mode, smc_observer, super_twisting
+from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
 from straightcomp_ros.control.friction_size import SizeGains
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.observer import Loop, nominal_loop, spread_observer_gains
-from straightcomp_ros.model.lugre import FrictionParameters
+from straightcomp_ros.control.observer import nominal_loop
+from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 
-LAWS = ("linear", "smc", "super_twisting", "smc_observer", "friction")
-
-
-@dataclass(frozen=True)
-class ObserverDesign:
-    """Observer and reaching law of 'smc_observer'."""
-
-    bandwidth: float = parameter(545.0, "Bandwidth of the extended state observer", "(0, 10000] Hz")
-    delay: float = parameter(1.0, "Loop delay that the observer assumes", "[0, 1] samples")
-    surface: float = parameter(545.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
-    reaching: float = parameter(600.0, "Rate κ at which σ decays near the surface", "(0, 100000] 1/s")
-    rho: float = parameter(5.0, "Largest reaching acceleration ρ", "(0, 10000] m/s²")
-    gain_allowance: float = parameter(
-        2.3,
-        "Factor by which a current is assumed to accelerate more than nominal; above 1 leaves gain margin",
-        "[0.1, 10]",
-    )
+LAWS = ("linear", "smc", "super_twisting", "smc_observer")
 
 
 @dataclass(frozen=True)
@@ -42,14 +26,14 @@ class TwistingDesign:
 
 
 @dataclass(frozen=True)
-class FrictionDesign:
-    """Observer, friction model and reaching law of 'friction'."""
+class ObserverDesign:
+    """Observer, friction model and reaching law of 'smc_observer'."""
 
-    bandwidth: float = parameter(199.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
+    bandwidth: float = parameter(207.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
     third_pole: float = parameter(1.28, "Third pole of the observer relative to its bandwidth", "[0.1, 10]")
     delay: float = parameter(0.88, "Loop delay that the observer assumes", "[0, 1] samples")
-    surface: float = parameter(559.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
-    reaching: float = parameter(383.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
+    surface: float = parameter(580.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
+    reaching: float = parameter(400.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
     gain_allowance: float = parameter(
         1.7,
         "Factor by which a current is assumed to accelerate more than nominal; above 1 leaves gain margin",
@@ -72,7 +56,7 @@ class FrictionDesign:
     )
     rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
     rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
-    lugre: FrictionParameters = group(FrictionParameters, "Friction model of the law friction")
+    lugre: LuGreParameters = group(LuGreParameters, "Friction model of the law smc_observer")
 
 
 @dataclass(frozen=True)
@@ -84,7 +68,6 @@ class ControlParameters:
     smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
     super_twisting: TwistingDesign = group(TwistingDesign, "Law super_twisting")
     smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")
-    friction: FrictionDesign = group(FrictionDesign, "Law friction")
     nominal: NominalPlant = group(NominalPlant, "Nominal plant of the laws")
 
     def __post_init__(self) -> None:
@@ -118,33 +101,31 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
         )
         return Law(numbers, sliding_mode.start, sliding_mode.step, compiled=True)
 
-    def loop(**chosen: float) -> Loop:
-        return nominal_loop(parameters.nominal, period=period, current_limit=parameters.current_limit, **chosen)
-
     if parameters.law == "super_twisting":
         twisting = parameters.super_twisting
-        delayed = loop(delay_samples=twisting.delay, bandwidth=twisting.bandwidth)
-        gains = super_twisting.gains(twisting.surface, twisting.disturbance_rate, delayed)
+        loop = nominal_loop(
+            parameters.nominal,
+            period=period,
+            delay_samples=twisting.delay,
+            bandwidth=twisting.bandwidth,
+            current_limit=parameters.current_limit,
+        )
+        gains = super_twisting.gains(twisting.surface, twisting.disturbance_rate, loop)
         return Law(gains, super_twisting.start, super_twisting.step, compiled=True)
-    if parameters.law == "friction":
-        return _friction_law(parameters, period)
-    observer = parameters.smc_observer
-    delayed = loop(delay_samples=observer.delay, bandwidth=observer.bandwidth, gain_allowance=observer.gain_allowance)
-    reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, delayed)
-    return Law(reaching, smc_observer.start, smc_observer.step, compiled=True)
+    return _smc_observer(parameters, period)
 
 
-def _friction_law(parameters: ControlParameters, period: float) -> Law:
-    design, nominal = parameters.friction, parameters.nominal
+def _smc_observer(parameters: ControlParameters, period: float) -> Law:
+    design, nominal = parameters.smc_observer, parameters.nominal
     loop = nominal_loop(
         nominal,
         period=period,
         delay_samples=design.delay,
         bandwidth=design.bandwidth,
         current_limit=parameters.current_limit,
+        third_pole=design.third_pole,
         gain_allowance=design.gain_allowance,
     )
-    observer = spread_observer_gains(design.bandwidth, design.third_pole, period)
     rate = 2.0 * math.pi * design.bandwidth * period
     size = SizeGains(
         kept=math.exp(-period / design.memory),
@@ -154,14 +135,14 @@ def _friction_law(parameters: ControlParameters, period: float) -> Law:
         speed=design.rest_speed,
         largest=design.largest_size,
     )
-    gains = friction_law.Gains(
+    gains = smc_observer.Gains(
         design.surface,
         design.reaching,
         design.velocity_share,
         design.lugre.constants(),
         size,
-        friction_law.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, design.reaching, period),
-        loop._replace(observer=observer),
+        smc_observer.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, period),
+        loop,
     )
     first_size = min(design.first_size, design.largest_size)
-    return Law(gains, partial(friction_law.start, first_size), friction_law.step, compiled=True)
+    return Law(gains, partial(smc_observer.start, first_size), smc_observer.step, compiled=True)

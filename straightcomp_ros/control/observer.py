@@ -84,23 +84,19 @@ class Moment(NamedTuple):
     rate_error: float
 
 
-def spread_observer_gains(bandwidth: float, third: float, period: float) -> ObserverGains:
-    """As :func:`observer_gains`, with the third pole ``third`` times as fast as the other two."""
+def observer_gains(bandwidth: float, third_pole: float, period: float) -> ObserverGains:
+    """Gains that put two poles of the sampled observer at exp(−2π bandwidth period), the third at a power of it.
+
+    Args:
+        bandwidth: Hz.
+        third_pole: the power, i.e. the third pole's bandwidth relative to the other two.
+        period: s.
+    """
     p = math.exp(-2.0 * math.pi * bandwidth * period)
-    q = math.exp(-2.0 * math.pi * bandwidth * third * period)
+    q = math.exp(-2.0 * math.pi * bandwidth * third_pole * period)
     # 3 − s₁ − s₂ + 3 s₃ with the elementary symmetric polynomials of the poles.
     velocity = 3.0 - (2.0 * p + q) - (p * p + 2.0 * p * q) + 3.0 * p * p * q
     return ObserverGains(1.0 - p * p * q, 0.5 * velocity / period, (1.0 - p) ** 2 * (1.0 - q) / period**2)
-
-
-def observer_gains(bandwidth: float, period: float) -> ObserverGains:
-    """Gains that put all poles of the sampled observer at exp(−2π bandwidth period); Hz and s."""
-    pole = math.exp(-2.0 * math.pi * bandwidth * period)
-    return ObserverGains(
-        1.0 - pole**3,
-        1.5 * (1.0 - pole) ** 2 * (1.0 + pole) / period,
-        (1.0 - pole) ** 3 / period**2,
-    )
 
 
 def interval(amplifier_rate: float, duration: float) -> Interval:
@@ -116,6 +112,7 @@ def nominal_loop(
     delay_samples: float,
     bandwidth: float,
     current_limit: float,
+    third_pole: float = 1.0,
     gain_allowance: float = 1.0,
 ) -> Loop:
     """The loop around the nominal plant.
@@ -126,6 +123,7 @@ def nominal_loop(
         delay_samples: delay of a command, in periods, at most 1.
         bandwidth: of the observer, Hz.
         current_limit: A.
+        third_pole: of the observer, relative to ``bandwidth``.
         gain_allowance: factor of the stiffnesses K̄_i and K̄_y. It equals dividing M; the equilibrium does not move.
     """
     rate = 2.0 * math.pi * nominal.amplifier_bandwidth
@@ -141,7 +139,7 @@ def nominal_loop(
         current_limit,
         nominal.actuator.current_stiffness / mass,
         (acting - risen / rate) / (period * risen) if risen > 0.0 else 0.0,
-        observer_gains(bandwidth, period),
+        observer_gains(bandwidth, third_pole, period),
         nominal.actuator.constants(),
     )
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.control.friction_size import Lags, SizeGains, fit_at_start, fitted, lagged
-from straightcomp_ros.control.observer import spread_observer_gains
+from straightcomp_ros.control.observer import observer_gains
 
 PERIOD, BANDWIDTH, THIRD = 5e-4, 199.0, 1.28
 POLE = math.exp(-2.0 * math.pi * BANDWIDTH * PERIOD)
@@ -32,7 +32,7 @@ def after(count, size, *, first=0.15, constant=0.0, slope=0.0, noise=0.0):
 
 
 def test_the_lags_are_those_of_the_observers_estimate_of_an_acceleration():
-    gains = np.array(spread_observer_gains(BANDWIDTH, THIRD, PERIOD))
+    gains = np.array(observer_gains(BANDWIDTH, THIRD, PERIOD))
     step = np.array([[1, PERIOD, PERIOD**2 / 2], [0, 1, PERIOD], [0, 0, 1]])
     estimate, plant, lags = np.zeros(3), np.zeros(3), Lags(0.0, 0.0, 0.0, 0.0, 0.0)
     source = random.Random(2)

@@ -32,13 +32,7 @@ def test_fast_sampling_without_lag_gives_the_continuous_poles_of_the_design():
 
 @pytest.mark.parametrize(
     ("name", "gain_low", "gain_high", "phase"),
-    # 'smc_observer' trades margin against weak machines, which friction helps, for margin against strong ones.
-    [
-        ("linear", 0.3, 3.0, 35.0),
-        ("smc", 0.3, 1.9, 25.0),
-        ("smc_observer", 0.7, 2.5, 13.0),
-        ("friction", 0.5, 2.7, 22.0),
-    ],
+    [("linear", 0.3, 3.0, 35.0), ("smc", 0.3, 1.9, 25.0), ("smc_observer", 0.6, 2.4, 20.0)],
 )
 def test_every_default_law_is_stable_with_margins_to_each_side(name, gain_low, gain_high, phase):
     margins = loop_margins(law(name), NOMINAL, **LOOP)
@@ -48,7 +42,7 @@ def test_every_default_law_is_stable_with_margins_to_each_side(name, gain_low, g
     assert margins.longest_delay > PERIOD
 
 
-@pytest.mark.parametrize("name", ["linear", "smc", "smc_observer", "friction"])
+@pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
 def test_beyond_its_margins_the_loop_is_unstable(name):
     margins = loop_margins(law(name), NOMINAL, **LOOP)
     late = {**LOOP, "delay": margins.longest_delay * 1.01}
@@ -57,7 +51,7 @@ def test_beyond_its_margins_the_loop_is_unstable(name):
     assert max(abs(loop_margins(law(name), NOMINAL, **in_time).poles)) < 1.0
 
 
-@pytest.mark.parametrize("name", ["linear", "smc", "smc_observer", "friction"])
+@pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
 def test_a_loop_turned_by_its_phase_margin_is_on_the_border_of_stability(name):
     margins = loop_margins(law(name), NOMINAL, **LOOP)
     plant, controller = sampled_plant(NOMINAL, **LOOP), linearised(law(name))

@@ -35,7 +35,7 @@ def test_the_two_parts_of_a_period_are_divided_at_the_delay(delay):
     assert (found.period, found.delay) == (PERIOD, pytest.approx(delay * PERIOD))
     assert found.before_action == interval(rate, delay * PERIOD)
     assert found.after_action == interval(rate, (1.0 - delay) * PERIOD)
-    assert found.observer == observer_gains(200.0, PERIOD)
+    assert found.observer == observer_gains(200.0, 1.0, PERIOD)
     assert (found.mass, found.current_limit) == (3.0, 0.9)
     slope = (magnetic_force(CONSTANTS, 0.0, CONSTANTS.bias_current, 1e-6)) / 1e-6 / 3.0
     assert found.current_gain == pytest.approx(slope, rel=1e-6)

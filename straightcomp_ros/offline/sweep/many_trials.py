@@ -72,12 +72,16 @@ def _batches(trials: Sequence[int], workers: int) -> list[Sequence[int]]:
     return [trials[start : start + size] for start in range(0, len(trials), size)]
 
 
-def _on_this_machine(jobs: int, scenario: Scenario, seed: int, batches: Sequence[Sequence[int]]) -> Iterator[list[TrialResult]]:
+def _on_this_machine(
+    jobs: int, scenario: Scenario, seed: int, batches: Sequence[Sequence[int]]
+) -> Iterator[list[TrialResult]]:
     parallel = Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered")
     return iter(parallel(delayed(run_trials)(scenario, seed, batch) for batch in batches))
 
 
-def _on_dask(address: str, scenario: Scenario, seed: int, batches: Sequence[Sequence[int]]) -> Iterator[list[TrialResult]]:
+def _on_dask(
+    address: str, scenario: Scenario, seed: int, batches: Sequence[Sequence[int]]
+) -> Iterator[list[TrialResult]]:
     try:
         from distributed import Client, as_completed
     except ImportError as error:
@@ -142,7 +146,8 @@ class LawSummary:
             "limit_cycles": self.limit_cycles,
             "worst_trial": self.worst_trial,
             "outliers": [
-                {"trial": trial, "pp_um": pp * 1e6 if math.isfinite(pp) else None} for trial, pp in self.outliers.items()
+                {"trial": trial, "pp_um": pp * 1e6 if math.isfinite(pp) else None}
+                for trial, pp in self.outliers.items()
             ],
         }
 

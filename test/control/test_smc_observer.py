@@ -5,8 +5,8 @@ import pytest
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
-from straightcomp_ros.control.laws import ControlParameters, FrictionDesign, make_law
-from straightcomp_ros.control.observer import spread_observer_gains
+from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
+from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.model.lugre import bristle_after, friction_force
 from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
 from straightcomp_ros.settings.share import share_path
@@ -18,8 +18,7 @@ SETTLE = 0.5
 def stroke(delay=0.5, friction=1.0, **design):
     """Record and metrics of a stroke whose plant has ``friction`` times the nominal friction."""
     values = read_parameter_file(share_path("config/straightcomp.yaml"))
-    values["controller"].update({"control.law": "friction"})
-    values["controller"].update({f"control.friction.{name}": value for name, value in design.items()})
+    values["controller"].update({f"control.smc_observer.{name}": value for name, value in design.items()})
     for name in ("coulomb", "static"):
         values["driver"][f"simulated.plant.friction.{name}"] *= friction
     values["driver"]["lockstep_delay"] = delay
@@ -29,12 +28,12 @@ def stroke(delay=0.5, friction=1.0, **design):
 
 
 def law(**design):
-    return make_law(ControlParameters(law="friction", friction=FrictionDesign(**design)), T)
+    return make_law(ControlParameters(smc_observer=ObserverDesign(**design)), T)
 
 
 @pytest.mark.parametrize("third", [0.5, 1.0, 1.28])
 def test_the_observers_gains_place_two_poles_at_its_bandwidth_and_the_third_beside(third):
-    gains = np.array(spread_observer_gains(150.0, third, T))
+    gains = np.array(observer_gains(150.0, third, T))
     step = np.array([[1, T, T**2 / 2], [0, 1, T], [0, 0, 1]])
     poles = np.sort(abs(np.linalg.eigvals(step @ (np.eye(3) - np.outer(gains, [1, 0, 0])))))
     pole = math.exp(-2 * math.pi * 150.0 * T)
@@ -43,7 +42,7 @@ def test_the_observers_gains_place_two_poles_at_its_bandwidth_and_the_third_besi
 
 @pytest.mark.no_cover  # whole strokes, which take three times as long under it
 @pytest.mark.parametrize("friction", [0.33, 1.0, 2.0])
-def test_a_stroke_with_unknown_friction_leaves_less_error_at_a_fifth_of_the_default_laws_steps(friction):
+def test_a_stroke_with_unknown_friction_leaves_little_error_at_small_steps_of_the_current(friction):
     metrics = stroke(friction=friction)[1]
     assert metrics.true_pp < 0.2e-6 and metrics.true_rms < 0.026e-6
     assert metrics.control_rms_step < 4e-3
@@ -97,8 +96,8 @@ def test_a_moving_reference_ends_the_hold():
 
 
 def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observed_velocity():
-    design = FrictionDesign(first_size=1.0, velocity_share=0.25)
-    one = make_law(ControlParameters(law="friction", friction=design), T)
+    design = ObserverDesign(first_size=1.0, velocity_share=0.25)
+    one = make_law(ControlParameters(smc_observer=design), T)
     state = one.start(0.0)
     state = state._replace(prior=state.prior._replace(velocity=4e-5))
     state, answer = one.function(one.gains, state, 0.0, 0.0, 1e-4, 0.0, math.nan)
