@@ -6,13 +6,18 @@ from functools import partial
 
 from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
-from straightcomp_ros.control.friction_size import SizeGains
+from straightcomp_ros.control.friction_size import LagWeights, SizeGains
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.observer import nominal_loop
+from straightcomp_ros.control.observer import nominal_loop, observer_gains
 from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 
 LAWS = ("linear", "smc", "super_twisting", "smc_observer")
+
+_MISFIT_BANDWIDTH = 60.0
+"""Hz; lower than the encoder's noise, higher than the reversals of friction."""
+_MISFIT_MEMORY = 0.3
+"""s; some reversals of the map at the shipped speed."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +34,11 @@ class TwistingDesign:
 class ObserverDesign:
     """Observer, friction model and reaching law of 'smc_observer'."""
 
-    bandwidth: float = parameter(207.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
+    bandwidth: float = parameter(203.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
     third_pole: float = parameter(1.28, "Third pole of the observer relative to its bandwidth", "[0.1, 10]")
     delay: float = parameter(0.88, "Loop delay that the observer assumes", "[0, 1] samples")
-    surface: float = parameter(580.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
-    reaching: float = parameter(400.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
+    surface: float = parameter(569.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
+    reaching: float = parameter(392.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
     gain_allowance: float = parameter(
         1.7,
         "Factor by which a current is assumed to accelerate more than nominal; above 1 leaves gain margin",
@@ -49,6 +54,10 @@ class ObserverDesign:
     )
     largest_size: float = parameter(4.0, "Largest friction relative to the friction model", "[0.1, 10]")
     memory: float = parameter(2.0, "Time constant with which the fit of friction's size forgets", "[0.1, 1000] s")
+    misfit: float = parameter(
+        0.1, "RMS that the friction model leaves unexplained, relative to F_C, from which the law stiffens", "(0, 100]"
+    )
+    stiffening: float = parameter(1.4, "Factor of bandwidth, λ and κ from twice that misfit on", "[1, 10]")
     rest_band: float = parameter(
         0.2e-6,
         "Largest |y − r| at rest at which the command is held; two counts of the encoder; 0 never holds",
@@ -126,23 +135,35 @@ def _smc_observer(parameters: ControlParameters, period: float) -> Law:
         third_pole=design.third_pole,
         gain_allowance=design.gain_allowance,
     )
-    rate = 2.0 * math.pi * design.bandwidth * period
     size = SizeGains(
         kept=math.exp(-period / design.memory),
-        double=1.0 - math.exp(-rate),
-        third=1.0 - math.exp(-rate * design.third_pole),
+        smooth=1.0 - math.exp(-2.0 * math.pi * _MISFIT_BANDWIDTH * period),
+        mean=1.0 - math.exp(-period / _MISFIT_MEMORY),
         travel=nominal.travel,
         speed=design.rest_speed,
         largest=design.largest_size,
     )
     gains = smc_observer.Gains(
-        design.surface,
-        design.reaching,
+        _stiffness(design, 1.0, period),
+        _stiffness(design, design.stiffening, period),
         design.velocity_share,
+        design.misfit * design.lugre.coulomb / loop.mass,
         design.lugre.constants(),
         size,
         smc_observer.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, period),
         loop,
     )
-    first_size = min(design.first_size, design.largest_size)
-    return Law(gains, partial(smc_observer.start, first_size), smc_observer.step, compiled=True)
+    start = partial(smc_observer.start, min(design.first_size, design.largest_size), gains.misfit)
+    return Law(gains, start, smc_observer.step, compiled=True)
+
+
+def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_observer.Stiffness:
+    """The law with bandwidth, λ and κ times ``factor``."""
+    bandwidth = factor * design.bandwidth
+    rate = 2.0 * math.pi * bandwidth * period
+    return smc_observer.Stiffness(
+        factor * design.surface,
+        factor * design.reaching,
+        observer_gains(bandwidth, design.third_pole, period),
+        LagWeights(1.0 - math.exp(-rate), 1.0 - math.exp(-rate * design.third_pole)),
+    )

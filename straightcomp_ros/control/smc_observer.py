@@ -19,6 +19,10 @@ The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at 
 The size s of F̂ multiplies F_C and F_S, and is fitted while the law runs (`friction_size.py`). It starts low: too much
 friction makes limit cycles of micrometres, too little is harmless. When s changes, d gives what F̂ takes.
 
+Where the model explains the friction, a slow observer and little gain leave the least error, and the coils are quiet.
+Where it does not, the loop itself has to follow friction. The fit tells: the RMS of what it leaves unexplained moves
+the observer's bandwidth, λ and κ between two sets, the quiet one and one that is stiffer by a factor.
+
 At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around a resting
 reference for a while, the command is held at the mean of the last ones. When the hold ends, the mean difference between
 held and computed command decays slowly, so that leaving rest makes no bump.
@@ -26,17 +30,18 @@ held and computed command decays slowly, so that leaving rest makes no bump.
 Tuning: first `gain_allowance`, the assumed acceleration per current relative to nominal. More of it lowers the loop's
 gain: machines with strong magnets, little mass or late commands stay stable; too much, and a weak machine does not hold
 against the negative stiffness (`margins.py` gives both limits). Then the observer's bandwidth, λ and κ together. With
-T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.221/T_d in Hz, λ = 0.62/T_d, κ = 0.427/T_d.
+T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.217/T_d in Hz, λ = 0.608/T_d, κ = 0.419/T_d.
 """
 
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.friction_size import Fit, SizeGains, fit_at_start, fitted
+from straightcomp_ros.control.friction_size import Fit, LagWeights, SizeGains, fit_at_start, fitted
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.observer import (
     Estimate,
     Loop,
+    ObserverGains,
     corrected,
     current_for,
     limited,
@@ -64,12 +69,25 @@ class RestGains(NamedTuple):
     weight: float
 
 
-class Gains(NamedTuple):
-    """λ and κ in 1/s, the share m, the friction model, and the constants of fit, rest and loop."""
+class Stiffness(NamedTuple):
+    """λ and κ in 1/s, the observer's gains, and the weights of its lags."""
 
     surface: float
     reaching: float
+    observer: ObserverGains
+    lags: LagWeights
+
+
+class Gains(NamedTuple):
+    """The law at its quietest and stiffest, the share m, the misfit in m/s² from which it stiffens, other constants.
+
+    At twice that misfit the law is at its stiffest.
+    """
+
+    quiet: Stiffness
+    stiff: Stiffness
     share: float
+    misfit: float
     lugre: LuGre
     size: SizeGains
     rest: RestGains
@@ -94,9 +112,9 @@ class State(NamedTuple):
     rest: Rest
 
 
-def start(size: float, y: float) -> State:
-    """State at rest at ``y`` in m, with ``size`` of friction."""
-    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0))
+def start(size: float, misfit: float, y: float) -> State:
+    """State at rest at ``y`` in m, with ``size`` of friction, and stiff until the misfit is below ``misfit`` m/s²."""
+    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size, 2.0 * misfit), Rest(0.0, 0.0, 0.0))
 
 
 def rest_gains(band: float, speed: float, wait: float, period: float) -> RestGains:
@@ -111,20 +129,43 @@ def step(
     g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
 ) -> tuple[State, Command]:
     """One sample; see the module."""
-    observed = corrected(g.loop.observer, with_measured_current(g.loop, state.prior, current), y)
-    friction = _known_friction(g, state, observed, r, r_dot)
+    s = _stiffness(g, state.fit.misfit_square)
+    observed = corrected(s.observer, with_measured_current(g.loop, state.prior, current), y)
+    friction = _known_friction(g, s, state, observed, r, r_dot)
     now = Estimate(observed.y, observed.velocity, friction.disturbance, observed.current)
     at = moment_after(g.loop, now, state.command, r, r_dot, r_ddot)
-    sigma = at.rate_error + g.surface * at.position_error
-    holding = r_ddot - g.surface * at.rate_error - at.action.disturbance
+    sigma = at.rate_error + s.surface * at.position_error
+    holding = r_ddot - s.surface * at.rate_error - at.action.disturbance
     equivalent = current_for(g.loop, at.action.y, holding)
-    asked = current_for(g.loop, at.action.y, holding - g.reaching * sigma)
+    asked = current_for(g.loop, at.action.y, holding - s.reaching * sigma)
     asked, rest = _held(g, state.rest, asked, y, r, r_dot)
     answer = limited(g.loop, asked)
     after = next_prior(g.loop, at.action, answer)
     prior = Estimate(after.y, after.velocity, friction.others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
     return State(prior, answer, friction.bristle, friction.fit, rest), command
+
+
+@compilable
+def _stiffness(g: Gains, misfit_square: float) -> Stiffness:
+    """Between quiet and stiff, by the mean square of the misfit in (m/s²)²."""
+    share = max(0.0, min(1.0, math.sqrt(max(0.0, misfit_square)) / g.misfit - 1.0))
+    a, b = g.quiet, g.stiff
+    return Stiffness(
+        _between(a.surface, b.surface, share),
+        _between(a.reaching, b.reaching, share),
+        ObserverGains(
+            _between(a.observer.position, b.observer.position, share),
+            _between(a.observer.velocity, b.observer.velocity, share),
+            _between(a.observer.disturbance, b.observer.disturbance, share),
+        ),
+        LagWeights(_between(a.lags.double, b.lags.double, share), _between(a.lags.third, b.lags.third, share)),
+    )
+
+
+@compilable
+def _between(one: float, other: float, share: float) -> float:
+    return one + share * (other - one)
 
 
 class _Friction(NamedTuple):
@@ -137,11 +178,11 @@ class _Friction(NamedTuple):
 
 
 @compilable
-def _known_friction(g: Gains, state: State, observed: Estimate, r: float, r_dot: float) -> _Friction:
+def _known_friction(g: Gains, s: Stiffness, state: State, observed: Estimate, r: float, r_dot: float) -> _Friction:
     """Friction from this sample to the next, and what it leaves of the observer's disturbance."""
     velocity = r_dot + g.share * (observed.velocity - r_dot)
     bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
-    fit = fitted(g.size, state.fit, r, r_dot, unit, observed.disturbance)
+    fit = fitted(g.size, s.lags, state.fit, r, r_dot, unit, observed.disturbance)
     others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
     return _Friction(bristle, fit, others, others + fit.size * unit)
 
