@@ -30,7 +30,7 @@ held and computed command decays slowly, so that leaving rest makes no bump.
 Tuning: first `gain_allowance`, the assumed acceleration per current relative to nominal. More of it lowers the loop's
 gain: machines with strong magnets, little mass or late commands stay stable; too much, and a weak machine does not hold
 against the negative stiffness (`margins.py` gives both limits). Then the observer's bandwidth, λ and κ together. With
-T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.217/T_d in Hz, λ = 0.608/T_d, κ = 0.419/T_d.
+T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.22/T_d in Hz, λ = 0.616/T_d, κ = 0.425/T_d.
 """
 
 import math
