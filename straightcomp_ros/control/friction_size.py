@@ -84,10 +84,10 @@ class Fit(NamedTuple):
     lags: Lags
 
 
-def fit_at_start(size: float, misfit: float) -> Fit:
-    """The fit before the first sample, with an RMS misfit in m/s² to begin with."""
+def fit_at_start(size: float) -> Fit:
+    """The fit before the first sample."""
     p = _FIRST_VARIANCE
-    return Fit(0.0, 0.0, size, p, 0.0, 0.0, p, 0.0, p, 0.0, misfit * misfit, Lags(0.0, 0.0, 0.0, 0.0, 0.0))
+    return Fit(0.0, 0.0, size, p, 0.0, 0.0, p, 0.0, p, 0.0, 0.0, Lags(0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 @compilable

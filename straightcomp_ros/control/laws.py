@@ -34,13 +34,13 @@ class TwistingDesign:
 class ObserverDesign:
     """Observer, friction model and reaching law of 'smc_observer'."""
 
-    bandwidth: float = parameter(206.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
+    bandwidth: float = parameter(205.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
     third_pole: float = parameter(1.28, "Third pole of the observer relative to its bandwidth", "[0.1, 10]")
     delay: float = parameter(0.88, "Loop delay that the observer assumes", "[0, 1] samples")
-    surface: float = parameter(577.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
-    reaching: float = parameter(398.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
+    surface: float = parameter(575.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
+    reaching: float = parameter(396.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
     gain_allowance: float = parameter(
-        1.75,
+        1.7,
         "Factor by which a current is assumed to accelerate more than nominal; above 1 leaves gain margin",
         "[0.1, 10]",
     )
@@ -153,8 +153,8 @@ def _smc_observer(parameters: ControlParameters, period: float) -> Law:
         smc_observer.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, period),
         loop,
     )
-    start = partial(smc_observer.start, min(design.first_size, design.largest_size), gains.misfit)
-    return Law(gains, start, smc_observer.step, compiled=True)
+    first_size = min(design.first_size, design.largest_size)
+    return Law(gains, partial(smc_observer.start, first_size), smc_observer.step, compiled=True)
 
 
 def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_observer.Stiffness:

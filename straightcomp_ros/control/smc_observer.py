@@ -30,7 +30,7 @@ held and computed command decays slowly, so that leaving rest makes no bump.
 Tuning: first `gain_allowance`, the assumed acceleration per current relative to nominal. More of it lowers the loop's
 gain: machines with strong magnets, little mass or late commands stay stable; too much, and a weak machine does not hold
 against the negative stiffness (`margins.py` gives both limits). Then the observer's bandwidth, λ and κ together. With
-T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.22/T_d in Hz, λ = 0.616/T_d, κ = 0.425/T_d.
+T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.219/T_d in Hz, λ = 0.614/T_d, κ = 0.423/T_d.
 """
 
 import math
@@ -112,9 +112,9 @@ class State(NamedTuple):
     rest: Rest
 
 
-def start(size: float, misfit: float, y: float) -> State:
-    """State at rest at ``y`` in m, with ``size`` of friction, and stiff until the misfit is below ``misfit`` m/s²."""
-    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size, 2.0 * misfit), Rest(0.0, 0.0, 0.0))
+def start(size: float, y: float) -> State:
+    """State at rest at ``y`` in m, with ``size`` of friction."""
+    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0))
 
 
 def rest_gains(band: float, speed: float, wait: float, period: float) -> RestGains:

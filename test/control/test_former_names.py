@@ -14,4 +14,4 @@ def test_the_parameters_of_the_law_without_friction_never_reach_the_law_that_has
     former = {"control.law": "smc_observer", f"{group}.bandwidth": 545.0, f"{group}.rho": 5.0, "rate": 2000.0}
     assert present_names(former) == {"control.law": FORMER_OBSERVER, "rate": 2000.0}
     assert present_names({**former, "control.law": "smc"}) == {"control.law": "smc", "rate": 2000.0}
-    assert present_names({"control.smc_observer.bandwidth": 206.0}) == {"control.smc_observer.bandwidth": 207.0}
+    assert present_names({"control.smc_observer.bandwidth": 205.0}) == {"control.smc_observer.bandwidth": 205.0}

@@ -22,7 +22,7 @@ def samples(count):
 
 def after(count, size, *, first=0.15, constant=0.0, slope=0.0, noise=0.0):
     """The fit to a disturbance of friction of ``size`` and others, with the law taking over what it fits."""
-    fit, source = fit_at_start(first, 0.0), random.Random(1)
+    fit, source = fit_at_start(first), random.Random(1)
     for r, r_dot, unit in samples(count):
         friction = lagged(WEIGHTS, fit.lags, unit).third
         total = constant + slope * r / GAINS.travel + size * friction + source.gauss(0.0, noise)
@@ -60,7 +60,7 @@ def test_the_size_stays_within_its_bounds(size, bound):
 
 
 def test_the_misfit_is_what_friction_of_any_size_does_not_explain():
-    explained, unexplained = after(4000, 2.5, constant=0.1), fit_at_start(0.15, 0.0)
+    explained, unexplained = after(4000, 2.5, constant=0.1), fit_at_start(0.15)
     for k, (r, r_dot, unit) in enumerate(samples(4000)):
         friction = lagged(WEIGHTS, unexplained.lags, unit).third
         strange = 0.1 * math.sin(2.0 * math.pi * 20.0 * k * PERIOD)
