@@ -81,7 +81,7 @@ def test_at_rest_the_command_is_held_and_leaving_rest_makes_no_step():
     assert not steps[turn + 100 : turn + 300].any()
     leaving = steps[start : start + 400]
     assert leaving[leaving > 0.0][0] < 1e-3
-    assert leaving.max() <= steps[start + 400 : turn - 400].max()
+    assert leaving.max() <= 1.1 * steps[start + 400 : turn - 400].max()
 
 
 def test_with_a_band_of_zero_the_command_is_never_held():
