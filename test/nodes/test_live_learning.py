@@ -1,4 +1,4 @@
-"""Learning from stroke to stroke in a graph that runs in real time; other tests compare lockstep with the simulation."""
+"""Learning from stroke to stroke in a graph in real time; other tests compare lockstep with the simulation."""
 
 import numpy as np
 import pytest
