@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 
-from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting
+from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
 from straightcomp_ros.control.friction_size import LagWeights, SizeGains
 from straightcomp_ros.control.law import Law
@@ -12,22 +12,12 @@ from straightcomp_ros.control.observer import nominal_loop, observer_gains
 from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 
-LAWS = ("linear", "smc", "super_twisting", "smc_observer")
+LAWS = ("linear", "smc", "smc_observer")
 
 _MISFIT_BANDWIDTH = 60.0
 """Hz; lower than the encoder's noise, higher than the reversals of friction."""
 _MISFIT_MEMORY = 0.3
 """s; some reversals of the map at the shipped speed."""
-
-
-@dataclass(frozen=True)
-class TwistingDesign:
-    """Observer and gains of 'super_twisting'."""
-
-    bandwidth: float = parameter(200.0, "Bandwidth of the extended state observer", "(0, 10000] Hz")
-    delay: float = parameter(0.5, "Loop delay that the observer assumes", "[0, 1] samples")
-    surface: float = parameter(500.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
-    disturbance_rate: float = parameter(10.0, "Bound L of the disturbance's rate", "(0, 1e6] m/s³")
 
 
 @dataclass(frozen=True)
@@ -75,7 +65,6 @@ class ControlParameters:
     law: str = parameter("smc_observer", "Control law", choices=LAWS)
     current_limit: float = parameter(0.9, "Largest control current |i_c| of a law", "(0, 100] A")
     smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
-    super_twisting: TwistingDesign = group(TwistingDesign, "Law super_twisting")
     smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")
     nominal: NominalPlant = group(NominalPlant, "Nominal plant of the laws")
 
@@ -109,18 +98,6 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
             current_limit=parameters.current_limit,
         )
         return Law(numbers, sliding_mode.start, sliding_mode.step, compiled=True)
-
-    if parameters.law == "super_twisting":
-        twisting = parameters.super_twisting
-        loop = nominal_loop(
-            parameters.nominal,
-            period=period,
-            delay_samples=twisting.delay,
-            bandwidth=twisting.bandwidth,
-            current_limit=parameters.current_limit,
-        )
-        gains = super_twisting.gains(twisting.surface, twisting.disturbance_rate, loop)
-        return Law(gains, super_twisting.start, super_twisting.step, compiled=True)
     return _smc_observer(parameters, period)
 
 
@@ -130,9 +107,7 @@ def _smc_observer(parameters: ControlParameters, period: float) -> Law:
         nominal,
         period=period,
         delay_samples=design.delay,
-        bandwidth=design.bandwidth,
         current_limit=parameters.current_limit,
-        third_pole=design.third_pole,
         gain_allowance=design.gain_allowance,
     )
     size = SizeGains(

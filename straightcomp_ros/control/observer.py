@@ -71,14 +71,12 @@ class Loop(NamedTuple):
     current_limit: float
     current_gain: float
     current_share: float
-    observer: ObserverGains
     actuator: Actuator
 
 
 class Moment(NamedTuple):
-    """Estimate for the sample, estimate for the moment of action, and the errors y − r and ẏ − ṙ there."""
+    """Estimate for the moment of action, and the errors y − r and ẏ − ṙ there."""
 
-    now: Estimate
     action: Estimate
     position_error: float
     rate_error: float
@@ -110,9 +108,7 @@ def nominal_loop(
     *,
     period: float,
     delay_samples: float,
-    bandwidth: float,
     current_limit: float,
-    third_pole: float = 1.0,
     gain_allowance: float = 1.0,
 ) -> Loop:
     """The loop around the nominal plant.
@@ -121,9 +117,7 @@ def nominal_loop(
         nominal: the plant.
         period: s.
         delay_samples: delay of a command, in periods, at most 1.
-        bandwidth: of the observer, Hz.
         current_limit: A.
-        third_pole: of the observer, relative to ``bandwidth``.
         gain_allowance: factor of the stiffnesses K̄_i and K̄_y. It equals dividing M; the equilibrium does not move.
     """
     rate = 2.0 * math.pi * nominal.amplifier_bandwidth
@@ -139,7 +133,6 @@ def nominal_loop(
         current_limit,
         nominal.actuator.current_stiffness / mass,
         (acting - risen / rate) / (period * risen) if risen > 0.0 else 0.0,
-        observer_gains(bandwidth, third_pole, period),
         nominal.actuator.constants(),
     )
 
@@ -189,27 +182,18 @@ def with_measured_current(g: Loop, prior: Estimate, current: float) -> Estimate:
 
 
 @compilable
-def moment_of_action(
-    g: Loop, prior: Estimate, command: float, y: float, r: float, r_dot: float, r_ddot: float, current: float
-) -> Moment:
-    """Estimates and errors for a sample: reading y in m, reference r in m with its rates.
+def moment_of_action(g: Loop, now: Estimate, command: float, r: float, r_dot: float, r_ddot: float) -> Moment:
+    """Estimate and errors at the moment at which the answer to a sample acts.
 
     Args:
         g: the loop.
-        prior: the sample as predicted.
-        command: current in A that the amplifier is commanded until the answer to this sample acts.
-        current: measured in the coils at the sample, A; NaN where it is not measured.
+        now: estimate for the sample.
+        command: current in A that the amplifier is commanded until then.
+        r, r_dot, r_ddot: reference of the sample, m, m/s, m/s².
     """
-    now = corrected(g.observer, with_measured_current(g, prior, current), y)
-    return moment_after(g, now, command, r, r_dot, r_ddot)
-
-
-@compilable
-def moment_after(g: Loop, now: Estimate, command: float, r: float, r_dot: float, r_ddot: float) -> Moment:
-    """As :func:`moment_of_action`, from the estimate for the sample."""
     action = predicted(g.actuator, g.mass, g.before_action, now, command)
     target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
-    return Moment(now, action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
+    return Moment(action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
 
 
 @compilable

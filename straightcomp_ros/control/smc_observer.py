@@ -45,7 +45,7 @@ from straightcomp_ros.control.observer import (
     corrected,
     current_for,
     limited,
-    moment_after,
+    moment_of_action,
     next_prior,
     with_measured_current,
 )
@@ -133,7 +133,7 @@ def step(
     observed = corrected(s.observer, with_measured_current(g.loop, state.prior, current), y)
     friction = _known_friction(g, s, state, observed, r, r_dot)
     now = Estimate(observed.y, observed.velocity, friction.disturbance, observed.current)
-    at = moment_after(g.loop, now, state.command, r, r_dot, r_ddot)
+    at = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
     sigma = at.rate_error + s.surface * at.position_error
     holding = r_ddot - s.surface * at.rate_error - at.action.disturbance
     equivalent = current_for(g.loop, at.action.y, holding)
