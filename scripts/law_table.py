@@ -27,7 +27,6 @@ SGN = "`smc` with sgn σ as printed"
 NAMES = {
     "linear": "`linear`",
     "smc": "`smc`, with the map's rates fed forward",
-    "super_twisting": "`super_twisting`, for comparison",
     "smc_observer": "`smc_observer`",
 }
 """First cell of each law's row."""

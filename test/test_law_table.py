@@ -77,5 +77,7 @@ def test_margins_are_told_of_laws_that_have_them_only(script):
     margins = script.margins_of(with_values(SHORT, "controller", {"control.law": "linear"}))
     assert 0.0 < margins["gain_low"] < 1.0 < margins["gain_high"]
     assert margins["longest_delay_samples"] > 0.5
-    none = script.margins_of(with_values(SHORT, "controller", {"control.law": "super_twisting"}))
+    none = script.margins_of(
+        with_values(SHORT, "controller", {"control.law": "smc", "control.smc.boundary_layer": 0.0})
+    )
     assert set(none) == set(margins) and not any(none.values())

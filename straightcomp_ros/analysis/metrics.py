@@ -1,5 +1,6 @@
 """The figures of a run and of its strokes: compensation error, residual straightness, control current."""
 
+import itertools
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,12 +21,14 @@ from straightcomp_ros.straightness.residual import end_point_residual, least_squ
 __all__ = ["Metrics", "MetricsError", "StrokeFigures", "evaluate", "residual_over", "stroke_figures", "true_error"]
 
 _UNITS = {
-    **dict.fromkeys(("control_activity", "control_rms_step"), ("_A", 1.0)),
+    **dict.fromkeys(("control_activity", "control_rms_step", "resting_rms_step"), ("_A", 1.0)),
     **dict.fromkeys(("duration", "start"), ("_s", 1.0)),
     **dict.fromkeys(("direction", "samples"), ("", 1.0)),
     "travel": ("_mm", 1e3),
 }
 """How a figure is displayed: suffix of its name, and factor. All others are lengths, in µm."""
+RESTING = 0.2
+"""Time in s after a stroke, from which the command at rest is judged."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Metrics(_Figures):
         uncompensated_pp: residual straightness if y were zero: of the guide, or of the map without truth.
         control_activity: Σ |Δ i_c| over the window, A.
         control_rms_step: root mean square of Δ i_c from sample to sample, A.
+        resting_rms_step: the same in the pauses between the strokes, from `RESTING` after each stroke on; None without.
         samples: samples in the window.
         duration: of the window, s.
     """
@@ -73,6 +77,7 @@ class Metrics(_Figures):
     uncompensated_pp: float
     control_activity: float
     control_rms_step: float
+    resting_rms_step: float | None
     samples: int
     duration: float
 
@@ -136,6 +141,7 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap) -> Metrics:
         uncompensated_pp=peak_to_peak(residual_over(known.x, known.guide, record, motion)),
         control_activity=float(np.abs(steps).sum()),
         control_rms_step=_rms(steps),
+        resting_rms_step=_resting_rms_step(record, motion),
         samples=window.stop - window.start,
         duration=float(record.time[window.stop - 1] - record.time[window.start]),
     )
@@ -185,6 +191,14 @@ def residual_over(
     moving = motion.samples()
     speed = np.abs(np.gradient(x, record.time))
     return least_squares_residual(x[moving], deviation[moving], speed[moving])
+
+
+def _resting_rms_step(record: StrokeRecord, motion: Motion) -> float | None:
+    steps = np.zeros(0)
+    for before, after in itertools.pairwise(motion.strokes):
+        begin = np.searchsorted(record.time, record.time[before.stop - 1] + RESTING)
+        steps = np.append(steps, np.diff(record.current[begin : after.start]))
+    return _rms(steps) if steps.size else None
 
 
 def _rms(values: NDArray[np.float64]) -> float:

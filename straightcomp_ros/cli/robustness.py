@@ -16,7 +16,7 @@ from straightcomp_ros.cli.options import PICTURES, add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.offline.sweep.many_trials import PERCENTILES, LawSummary, summarise, sweep
+from straightcomp_ros.offline.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, summarise, sweep
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
 from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(law=None)
     add = parser.add_argument
     add("--trials", type=_whole(1), default=1000, metavar="N", help="machines (default: %(default)s)")
+    add_repeatable(parser, "--trial", "K", "run only machine K of this seed", type=_whole(0), dest="chosen")
     add("--seed", type=_whole(0), default=1, metavar="N", help="of all that is drawn (default: 1)")
     names = ", ".join(declaration.name for declaration in declarations(UncertaintyParameters))
     add_repeatable(parser, "--range", "NAME=VALUE", f"change one range, e.g. mass=0.3; names: {names}", dest="ranges")
@@ -53,11 +54,12 @@ def run(options: argparse.Namespace) -> None:
     started = time.perf_counter()
     ranges = from_mapping(UncertaintyParameters, dict(map(_assignment, options.ranges)))
     scenario = make_scenario(values, laws, ranges)
-    machines = f"{options.trials} machines"
+    trials = sorted(set(options.chosen)) or range(options.trials)
+    machines = f"machine {', '.join(map(str, trials))}" if options.chosen else f"{options.trials} machines"
     with working(machines) as advance:
         try:
             results = sweep(
-                scenario, options.seed, options.trials, jobs=options.jobs or -1, dask=options.dask, progress=advance
+                scenario, options.seed, trials, jobs=options.jobs or -1, dask=options.dask, progress=advance
             )
         except SurveyError as error:
             # The given survey is good: one with random errors is not.
@@ -68,17 +70,29 @@ def run(options: argparse.Namespace) -> None:
         plot_sweep(results, summaries, plot, f"{machines}, seed {options.seed}")
     if options.json:
         shown = {summary.law: summary.to_display() for summary in summaries}
-        print_json({"trials": options.trials, "seed": options.seed, "laws": shown, "seconds": seconds})
+        print_json({"trials": len(trials), "seed": options.seed, "laws": shown, "seconds": seconds})
     else:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
-        table = titled_table(title, "law", *PERCENTILES, "failures", "limit cycles", rows=map(_row, summaries))
+        columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "failures", "limit cycles")
+        table = titled_table(title, *columns, rows=map(_row, summaries))
         table.caption, table.caption_justify = f"{_conditions(ranges)}\n{seconds:.0f} s", "left"
         console.print(table)
+        for summary in summaries:
+            if summary.outliers:
+                worst = ", ".join(f"{trial} ({pp * 1e6:.2f} µm)" for trial, pp in summary.outliers.items())
+                console.print(f"{summary.law}, worse than {OUTLIER:g} times its median: machine {worst}")
+                console.print("Run one alone with --trial K.")
 
 
 def _row(summary: LawSummary) -> list[object]:
     pp = [f"{value * 1e6:.3f}" for value in summary.pp.values()]
-    return [summary.law, *pp, sum(summary.failures.values()), summary.limit_cycles]
+    return [
+        summary.law,
+        *pp,
+        f"{summary.control_rms_step['p50'] * 1e3:.1f}",
+        sum(summary.failures.values()),
+        summary.limit_cycles,
+    ]
 
 
 def _conditions(ranges: UncertaintyParameters) -> str:

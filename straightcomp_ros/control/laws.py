@@ -1,40 +1,61 @@
 """The laws by name, and the parameters that the controller takes."""
 
+import math
 from dataclasses import dataclass
+from functools import partial
 
-from straightcomp_ros.control import sliding_mode, smc_observer, super_twisting
+from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
+from straightcomp_ros.control.friction_size import LagWeights, SizeGains
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.observer import Loop, nominal_loop
+from straightcomp_ros.control.observer import nominal_loop, observer_gains
+from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 
-LAWS = ("linear", "smc", "super_twisting", "smc_observer")
+LAWS = ("linear", "smc", "smc_observer")
+
+_MISFIT_BANDWIDTH = 60.0
+"""Hz; lower than the encoder's noise, higher than the reversals of friction."""
+_MISFIT_MEMORY = 0.3
+"""s; some reversals of the map at the shipped speed."""
 
 
 @dataclass(frozen=True)
 class ObserverDesign:
-    """Observer and reaching law of 'smc_observer'."""
+    """Observer, friction model and reaching law of 'smc_observer'."""
 
-    bandwidth: float = parameter(545.0, "Bandwidth of the extended state observer", "(0, 10000] Hz")
-    delay: float = parameter(1.0, "Loop delay that the observer assumes", "[0, 1] samples")
-    surface: float = parameter(545.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
-    reaching: float = parameter(600.0, "Rate κ at which σ decays near the surface", "(0, 100000] 1/s")
-    rho: float = parameter(5.0, "Largest reaching acceleration ρ", "(0, 10000] m/s²")
+    bandwidth: float = parameter(205.0, "Bandwidth of two poles of the extended state observer", "(0, 10000] Hz")
+    third_pole: float = parameter(1.28, "Third pole of the observer relative to its bandwidth", "[0.1, 10]")
+    delay: float = parameter(0.88, "Loop delay that the observer assumes", "[0, 1] samples")
+    surface: float = parameter(575.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
+    reaching: float = parameter(396.0, "Rate κ at which σ decays", "(0, 100000] 1/s")
     gain_allowance: float = parameter(
-        2.3,
+        1.7,
         "Factor by which a current is assumed to accelerate more than nominal; above 1 leaves gain margin",
         "[0.1, 10]",
     )
-
-
-@dataclass(frozen=True)
-class TwistingDesign:
-    """Observer and gains of 'super_twisting'."""
-
-    bandwidth: float = parameter(200.0, "Bandwidth of the extended state observer", "(0, 10000] Hz")
-    delay: float = parameter(0.5, "Loop delay that the observer assumes", "[0, 1] samples")
-    surface: float = parameter(500.0, "Rate λ at which the error decays on the sliding surface", "(0, 100000] 1/s")
-    disturbance_rate: float = parameter(10.0, "Bound L of the disturbance's rate", "(0, 1e6] m/s³")
+    velocity_share: float = parameter(
+        0.3,
+        "Share of the observed velocity in the velocity of the friction model; the rest is the reference's",
+        "[0, 1]",
+    )
+    first_size: float = parameter(
+        0.15, "Friction at the start, relative to the friction model; too much makes limit cycles", "[0.1, 10]"
+    )
+    largest_size: float = parameter(4.0, "Largest friction relative to the friction model", "[0.1, 10]")
+    memory: float = parameter(2.0, "Time constant with which the fit of friction's size forgets", "[0.1, 1000] s")
+    misfit: float = parameter(
+        0.1, "RMS that the friction model leaves unexplained, relative to F_C, from which the law stiffens", "(0, 100]"
+    )
+    stiffening: float = parameter(1.4, "Factor of bandwidth, λ and κ from twice that misfit on", "[1, 10]")
+    rest_band: float = parameter(
+        0.2e-6,
+        "Largest |y − r| at rest at which the command is held; two counts of the encoder; 0 never holds",
+        "[0, 1e-3] m",
+    )
+    rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
+    rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
+    lugre: LuGreParameters = group(LuGreParameters, "Friction model of the law smc_observer")
 
 
 @dataclass(frozen=True)
@@ -44,7 +65,6 @@ class ControlParameters:
     law: str = parameter("smc_observer", "Control law", choices=LAWS)
     current_limit: float = parameter(0.9, "Largest control current |i_c| of a law", "(0, 100] A")
     smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
-    super_twisting: TwistingDesign = group(TwistingDesign, "Law super_twisting")
     smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")
     nominal: NominalPlant = group(NominalPlant, "Nominal plant of the laws")
 
@@ -78,16 +98,47 @@ def make_law(parameters: ControlParameters, period: float) -> Law:
             current_limit=parameters.current_limit,
         )
         return Law(numbers, sliding_mode.start, sliding_mode.step, compiled=True)
+    return _smc_observer(parameters, period)
 
-    def loop(**chosen: float) -> Loop:
-        return nominal_loop(parameters.nominal, period=period, current_limit=parameters.current_limit, **chosen)
 
-    if parameters.law == "super_twisting":
-        twisting = parameters.super_twisting
-        delayed = loop(delay_samples=twisting.delay, bandwidth=twisting.bandwidth)
-        gains = super_twisting.gains(twisting.surface, twisting.disturbance_rate, delayed)
-        return Law(gains, super_twisting.start, super_twisting.step, compiled=True)
-    observer = parameters.smc_observer
-    delayed = loop(delay_samples=observer.delay, bandwidth=observer.bandwidth, gain_allowance=observer.gain_allowance)
-    reaching = smc_observer.Gains(observer.surface, observer.reaching, observer.rho, delayed)
-    return Law(reaching, smc_observer.start, smc_observer.step, compiled=True)
+def _smc_observer(parameters: ControlParameters, period: float) -> Law:
+    design, nominal = parameters.smc_observer, parameters.nominal
+    loop = nominal_loop(
+        nominal,
+        period=period,
+        delay_samples=design.delay,
+        current_limit=parameters.current_limit,
+        gain_allowance=design.gain_allowance,
+    )
+    size = SizeGains(
+        kept=math.exp(-period / design.memory),
+        smooth=1.0 - math.exp(-2.0 * math.pi * _MISFIT_BANDWIDTH * period),
+        mean=1.0 - math.exp(-period / _MISFIT_MEMORY),
+        travel=nominal.travel,
+        speed=design.rest_speed,
+        largest=design.largest_size,
+    )
+    gains = smc_observer.Gains(
+        _stiffness(design, 1.0, period),
+        _stiffness(design, design.stiffening, period),
+        design.velocity_share,
+        design.misfit * design.lugre.coulomb / loop.mass,
+        design.lugre.constants(),
+        size,
+        smc_observer.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, period),
+        loop,
+    )
+    first_size = min(design.first_size, design.largest_size)
+    return Law(gains, partial(smc_observer.start, first_size), smc_observer.step, compiled=True)
+
+
+def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_observer.Stiffness:
+    """The law with bandwidth, λ and κ times ``factor``."""
+    bandwidth = factor * design.bandwidth
+    rate = 2.0 * math.pi * bandwidth * period
+    return smc_observer.Stiffness(
+        factor * design.surface,
+        factor * design.reaching,
+        observer_gains(bandwidth, design.third_pole, period),
+        LagWeights(1.0 - math.exp(-rate), 1.0 - math.exp(-rate * design.third_pole)),
+    )

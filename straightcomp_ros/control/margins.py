@@ -87,6 +87,9 @@ def sampled_plant(nominal: NominalPlant, *, period: float, delay: float, amplifi
 def linearised(law: Law) -> StateSpace:
     """From reading (m) to commanded current (A): the law about rest at the centre, with the reference at zero.
 
+    All numbers of its state are zero there: 'smc_observer' is taken without friction. States that the reading does not
+    reach, or that do not act on the current, are left out.
+
     Raises:
         ValueError: the law is not linear there.
     """
@@ -107,7 +110,19 @@ def linearised(law: Law) -> StateSpace:
     columns, coarser = slopes(_STEP), slopes(2.0 * _STEP)
     if not np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
         raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
-    return StateSpace(columns[:size, :size], columns[:size, size], columns[size, :size], float(columns[size, size]))
+    # A clock or a paused fit would be a pole on the unit circle, though it is not in the loop.
+    all_a, all_b, all_c = columns[:size, :size], columns[:size, size], columns[size, :size]
+    looped = np.flatnonzero(_connected(all_a, all_c) & _connected(all_a.T, all_b))
+    a, b, c = all_a[np.ix_(looped, looped)], all_b[looped], all_c[looped]
+    return StateSpace(a, b, c, float(columns[size, size]))
+
+
+def _connected(a: Matrix, c: Matrix) -> NDArray[np.bool_]:
+    """Whether the output depends on each state, through others too."""
+    seen: NDArray[np.bool_] = c != 0.0
+    for _ in range(len(c)):
+        seen |= np.any(a[seen] != 0.0, axis=0)
+    return seen
 
 
 def loop_margins(

@@ -71,27 +71,30 @@ class Loop(NamedTuple):
     current_limit: float
     current_gain: float
     current_share: float
-    observer: ObserverGains
     actuator: Actuator
 
 
 class Moment(NamedTuple):
-    """Estimate for the sample, estimate for the moment of action, and the errors y − r and ẏ − ṙ there."""
+    """Estimate for the moment of action, and the errors y − r and ẏ − ṙ there."""
 
-    now: Estimate
     action: Estimate
     position_error: float
     rate_error: float
 
 
-def observer_gains(bandwidth: float, period: float) -> ObserverGains:
-    """Gains that put all poles of the sampled observer at exp(−2π bandwidth period); Hz and s."""
-    pole = math.exp(-2.0 * math.pi * bandwidth * period)
-    return ObserverGains(
-        1.0 - pole**3,
-        1.5 * (1.0 - pole) ** 2 * (1.0 + pole) / period,
-        (1.0 - pole) ** 3 / period**2,
-    )
+def observer_gains(bandwidth: float, third_pole: float, period: float) -> ObserverGains:
+    """Gains that put two poles of the sampled observer at exp(−2π bandwidth period), the third at a power of it.
+
+    Args:
+        bandwidth: Hz.
+        third_pole: the power, i.e. the third pole's bandwidth relative to the other two.
+        period: s.
+    """
+    p = math.exp(-2.0 * math.pi * bandwidth * period)
+    q = math.exp(-2.0 * math.pi * bandwidth * third_pole * period)
+    # 3 − s₁ − s₂ + 3 s₃ with the elementary symmetric polynomials of the poles.
+    velocity = 3.0 - (2.0 * p + q) - (p * p + 2.0 * p * q) + 3.0 * p * p * q
+    return ObserverGains(1.0 - p * p * q, 0.5 * velocity / period, (1.0 - p) ** 2 * (1.0 - q) / period**2)
 
 
 def interval(amplifier_rate: float, duration: float) -> Interval:
@@ -105,7 +108,6 @@ def nominal_loop(
     *,
     period: float,
     delay_samples: float,
-    bandwidth: float,
     current_limit: float,
     gain_allowance: float = 1.0,
 ) -> Loop:
@@ -115,7 +117,6 @@ def nominal_loop(
         nominal: the plant.
         period: s.
         delay_samples: delay of a command, in periods, at most 1.
-        bandwidth: of the observer, Hz.
         current_limit: A.
         gain_allowance: factor of the stiffnesses K̄_i and K̄_y. It equals dividing M; the equilibrium does not move.
     """
@@ -132,7 +133,6 @@ def nominal_loop(
         current_limit,
         nominal.actuator.current_stiffness / mass,
         (acting - risen / rate) / (period * risen) if risen > 0.0 else 0.0,
-        observer_gains(bandwidth, period),
         nominal.actuator.constants(),
     )
 
@@ -182,21 +182,18 @@ def with_measured_current(g: Loop, prior: Estimate, current: float) -> Estimate:
 
 
 @compilable
-def moment_of_action(
-    g: Loop, prior: Estimate, command: float, y: float, r: float, r_dot: float, r_ddot: float, current: float
-) -> Moment:
-    """Estimates and errors for a sample: reading y in m, reference r in m with its rates.
+def moment_of_action(g: Loop, now: Estimate, command: float, r: float, r_dot: float, r_ddot: float) -> Moment:
+    """Estimate and errors at the moment at which the answer to a sample acts.
 
     Args:
         g: the loop.
-        prior: the sample as predicted.
-        command: current in A that the amplifier is commanded until the answer to this sample acts.
-        current: measured in the coils at the sample, A; NaN where it is not measured.
+        now: estimate for the sample.
+        command: current in A that the amplifier is commanded until then.
+        r, r_dot, r_ddot: reference of the sample, m, m/s, m/s².
     """
-    now = corrected(g.observer, with_measured_current(g, prior, current), y)
     action = predicted(g.actuator, g.mass, g.before_action, now, command)
     target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
-    return Moment(now, action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
+    return Moment(action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
 
 
 @compilable

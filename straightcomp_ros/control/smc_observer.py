@@ -1,48 +1,127 @@
-"""Law `smc_observer`: sliding mode on the tracking error, with observer, feedforward and exact inverse.
+"""Law `smc_observer`: sliding mode with an observer, friction inside both, and a constant command at rest.
 
-The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at which the command acts, from an extended state
-observer that knows the loop's delay (`observer.py`). The reaching law is the implicit Euler discretisation of
-σ̇ = −ρ sgn σ over a horizon 1/κ (Acary and Brogliato, Systems & Control Letters 59, 2010):
+What limits a law without a friction model is local instability: while the platform slides near the Stribeck velocity,
+friction falls with speed and acts like a negative stiffness, ten times that of the magnets. Here observer and law know
+the friction F̂ of the LuGre model (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995;
+`model/lugre.py`), driven by a velocity that is mostly the reference's,
 
-    σ⁺ = σ − ρ sgn(σ⁺)/κ  ⇒  a_s = −proj_[−ρ, ρ](κ σ),
+    v = ṙ + m (v̂ − ṙ),   ż = v − σ0 |v| z / g(v),
 
-which reaches σ = 0 without overshoot and without the chattering of the explicit sgn. The observer's disturbance
-estimate (friction, model errors) is subtracted, so that ρ must exceed only its error. The map's ṙ and r̈ are fed
-forward, so that a moving reference leaves no lag.
+with a share m of the observer's v̂. m = 1 would feed the encoder's noise through the steep slope of friction at v = 0,
+m = 0 would not notice when the platform sticks. The observer (`observer.py`) estimates d, the rest of the disturbance:
 
-Tuning: first ``gain_allowance``, the assumed acceleration per current relative to nominal. More of it lowers the loop's
+    M v̇ = f_c(y, i) + M d − F̂(z, v).
+
+The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at which the command acts. It decays with the rate κ:
+
+    a = r̈ − λ (ẏ − ṙ) − κ σ − d + F̂/M.
+
+The size s of F̂ multiplies F_C and F_S, and is fitted while the law runs (`friction_size.py`). It starts low: too much
+friction makes limit cycles of micrometres, too little is harmless. When s changes, d gives what F̂ takes.
+
+Where the model explains the friction, a slow observer and little gain leave the least error, and the coils are quiet.
+Where it does not, the loop itself has to follow friction. The fit tells: the RMS of what it leaves unexplained moves
+the observer's bandwidth, λ and κ between two sets, the quiet one and one that is stiffer by a factor.
+
+At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around a resting
+reference for a while, the command is held at the mean of the last ones. When the hold ends, the mean difference between
+held and computed command decays slowly, so that leaving rest makes no bump.
+
+Tuning: first `gain_allowance`, the assumed acceleration per current relative to nominal. More of it lowers the loop's
 gain: machines with strong magnets, little mass or late commands stay stable; too much, and a weak machine does not hold
-against the negative stiffness (`margins.py` gives both limits). Then the observer's bandwidth, as high as encoder noise
-and the jitter of the delay allow; then λ and κ, until the spread over uncertain machines (`straightcomp robustness`)
-grows.
+against the negative stiffness (`margins.py` gives both limits). Then the observer's bandwidth, λ and κ together. With
+T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.219/T_d in Hz, λ = 0.614/T_d, κ = 0.423/T_d.
 """
 
+import math
 from typing import NamedTuple
 
+from straightcomp_ros.control.friction_size import Fit, LagWeights, SizeGains, fit_at_start, fitted
 from straightcomp_ros.control.law import Command
-from straightcomp_ros.control.observer import Estimate, Loop, current_for, limited, moment_of_action, next_prior
+from straightcomp_ros.control.observer import (
+    Estimate,
+    Loop,
+    ObserverGains,
+    corrected,
+    current_for,
+    limited,
+    moment_of_action,
+    next_prior,
+    with_measured_current,
+)
 from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.model.lugre import LuGre, bristle_after, friction_force
 
 
-class Gains(NamedTuple):
-    """λ in 1/s, κ in 1/s, ρ in m/s², and the loop."""
+class RestGains(NamedTuple):
+    """Constants at rest.
+
+    Attributes:
+        band: largest |y − r| of the reading, m.
+        speed: largest |ṙ|, m/s.
+        wait: time at rest until the command is held, s.
+        weight: of the newest command in the mean that is held, and of the present in what the hold leaves behind.
+    """
+
+    band: float
+    speed: float
+    wait: float
+    weight: float
+
+
+class Stiffness(NamedTuple):
+    """λ and κ in 1/s, the observer's gains, and the weights of its lags."""
 
     surface: float
     reaching: float
-    rho: float
+    observer: ObserverGains
+    lags: LagWeights
+
+
+class Gains(NamedTuple):
+    """The law at its quietest and stiffest, the share m, the misfit in m/s² from which it stiffens, other constants.
+
+    At twice that misfit the law is at its stiffest.
+    """
+
+    quiet: Stiffness
+    stiff: Stiffness
+    share: float
+    misfit: float
+    lugre: LuGre
+    size: SizeGains
+    rest: RestGains
     loop: Loop
 
 
+class Rest(NamedTuple):
+    """Time within the band in s, mean command in A, and what is added to the computed command, A."""
+
+    time: float
+    mean: float
+    offset: float
+
+
 class State(NamedTuple):
-    """The next sample as predicted, and the commanded current in A."""
+    """The next sample as predicted with friction but for d, the command in A, z in m, fit and rest."""
 
     prior: Estimate
     command: float
+    bristle: float
+    fit: Fit
+    rest: Rest
 
 
-def start(y: float) -> State:
-    """State at rest at ``y`` in m."""
-    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0)
+def start(size: float, y: float) -> State:
+    """State at rest at ``y`` in m, with ``size`` of friction."""
+    return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0))
+
+
+def rest_gains(band: float, speed: float, wait: float, period: float) -> RestGains:
+    """Constants at rest, as of :class:`RestGains`."""
+    # The mean is over a quarter of the wait: it must forget the approach.
+    weight = 1.0 - math.exp(-4.0 * period / wait)
+    return RestGains(band, speed, wait, weight)
 
 
 @compilable
@@ -50,12 +129,84 @@ def step(
     g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
 ) -> tuple[State, Command]:
     """One sample; see the module."""
-    at = moment_of_action(g.loop, state.prior, state.command, y, r, r_dot, r_ddot, current)
-    sigma = at.rate_error + g.surface * at.position_error
-    reaching = -max(-g.rho, min(g.rho, g.reaching * sigma))
-    holding = r_ddot - g.surface * at.rate_error - at.action.disturbance
+    s = _stiffness(g, state.fit.misfit_square)
+    observed = corrected(s.observer, with_measured_current(g.loop, state.prior, current), y)
+    friction = _known_friction(g, s, state, observed, r, r_dot)
+    now = Estimate(observed.y, observed.velocity, friction.disturbance, observed.current)
+    at = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
+    sigma = at.rate_error + s.surface * at.position_error
+    holding = r_ddot - s.surface * at.rate_error - at.action.disturbance
     equivalent = current_for(g.loop, at.action.y, holding)
-    asked = current_for(g.loop, at.action.y, holding + reaching)
+    asked = current_for(g.loop, at.action.y, holding - s.reaching * sigma)
+    asked, rest = _held(g, state.rest, asked, y, r, r_dot)
     answer = limited(g.loop, asked)
-    command = Command(answer, r - y, sigma, equivalent, asked - equivalent, at.now.velocity, at.now.disturbance)
-    return State(next_prior(g.loop, at.action, answer), answer), command
+    after = next_prior(g.loop, at.action, answer)
+    prior = Estimate(after.y, after.velocity, friction.others, after.current)
+    command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
+    return State(prior, answer, friction.bristle, friction.fit, rest), command
+
+
+@compilable
+def _stiffness(g: Gains, misfit_square: float) -> Stiffness:
+    """Between quiet and stiff, by the mean square of the misfit in (m/s²)²."""
+    share = max(0.0, min(1.0, math.sqrt(max(0.0, misfit_square)) / g.misfit - 1.0))
+    a, b = g.quiet, g.stiff
+    return Stiffness(
+        _between(a.surface, b.surface, share),
+        _between(a.reaching, b.reaching, share),
+        ObserverGains(
+            _between(a.observer.position, b.observer.position, share),
+            _between(a.observer.velocity, b.observer.velocity, share),
+            _between(a.observer.disturbance, b.observer.disturbance, share),
+        ),
+        LagWeights(_between(a.lags.double, b.lags.double, share), _between(a.lags.third, b.lags.third, share)),
+    )
+
+
+@compilable
+def _between(one: float, other: float, share: float) -> float:
+    return one + share * (other - one)
+
+
+class _Friction(NamedTuple):
+    """z in m, the fit, the disturbance without friction, and with it, m/s²."""
+
+    bristle: float
+    fit: Fit
+    others: float
+    disturbance: float
+
+
+@compilable
+def _known_friction(g: Gains, s: Stiffness, state: State, observed: Estimate, r: float, r_dot: float) -> _Friction:
+    """Friction from this sample to the next, and what it leaves of the observer's disturbance."""
+    velocity = r_dot + g.share * (observed.velocity - r_dot)
+    bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
+    fit = fitted(g.size, s.lags, state.fit, r, r_dot, unit, observed.disturbance)
+    others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
+    return _Friction(bristle, fit, others, others + fit.size * unit)
+
+
+@compilable
+def _unit_friction(g: Gains, size: float, bristle: float, velocity: float) -> tuple[float, float]:
+    """z after this sample's period, m, and the acceleration by friction divided by its size, m/s²."""
+    if size <= 0.0:
+        # Only in the linearisation of `margins.py`.
+        return bristle, 0.0
+    coulomb, static, stribeck_velocity, stiffness, damping, viscous = g.lugre
+    lugre = LuGre(size * coulomb, size * static, stribeck_velocity, stiffness, damping, viscous)
+    after = bristle_after(lugre, bristle, velocity, g.loop.period)
+    return after, -friction_force(lugre, after, velocity) / (size * g.loop.mass)
+
+
+@compilable
+def _held(g: Gains, rest: Rest, asked: float, y: float, r: float, r_dot: float) -> tuple[float, Rest]:
+    """The command for the one that the law asks for, A, and the rest with this sample."""
+    at_rest = abs(r_dot) <= g.rest.speed and abs(y - r) <= g.rest.band
+    time = rest.time + g.loop.period if at_rest else 0.0
+    if time > g.rest.wait:
+        # A single computed command is as noisy as the reading; its mean is what the hold has kept from the platform.
+        return rest.mean, Rest(time, rest.mean, rest.offset + g.rest.weight * (rest.mean - asked - rest.offset))
+    offset = (1.0 - g.rest.weight) * rest.offset
+    mean = rest.mean + g.rest.weight * (limited(g.loop, asked + offset) - rest.mean)
+    return asked + offset, Rest(time, mean, offset)

@@ -55,7 +55,7 @@ class Unknowns:
     bias_current: float
 
     def constants(self, vector: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
-        """The plant's constants (12,) for `plant.advance`, from (9,) logarithms and the amplifier's rate in rad/s."""
+        """The plant's constants (40,) for `plant.advance`, from (9,) logarithms and the amplifier's rate in rad/s."""
         mass, turns, gap, coulomb, ratio, stribeck, stiffness, damping, viscous = np.exp(vector).tolist()
         actuator = Actuator(MU_0 * turns * turns * self.pole_area / 4.0, gap, self.bias_current)
         lugre = LuGre(coulomb, coulomb * ratio, stribeck, stiffness, damping, viscous)

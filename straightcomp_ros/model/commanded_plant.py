@@ -21,7 +21,7 @@ _FIELDS = len(PlantState._fields)
 BIAS, COMMAND, _MEAN, _IMPULSE, _ANCHOR, READING = range(_FIELDS, _FIELDS + 6)
 """Places in :attr:`CommandedPlant.state`, after the plant's own."""
 _NOW, _HOLD_AT, _HOLDING = range(3)
-_AFTER_NS, _WEIGHT, _KEPT, _BRAKING, _STIFFNESS, _STEP, _HALF_CODES, _RESOLUTION = range(12, 20)
+_AFTER_NS, _WEIGHT, _KEPT, _BRAKING, _STIFFNESS, _STEP, _HALF_CODES, _RESOLUTION = range(40, 48)
 """Places in :attr:`CommandedPlant.constants`, after the plant's own."""
 
 
@@ -47,9 +47,9 @@ class CommandedPlant(NamedTuple):
     """Constants and state as :func:`advance_to_sample` takes them.
 
     Attributes:
-        constants: (20,) those of the plant, see :func:`~straightcomp_ros.model.plant.as_array`; the fields of
+        constants: (48,) those of the plant, see :func:`~straightcomp_ros.model.plant.as_array`; the fields of
             :class:`Hold`; step of the D/A converter in A, its codes below zero, resolution of the encoder in m.
-        state: (13,) that of the plant, see :class:`~straightcomp_ros.model.plant.PlantState`; bias current and control
+        state: (24,) that of the plant, see :class:`~straightcomp_ros.model.plant.PlantState`; bias current and control
             current asked of the amplifier, mean control current, all in A; impulse beyond that mean in A · samples;
             position that is held and newest reading of y, in m. While the bias current asked for is zero, the amplifier
             is off and commands have no effect.

@@ -9,8 +9,16 @@ import math
 from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.settings.declaration import RefusedParameter, parameter
+from straightcomp_ros.model.friction_changes import BandParameters, RestParameters, StepParameters
+from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS, MaxwellSlipParameters
+from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
+
+_MODELS = ("lugre", "maxwell_slip")
+NO_EXTENSION = (0.0,) * (12 + 2 * MOST_BLOCKS)
+"""What :meth:`FrictionParameters.extension` gives for plain LuGre friction."""
 
 
 class LuGre(NamedTuple):
@@ -25,8 +33,8 @@ class LuGre(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FrictionParameters:
-    """LuGre friction between slider and platform."""
+class LuGreParameters:
+    """The constants of the LuGre model."""
 
     coulomb: float = parameter(0.43, "Coulomb friction F_C", "(0, 1000] N")
     static: float = parameter(0.645, "Static friction F_S, at least F_C", "(0, 1000] N")
@@ -44,7 +52,30 @@ class FrictionParameters:
 
     def constants(self) -> LuGre:
         """The constants of the friction functions."""
-        return LuGre(*astuple(self))
+        return LuGre(*astuple(self)[: len(LuGre._fields)])
+
+
+@dataclass(frozen=True)
+class FrictionParameters(LuGreParameters):
+    """Friction between slider and platform."""
+
+    model: str = parameter("lugre", "Model of the friction: bristles, or elasto-slip blocks", choices=_MODELS)
+    maxwell_slip: MaxwellSlipParameters = group(MaxwellSlipParameters, "Simulated friction (Maxwell-slip)")
+    bands: BandParameters = group(BandParameters, "Simulated friction along y")
+    rest: RestParameters = group(RestParameters, "Simulated friction after rest")
+    step: StepParameters = group(StepParameters, "Simulated step of friction")
+
+    def extension(self) -> tuple[float, ...]:
+        """The constants beyond LuGre's, in the order of :mod:`straightcomp_ros.model.extended_friction`: (28,)."""
+        changes = self.bands.fraction > 0.0 or self.rest.growth > 0.0 or self.step.factor != 1.0
+        if self.model == "lugre" and not changes:
+            return NO_EXTENSION
+        blocks = np.zeros((2, MOST_BLOCKS))
+        slip = self.maxwell_slip
+        blocks[:, : slip.blocks] = slip.stiffnesses_and_shares(self.bristle_stiffness)
+        kind = 1.0 + _MODELS.index(self.model)
+        changing = (*astuple(self.bands), *astuple(self.rest), *astuple(self.step))
+        return (kind, slip.attraction, float(slip.blocks), *changing, *blocks.ravel().tolist())
 
 
 @compilable

@@ -34,7 +34,7 @@ PUBLISHED = "law (9), unclamped"
 POINTS = 51
 """Of the grid, each way."""
 _SHOWN_MS = 80.0
-_STYLES = {"linear": GREY, "smc": BLUE, "super_twisting": "#009E73", "smc_observer": BLACK, PUBLISHED: VERMILION}
+_STYLES = {"linear": GREY, "smc": BLUE, "smc_observer": BLACK, PUBLISHED: VERMILION}
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,7 +75,7 @@ def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) 
     applied = 0.0
     rows = np.empty((len(reference), 7))
     for index, r in enumerate(reference.tolist()):
-        y, velocity, _, control, _, friction, _ = state.tolist()
+        y, velocity, _, control, _, friction, *_ = state.tolist()
         seen = reading(y)
         command = law.step(seen, r, 0.0, 0.0)
         rows[index] = seen, y, velocity, control, friction, command.current, command.sliding_variable

@@ -197,7 +197,6 @@ def test_a_bag_from_before_the_groups_of_laws_had_their_names_is_read_by_the_nam
         "control.design.rho": "control.smc.rho",
         "control.observer.amplifier_bandwidth": "control.nominal.amplifier_bandwidth",
         "control.observer.delay": "control.smc_observer.delay",
-        "control.super_twisting.surface": "control.super_twisting.surface",
     }
     lines = "".join(f"    {name}: {number}\n" for number, name in enumerate(names))
     text = f"/controller:\n  ros__parameters:\n{lines}".encode()

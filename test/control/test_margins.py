@@ -32,8 +32,7 @@ def test_fast_sampling_without_lag_gives_the_continuous_poles_of_the_design():
 
 @pytest.mark.parametrize(
     ("name", "gain_low", "gain_high", "phase"),
-    # 'smc_observer' trades margin against weak machines, which friction helps, for margin against strong ones.
-    [("linear", 0.3, 3.0, 35.0), ("smc", 0.3, 1.9, 25.0), ("smc_observer", 0.7, 2.5, 13.0)],
+    [("linear", 0.3, 3.0, 35.0), ("smc", 0.3, 1.9, 25.0), ("smc_observer", 0.6, 2.4, 20.0)],
 )
 def test_every_default_law_is_stable_with_margins_to_each_side(name, gain_low, gain_high, phase):
     margins = loop_margins(law(name), NOMINAL, **LOOP)
@@ -84,9 +83,8 @@ def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
 
 
 def test_a_law_that_switches_has_no_linearisation():
-    for switching in (law("smc", smc=SlidingDesign(boundary_layer=0.0)), law("super_twisting")):
-        with pytest.raises(ValueError, match="no linearisation"):
-            linearised(switching)
+    with pytest.raises(ValueError, match="no linearisation"):
+        linearised(law("smc", smc=SlidingDesign(boundary_layer=0.0)))
 
 
 def test_knowing_the_delay_makes_the_observer_tolerate_it():

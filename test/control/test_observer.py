@@ -18,7 +18,7 @@ FREE = PlantParameters(
 
 def test_the_gains_place_all_three_poles():
     bandwidth = 150.0
-    gains = np.array(observer_gains(bandwidth, PERIOD))
+    gains = np.array(observer_gains(bandwidth, 1.0, PERIOD))
     step = np.array([[1, PERIOD, PERIOD**2 / 2], [0, 1, PERIOD], [0, 0, 1]])
     error = step @ (np.eye(3) - np.outer(gains, [1, 0, 0]))
     assert np.linalg.eigvals(error) == pytest.approx(math.exp(-2 * math.pi * bandwidth * PERIOD), abs=1e-4)
@@ -45,7 +45,7 @@ def test_a_constant_disturbance_is_found_exactly():
     y, disturbance = 5e-6, 0.2
     current = control_current(ACTUATOR, y, -3.0 * disturbance)
     estimate = Estimate(0.0, 0.0, 0.0, current)
-    gains = observer_gains(200.0, PERIOD)
+    gains = observer_gains(200.0, 1.0, PERIOD)
     for _ in range(400):
         estimate = predicted(ACTUATOR, 3.0, interval(RATE, PERIOD), corrected(gains, estimate, y), current)
     assert estimate.y == pytest.approx(y, abs=1e-12)

@@ -13,7 +13,6 @@ from straightcomp_ros.control.observer import (
     moment_of_action,
     next_prior,
     nominal_loop,
-    observer_gains,
     with_measured_current,
 )
 from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
@@ -25,7 +24,7 @@ CONSTANTS = ACTUATOR.constants()
 
 def believed(delay_samples=0.5, mass=3.0, amplifier_bandwidth=500.0):
     nominal = NominalPlant(mass=mass, amplifier_bandwidth=amplifier_bandwidth, actuator=ACTUATOR)
-    return nominal_loop(nominal, period=PERIOD, delay_samples=delay_samples, bandwidth=200.0, current_limit=0.9)
+    return nominal_loop(nominal, period=PERIOD, delay_samples=delay_samples, current_limit=0.9)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])
@@ -35,7 +34,6 @@ def test_the_two_parts_of_a_period_are_divided_at_the_delay(delay):
     assert (found.period, found.delay) == (PERIOD, pytest.approx(delay * PERIOD))
     assert found.before_action == interval(rate, delay * PERIOD)
     assert found.after_action == interval(rate, (1.0 - delay) * PERIOD)
-    assert found.observer == observer_gains(200.0, PERIOD)
     assert (found.mass, found.current_limit) == (3.0, 0.9)
     slope = (magnetic_force(CONSTANTS, 0.0, CONSTANTS.bias_current, 1e-6)) / 1e-6 / 3.0
     assert found.current_gain == pytest.approx(slope, rel=1e-6)
@@ -74,12 +72,11 @@ def test_on_the_reference_at_the_moment_of_action_there_is_no_error(delay):
     # A free platform that follows a parabola: the observer's estimate is exact, and its disturbance drives it.
     g = believed(delay)._replace(actuator=CONSTANTS._replace(bias_current=0.0))
     y, v, a = 1e-6, 2e-3, 0.4
-    at = moment_of_action(g, Estimate(y, v, a, 0.0), 0.0, y, y, v, a, math.nan)
-    assert at.now == pytest.approx((y, v, a, 0.0))
+    at = moment_of_action(g, Estimate(y, v, a, 0.0), 0.0, y, v, a)
     assert at.action.y == pytest.approx(y + v * g.delay + 0.5 * a * g.delay**2, rel=1e-9)
     assert at.position_error == pytest.approx(0.0, abs=1e-18) and at.rate_error == pytest.approx(0.0, abs=1e-15)
     # Errors are counted y − r.
-    ahead = moment_of_action(g, Estimate(y, v, a, 0.0), 0.0, y, y - 3e-7, v - 4e-5, a, math.nan)
+    ahead = moment_of_action(g, Estimate(y, v, a, 0.0), 0.0, y - 3e-7, v - 4e-5, a)
     assert ahead.position_error == pytest.approx(3e-7 + 4e-5 * g.delay) and ahead.rate_error == pytest.approx(4e-5)
 
 

