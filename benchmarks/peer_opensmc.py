@@ -27,14 +27,13 @@ from rich.table import Table
 
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, node_parameters
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.design import NominalPlant
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
 from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, with_values
 from straightcomp_ros.offline.sweep.starts import Spread
-from straightcomp_ros.settings.share import share_path
 
 INSTALL = (
     "opensmc is not installed: run 'pip install opensmc' in the environment of straightcomp_ros (it needs numpy only)"
@@ -122,7 +121,7 @@ class Peer:
 
 def peer_law(name: str, design: Design, values: Values) -> Law:
     """The peer as a law: its state is the peer itself, made anew at each start."""
-    controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
+    controller: ControllerNodeParameters = node_parameters("controller", values)
     control = controller.control
 
     def start(y: float) -> Peer:
@@ -208,7 +207,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ImportError:
         print(INSTALL, file=sys.stderr)
         return 2
-    values = read_parameter_file(share_path("config/straightcomp.yaml"))
+    values = shipped_parameters()
     if options.search is not None:
         for name in DESIGNS:
             best, least = search(name, values, options.search)

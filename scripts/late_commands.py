@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         values = chosen_parameters(options)
         period_ns = round(1e9 / values["driver"]["simulated.rate"])
-        values["driver"]["lockstep_delay"] = 1.0
+        values["stage"]["drive.delay"] = 1.0
         delays = typical_delays(period_ns)
         if options.bag:
             delays = np.round(evaluate_bag(options.bag).latency * 1e9).astype(np.int64)

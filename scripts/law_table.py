@@ -14,14 +14,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, law_of, with_values
 from straightcomp_ros.offline.sweep.starts import Spread
 from straightcomp_ros.paper.ideal_machine import machine_from
 from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
-from straightcomp_ros.settings.share import share_path
 
 SGN = "`smc` with sgn σ as printed"
 NAMES = {
@@ -78,13 +77,13 @@ def read_robustness(path: Path) -> dict[str, dict[str, Any]]:
 def margins_of(values: Values) -> dict[str, float | None]:
     """Margins of the law that ``values`` name, on its nominal plant; None where it has no linearisation."""
     machine = machine_from(values)
-    period = 1.0 / machine.rate
+    period = 1.0 / machine.stage.rate
     try:
         margins = loop_margins(
             law_of(values),
-            machine.control.nominal,
+            machine.stage,
             period=period,
-            delay=machine.delay * period,
+            delay=machine.stage.drive.delay * period,
             amplifier_bandwidth=machine.plant.drive.bandwidth,
         )
     except ValueError:
@@ -165,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
-    table = rows(read_parameter_file(share_path("config/straightcomp.yaml")), robustness)
+    table = rows(shipped_parameters(), robustness)
     print(json.dumps({"laws": table}, ensure_ascii=False) if options.json else markdown(table))
     return 0
 

@@ -32,7 +32,7 @@ Values = dict[str, dict[str, Any]]
 
 def stroke(values: Values, delay: float) -> None:
     """The shipped stroke with a delay in sampling periods."""
-    values["driver"]["lockstep_delay"] = delay
+    values["stage"]["drive.delay"] = delay
 
 
 def harmonic(values: Values, folder: Path) -> None:
@@ -41,8 +41,8 @@ def harmonic(values: Values, folder: Path) -> None:
     x = np.linspace(0.0, length, round(length / 1e-3) + 1)
     deviation = -AMPLITUDE * np.sin(2.0 * math.pi * FREQUENCY / SPEED * x)
     write_survey(folder / "waves.csv", Survey((Run("1", "forward", x, deviation),)))
-    values["driver"]["guide.file"] = values["feedforward"]["map.file"] = str(folder / "waves.csv")
-    values["cell"].update({"motion.start": 0.0, "motion.stroke": length, "motion.speed": SPEED})
+    values["driver"]["simulated.truth.guide"] = values["stage"]["guide.file"] = str(folder / "waves.csv")
+    values["stage"].update({"motion.start": 0.0, "motion.stroke": length, "motion.speed": SPEED})
 
 
 def curve(values: Values, cycles: int, starts: int) -> Iterator[tuple[Spread, Spread]]:

@@ -1,14 +1,15 @@
-"""Writes config/straightcomp.yaml: every parameter of every node, from its declaration in the code."""
+"""Writes config/straightcomp.yaml, the settings of all nodes, and config/stage_synthetic.yaml, the shipped stage."""
 
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.configuration.commented_file import commented
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
+from straightcomp_ros.configuration.parameter_file import ALL_NODES, DEFAULT_FILE, DEFAULT_STAGE
 from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.stage.description import StageParameters
 
-FILE = Path(__file__).resolve().parent.parent / "config" / "straightcomp.yaml"
+FOLDER = Path(__file__).resolve().parent.parent
 LOOP = {"realtime.priority": 40, "realtime.cpus": "loop"}
 REST = {"realtime.priority": 40, "realtime.cpus": "rest"}
 CHANGED: dict[str, dict[str, Any]] = {
@@ -18,7 +19,8 @@ CHANGED: dict[str, dict[str, Any]] = {
 }
 """Values that differ from the default; the head of the file says why."""
 HEAD = """\
-# Parameters of all nodes of straightcomp_ros, for `--params-file` and for the launch files.
+# Settings of all nodes of straightcomp_ros, for `--params-file` and for the launch files. What they know of the machine,
+# the parameters stage.*, is in a file of its own: stage_synthetic.yaml describes the simulated stage.
 # Made by scripts/make_parameter_file.py from the declarations in the code; SI units.
 # Some values differ from their defaults. realtime.priority asks for real-time scheduling; where it is not permitted the
 # nodes say so and run without; all have the same, since they share locks, and one that is starved while it holds a
@@ -29,28 +31,31 @@ HEAD = """\
 # simulated.command_timeout is longer than the default of 5 ms: a desktop stalls for longer at times, and a simulated
 # machine breaks nothing.
 """
+STAGE_HEAD = """\
+# The synthetic stage that is shipped: a machine as it might stand in a shop. Each fact is here once; every node takes what
+# it needs. Made by scripts/make_parameter_file.py; SI units.
+"""
+TRUTH = {"simulated.truth.guide": "config/guide_synthetic.csv"}
+"""The survey of the shipped stage was measured with errors: its guide is another file."""
 
 
 def parameter_file() -> str:
-    """Text of the file."""
-    lines = [HEAD]
+    """Text of the settings."""
+    sections = [HEAD]
     for node, parameter_set in NODE_PARAMETERS.items():
-        lines.append(f"/**/{node}:\n  ros__parameters:")
-        for declaration in declarations(parameter_set):
-            value = CHANGED.get(node, {}).get(declaration.name, declaration.default)
-            unit = f" [{declaration.unit}]" if declaration.unit else ""
-            lines.append(f"    # {declaration.description}{unit}; {declaration.allowed()}")
-            lines.append(f"    {declaration.name}: {_as_yaml(value)}")
-        lines.append("")
-    return "\n".join(lines)
+        # Gains and truth belong to a stage.
+        own = [one for one in declarations(parameter_set) if not one.name.startswith(f"{STAGE}.")]
+        sections.append(commented(f"{ALL_NODES}/{node}", own, CHANGED.get(node, {})))
+    return "\n".join(sections)
 
 
-def _as_yaml(value: Any) -> str:
-    # YAML 1.1 takes 1e-07 for a text: a float needs its point.
-    if isinstance(value, float) and "e" in repr(value) and "." not in repr(value):
-        return repr(value).replace("e", ".0e")
-    return yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None).splitlines()[0]
+def stage_file() -> str:
+    """Text of the shipped stage."""
+    described = commented(ALL_NODES, declarations(StageParameters, f"{STAGE}."))
+    truth = [one for one in declarations(NODE_PARAMETERS["driver"]) if one.name in TRUTH]
+    return "\n".join([STAGE_HEAD, described, commented(f"{ALL_NODES}/driver", truth, TRUTH)])
 
 
 if __name__ == "__main__":
-    FILE.write_text(parameter_file())
+    (FOLDER / DEFAULT_FILE).write_text(parameter_file())
+    (FOLDER / DEFAULT_STAGE).write_text(stage_file())

@@ -20,11 +20,10 @@ from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STROKE
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 
@@ -80,11 +79,11 @@ def survey(folder: Path) -> None:
 
 def simulated(folder: Path, map_file: str | None = None) -> None:
     """A short stroke forward and back at the full rate; with ``map_file`` in the place of the survey."""
-    values = read_parameter_file(share_path("config/straightcomp.yaml"))
+    values = shipped_parameters()
     values["cell"].update(SHORT)
     values["controller"]["control.law"] = LAW
     if map_file:
-        values["feedforward"]["map.file"] = map_file
+        values["stage"]["guide.file"] = map_file
     simulation = Simulation(values)
     with SimulatedRun(folder, values, simulation.delay) as bag:
         simulation.run(observe=bag.add)

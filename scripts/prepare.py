@@ -13,16 +13,15 @@ from matplotlib import font_manager  # noqa: F401
 import straightcomp_ros
 from straightcomp_ros.control.laws import prepare_all
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-
-GUIDE = "config/guide_synthetic.csv"
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import load_map
 
 
 def main() -> None:
     """Fill the caches of this user and this environment."""
     compileall.compile_dir(str(Path(straightcomp_ros.__file__).parent), quiet=1)
     prepare_all()
-    SimulatedHardware(SimulatedParameters(), load_map(MapParameters(file=GUIDE)))
+    SimulatedHardware(SimulatedParameters(), StageParameters(), load_map())
 
 
 if __name__ == "__main__":

@@ -9,11 +9,10 @@ from types import ModuleType
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.offline.sweep.many_trials import run_trials
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.starts import Spread, metrics_of_starts, spreads
-from straightcomp_ros.settings.share import share_path
 
 # The code is reached by other tests, and whole strokes take three times as long under it.
 pytestmark = pytest.mark.no_cover
@@ -52,7 +51,7 @@ def lies_within(found: float, told: Spread, digits: int) -> bool:
 
 @pytest.fixture
 def shipped():
-    return read_parameter_file(share_path("config/straightcomp.yaml"))
+    return shipped_parameters()
 
 
 LAW_TABLE = script("law_table")
@@ -115,7 +114,7 @@ def test_the_designs_errors_around_stalls_are_what_their_script_finds(shipped, c
     told = [float(number) for number in re.findall(r"[\d.]+", cells(line)[-1])]
     late = script("late_commands")
     monkeypatch.setattr(late, "_STALLS_MS", (2,))
-    shipped["driver"]["lockstep_delay"] = 1.0
+    shipped["stage"]["drive.delay"] = 1.0
     late.stalls(shipped, 500_000)
     _, _, p98, largest, count = capsys.readouterr().out.splitlines()[-1].split()
     assert [float(p98), float(largest)] == pytest.approx(told, rel=0.1)

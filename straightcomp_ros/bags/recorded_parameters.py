@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.control.former_names import present_names
 from straightcomp_ros.settings.declaration import belongs_to_ros, flatten
+from straightcomp_ros.stage.former_names import present_names
 
 if TYPE_CHECKING:
     from straightcomp_ros.bags.writer import BagWriter
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-MAP_PARAMETERS = ("feedforward", "map.file")
+MAP_PARAMETERS = ("feedforward", "stage.guide.file")
 """Node and parameter that name the survey."""
 
 
@@ -40,9 +40,7 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
             raise BagError(f"{where}: '{key}' has no 'ros__parameters:'; record the bag again")
         own = values.setdefault(str(key).rsplit("/", 1)[-1], {})
         own |= {k: value for k, value in flatten(section["ros__parameters"]).items() if not belongs_to_ros(k)}
-    if "controller" in values:
-        values["controller"] = present_names(values["controller"])
-    return values
+    return {node: present_names(node, section) for node, section in values.items()}
 
 
 def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:

@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words
 
 RECORDED = ("driver", "feedforward", "controller", "logger")
@@ -17,13 +15,6 @@ IN_THE_LOOP = ("driver", "feedforward", "controller")
 """Those of them whose delays move the platform."""
 _SLACK_S = 90.0
 """Time for start, discovery and delays of a busy machine, beyond the duration of the cycle itself."""
-
-
-def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
-    """Text of a ROS 2 parameter file with these values, by node and dotted name."""
-    # rcl refuses an empty section.
-    tree = {f"/**/{node}": {"ros__parameters": dict(section)} for node, section in values.items() if section}
-    return yaml.safe_dump(tree, sort_keys=False)
 
 
 def run_cycle(

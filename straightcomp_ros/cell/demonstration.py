@@ -15,9 +15,10 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
-from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, as_parameter_file, run_cycle
+from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, run_cycle
 from straightcomp_ros.cell.launcher import LaunchError, executable_command, verb_command
 from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.stage import cycles
@@ -85,15 +86,16 @@ def demonstrate(
         SurveyError: the map's survey file cannot be used.
     """
     bag, logs, parameter_file = output / "bag", output / "logs", output / "parameters.yaml"
-    cell = node_parameters("cell", values["cell"])
-    duration = cycles(cell.motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
-    straightness = load_map(node_parameters("feedforward", values["feedforward"]).map)
+    cell = node_parameters("cell", values)
+    motion = cell.stage.motion
+    duration = cycles(motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
+    straightness = load_map(cell.stage.guide)
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
     try:
         with _driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
             parameter_file.write_text(as_parameter_file(values))
-            beside = {**emulated_machine(values["driver"], parameter_file), **gateway}
+            beside = {**emulated_machine(values, parameter_file), **gateway}
             run_cycle(bag, parameter_file, logs, duration, progress, beside=beside, in_place_of_cell=client)
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
@@ -105,7 +107,7 @@ def demonstrate(
         raise DemonstrationFailed(str(error)) from error
     recorded = float(evaluation.record.time[-1])
     # A client of the gateway chooses when to switch on and off: the rests before and after the strokes are its own.
-    least = 0.99 * duration - (2.0 * cell.motion.settle if opcua_strokes else 0.0)
+    least = 0.99 * duration - (2.0 * motion.settle if opcua_strokes else 0.0)
     if recorded < least:
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
@@ -125,8 +127,7 @@ def _driven_by_opcua(
     with tempfile.TemporaryDirectory(prefix="straightcomp_opcua_") as folder:
         users, password, port = Path(folder) / "users", secrets.token_urlsafe(16), free_port()
         add_user(users, _USER, password, OPERATOR)
-        motion = {name: value for name, value in values["cell"].items() if name.startswith("motion.")}
-        gateway = {**values.get("opcua", {}), **motion, "opcua.users": str(users), "opcua.port": port}
+        gateway = {**values.get("opcua", {}), "opcua.users": str(users), "opcua.port": port}
         command = [*executable_command("opcua_node"), "--ros-args", "--params-file", str(parameter_file)]
         url = OpcuaParameters(port=port).endpoint
         client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
@@ -145,16 +146,14 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
+def on_hub(values: Values, socket: str) -> dict[str, Any]:
     """Driver parameters that replace its simulated machine by an emulated board on a hub at ``socket``."""
-    simulated = node_parameters("driver", driver).simulated
-    timeout = simulated.command_timeout
+    timeout = node_parameters("driver", values).simulated.command_timeout
     return {
         "hardware": "can",
         "can.interface": INTERFACE,
         "can.channel": socket,
         "can.simulated_stage": True,
-        "can.rate": simulated.rate,
         # The driver's timeouts must be as long as the board's, which tolerates a stalled desktop.
         "can.command_timeout": timeout,
         "can.sample_timeout": timeout,
@@ -162,8 +161,8 @@ def on_hub(driver: Mapping[str, Any], socket: str) -> dict[str, Any]:
     }
 
 
-def emulated_machine(driver: Mapping[str, Any], parameter_file: Path) -> dict[str, list[str]]:
+def emulated_machine(values: Values, parameter_file: Path) -> dict[str, list[str]]:
     """Commands by name of the programs that emulate the board and its bus; empty unless the bus is a hub."""
-    parameters = node_parameters("driver", driver)
+    parameters = node_parameters("driver", values)
     on_a_hub = parameters.hardware == "can" and parameters.can.interface == INTERFACE
     return {"board": verb_command("dsp", "--hub", "--params-file", str(parameter_file))} if on_a_hub else {}

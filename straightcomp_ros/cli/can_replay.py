@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> None:
     check_range("--speed", options.speed, _SLOWEST, _FASTEST)
     if not options.log.is_file():
         raise CommandFailed(f"log '{options.log}': No such file; name a recorded bus", exit_code=2)
-    parameters = node_parameters("driver", chosen_parameters(options)["driver"]).can
+    parameters = node_parameters("driver", chosen_parameters(options)).can
     damage = ""
 
     def frames() -> Iterator[can.Message]:

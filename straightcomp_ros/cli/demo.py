@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> None:
     # The path of a socket has room for about a hundred characters: too few for some output folders.
     with tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
         if options.hardware == "can":
-            values["driver"].update(on_hub(values["driver"], str(Path(folder) / "bus")))
+            values["driver"].update(on_hub(values, str(Path(folder) / "bus")))
         elif options.hardware:
             values["driver"]["hardware"] = options.hardware
         opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0

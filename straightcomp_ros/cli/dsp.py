@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Be the board until SIGINT or SIGTERM."""
     from straightcomp_ros.nodes.dsp_emulator import emulate
 
-    parameters = node_parameters("driver", chosen_parameters(options)["driver"])
+    parameters = node_parameters("driver", chosen_parameters(options))
     check_range("--drift-ppm", options.drift_ppm, -_MOST_DRIFT_PPM, _MOST_DRIFT_PPM, "ppm")
     check_interface(parameters.can)
     interface = parameters.can.interface

@@ -5,7 +5,7 @@ common factor: mass or coil turns must be known (--known), and are taken from th
 guide says little about mass and viscous friction; --excitation writes a map whose reference excites them:
 
   straightcomp friction --excitation excitation.csv
-  straightcomp simulate --set feedforward.map.file=excitation.csv --bag BAG     (or run it on the machine)
+  straightcomp simulate --set stage.guide.file=excitation.csv --bag BAG     (or run it on the machine)
   straightcomp friction BAG -o plant.yaml
   straightcomp simulate --params-file plant.yaml
 """
@@ -20,7 +20,6 @@ from straightcomp_ros.cli.options import add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.contract import STROKE
 from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag, parameter_file
 from straightcomp_ros.identification.excitation import excitation_survey
 from straightcomp_ros.straightness.survey import write_survey
@@ -28,7 +27,7 @@ from straightcomp_ros.straightness.survey import write_survey
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
 _DEFAULT_KNOWN = "actuator.turns"
 _EXCITATION_COMMENTS = (
-    "Made up, not measured: a map for feedforward.map.file that excites friction, mass and stiffness.",
+    "Made up, not measured: a map for stage.guide.file that excites friction, mass and stiffness.",
     "Written by straightcomp friction --excitation. The platform moves up to 57 um to each side.",
 )
 
@@ -47,11 +46,13 @@ def run(options: argparse.Namespace) -> None:
     """Estimate and print, or write the map for the excitation."""
     if (options.bag is None) == (options.excitation is None):
         raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
+    values = chosen_parameters(options)
     if options.excitation is not None:
-        write_survey(output_file("--excitation", options.excitation), excitation_survey(STROKE), _EXCITATION_COMMENTS)
+        stroke = node_parameters("cell", values).stage.motion.stroke
+        write_survey(output_file("--excitation", options.excitation), excitation_survey(stroke), _EXCITATION_COMMENTS)
         return
     output = output_file("--output", options.output) if options.output else None
-    start = node_parameters("driver", chosen_parameters(options)["driver"]).simulated.plant
+    start = node_parameters("driver", values).stage
     with working("estimating") as advance:
         estimate = estimate_from_bag(Path(options.bag), start, options.known or [_DEFAULT_KNOWN], advance)
     if output is not None:

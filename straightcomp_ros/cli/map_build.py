@@ -1,7 +1,7 @@
 """Make a map from a survey: a bag (stage X and a displacement sensor), a CSV recording over time, or a survey file.
 
 Recognises runs and their directions, rejects spikes and runs that do not agree, reports repeatability in the way of
-ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `map.file`."""
+ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `stage.guide.file`."""
 
 from __future__ import annotations
 

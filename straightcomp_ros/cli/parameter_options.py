@@ -7,30 +7,28 @@ from typing import Any
 import yaml
 
 from straightcomp_ros.cli.options import add_repeatable
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, node_parameters
+from straightcomp_ros.configuration.parameter_file import DEFAULT_FILE, DEFAULT_STAGE, shipped_parameters
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.settings.declaration import ParameterError
-from straightcomp_ros.settings.share import share_path
-
-DEFAULT_FILE = "config/straightcomp.yaml"
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
-    """Add --law, --params-file and --set."""
+    """Add --stage, --law, --params-file and --set."""
     add = parser.add_argument
+    add("--stage", metavar="FILE", help=f"description of the stage (default: the installed {DEFAULT_STAGE})")
     add("--law", choices=LAWS, help="control law (default: the parameter file's)")
     add("--params-file", metavar="FILE", help=f"ROS 2 parameter file (default: the installed {DEFAULT_FILE})")
-    add_repeatable(parser, "--set", "NODE.NAME=VALUE", "set one parameter, e.g. driver.simulated.plant.mass=3.5")
+    add_repeatable(parser, "--set", "NODE.NAME=VALUE", "set one parameter, e.g. stage.platform.mass=3.5")
 
 
 def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Values by node and dotted name, checked; raises ParameterError."""
-    values = read_parameter_file(options.params_file or share_path(DEFAULT_FILE))
+    values = shipped_parameters(options.params_file, options.stage)
     for node, changes in chosen_changes(options).items():
         values[node].update(changes)
-    for node in values:
-        node_parameters(node, values[node])
+    for node in NODE_PARAMETERS:
+        node_parameters(node, values)
     return values
 
 
@@ -48,8 +46,8 @@ def chosen_changes(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
 def _parsed_assignment(assignment: str) -> tuple[str, str, Any]:
     target, equals, text = assignment.partition("=")
     node, dot, name = target.partition(".")
-    if not (equals and dot) or node not in NODE_PARAMETERS:
-        known = ", ".join(NODE_PARAMETERS)
+    if not (equals and dot) or node not in (STAGE, *NODE_PARAMETERS):
+        known = ", ".join((STAGE, *NODE_PARAMETERS))
         raise ParameterError(f"--set {assignment!r}: allowed: NODE.NAME=VALUE with NODE one of {known}")
     # YAML 1.1 reads 1e6 as text. A parameter file has the same trap, but here it can be avoided.
     if "e" in text.lower():

@@ -8,11 +8,9 @@ from pathlib import Path
 from straightcomp_ros.cli.law_tables import shown, titled_table
 from straightcomp_ros.cli.options import output_folder
 from straightcomp_ros.cli.output import console, notes, print_json, working
-from straightcomp_ros.cli.parameter_options import DEFAULT_FILE
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.paper.all_figures import Reproduction, reproduce
 from straightcomp_ros.paper.ideal_machine import machine_from
-from straightcomp_ros.settings.share import share_path
 
 SUMMARY = "compute the paper's figures, and its numbers beside ours"
 
@@ -26,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Reproduce with the shipped parameters and print the claims."""
     output = output_folder("--output", options.output)
-    machine = machine_from(read_parameter_file(share_path(DEFAULT_FILE)))
+    machine = machine_from(shipped_parameters())
     with working("computing the figures") as advance:
         result = reproduce(machine, output, advance)
     if options.json:

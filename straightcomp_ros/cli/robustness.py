@@ -1,15 +1,14 @@
 """Run many strokes on machines that differ from the one that the controller was designed for.
 
 For each trial mass, magnetic force, air gap, friction, sensor noise, command delay, sample times and the survey are
-drawn anew, and every law runs on the very same machines. The controller keeps its nominal design. Trial k of a seed
-is always the same machine, on any number of cores, here or on Dask workers.
+drawn anew within `stage.uncertainty`, and every law runs on the very same machines. The controller keeps its
+description. Trial k of a seed is always the same machine, on any number of cores, here or on Dask workers.
 """
 
 import argparse
 import re
 import time
 from collections.abc import Callable
-from typing import Any
 
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.options import PICTURES, add_repeatable, output_file
@@ -19,8 +18,7 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, summarise, sweep
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
-from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
-from straightcomp_ros.settings.declaration import ParameterError, declarations, from_mapping
+from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "run many strokes on uncertain machines, offline"
@@ -36,8 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--trials", type=_whole(1), default=1000, metavar="N", help="machines (default: %(default)s)")
     add_repeatable(parser, "--trial", "K", "run only machine K of this seed", type=_whole(0), dest="chosen")
     add("--seed", type=_whole(0), default=1, metavar="N", help="of all that is drawn (default: 1)")
-    names = ", ".join(declaration.name for declaration in declarations(UncertaintyParameters))
-    add_repeatable(parser, "--range", "NAME=VALUE", f"change one range, e.g. mass=0.3; names: {names}", dest="ranges")
     add("--jobs", type=_whole(1), metavar="N", help="processes on this machine (default: all cores)")
     add("--dask", default="", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
     add("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
@@ -52,8 +48,7 @@ def run(options: argparse.Namespace) -> None:
         # Dask itself takes 40 s to be sure.
         raise CommandFailed(f"--dask {options.dask}; allowed: HOST:PORT or tcp://HOST:PORT", exit_code=2)
     started = time.perf_counter()
-    ranges = from_mapping(UncertaintyParameters, dict(map(_assignment, options.ranges)))
-    scenario = make_scenario(values, laws, ranges)
+    scenario = make_scenario(values, laws)
     trials = sorted(set(options.chosen)) or range(options.trials)
     machines = f"machine {', '.join(map(str, trials))}" if options.chosen else f"{options.trials} machines"
     with working(machines) as advance:
@@ -75,7 +70,10 @@ def run(options: argparse.Namespace) -> None:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
         columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "failures", "limit cycles")
         table = titled_table(title, *columns, rows=map(_row, summaries))
-        table.caption, table.caption_justify = f"{_conditions(ranges)}\n{seconds:.0f} s", "left"
+        table.caption, table.caption_justify = (
+            f"{_conditions(scenario.description.uncertainty)}\n{seconds:.0f} s",
+            "left",
+        )
         console.print(table)
         for summary in summaries:
             if summary.outliers:
@@ -102,17 +100,6 @@ def _conditions(ranges: UncertaintyParameters) -> str:
         f"delay {ranges.shortest_delay:g} to {ranges.longest_delay:g} samples, jitter ±{ranges.jitter * 1e6:g} µs, "
         f"survey error {ranges.map_noise * 1e6:g} µm RMS"
     )
-
-
-def _assignment(text: str) -> tuple[str, Any]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise ParameterError(f"--range {text!r}: allowed: NAME=VALUE")
-    try:
-        return name, float(value)
-    except ValueError:
-        # from_mapping refuses it with the range that is allowed.
-        return name, value
 
 
 def _whole(least: int) -> Callable[[str], int]:

@@ -13,7 +13,7 @@ from straightcomp_ros.cli.law_tables import cycles_table, results_table
 from straightcomp_ros.cli.options import PICTURES, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.node_parameters import by_node, node_parameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
 from straightcomp_ros.offline.sweep.starts import Spread, metrics_of_starts, spreads
@@ -27,7 +27,7 @@ SUMMARY = "run strokes forward and back offline"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
-    add("--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: 0.5)")
+    add("--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: the stage's)")
     add("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
     starts = "repeat the cycle from N places of the platform around its start, and tell median and range (default: 1)"
     add("--starts", type=int, default=1, metavar="N", help=starts)
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
     if options.delay is not None:
-        values["driver"]["lockstep_delay"] = options.delay
+        values["stage"]["drive.delay"] = options.delay
     check_range("--strokes", options.strokes, 1)
     check_range("--starts", options.starts, 1)
     if options.starts > 1 and (options.strokes > 1 or options.learn or options.learned or options.bag):
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> None:
 
         plot_run(record, straightness, cycles[-1], plot, title=f"Simulated stroke, law '{record.law}'")
     shown = [cycle.to_display() for cycle in cycles]
-    delay = node_parameters("driver", values["driver"]).lockstep_delay
+    delay = node_parameters("driver", values).stage.drive.delay
     figures = {"law": record.law, "delay_samples": delay, **shown[-1]}
     if options.json:
         if over_starts:
@@ -92,7 +92,7 @@ def _run_cycles(
         return record, straightness, [evaluate(record, straightness)]
     simulation = Simulation(values)
     cycles: list[Metrics] = []
-    opened = SimulatedRun(Path(options.bag), values, simulation.delay) if options.bag else nullcontext()
+    opened = SimulatedRun(Path(options.bag), by_node(values), simulation.delay) if options.bag else nullcontext()
     with working("simulating") as advance, opened as bag:
         for _ in range(options.strokes):
             record = simulation.run(

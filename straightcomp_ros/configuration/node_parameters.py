@@ -1,21 +1,24 @@
 """The parameters of every node."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.learning import LearningParameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import CURRENT_COUNT, CURRENT_LIMIT
 from straightcomp_ros.hardware.simulated import SimulatedParameters
-from straightcomp_ros.model.stage import MotionParameters
+from straightcomp_ros.model.commanded_plant import Hold
+from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.settings.declaration import ParameterError, RefusedParameter, from_mapping, group, parameter
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.former_names import present_name
+from straightcomp_ros.stage.truth import true_guide, true_plant
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
-from straightcomp_ros.straightness.guide_map import MapParameters
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 
@@ -30,26 +33,18 @@ def _autostart() -> bool:
 class DriverNodeParameters:
     """Parameters of the node `driver`."""
 
-    dynamic: ClassVar[tuple[str, ...]] = ("current_limit",)
+    dynamic: ClassVar[tuple[str, ...]] = ("stage.actuator.current_limit",)
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
+    stage: StageParameters = group(StageParameters)
     hardware: str = parameter(
         "simulated", "Machine: simulated in the driver, or a board on CAN", choices=("simulated", "can")
-    )
-    current_limit: float = parameter(
-        1.0,
-        "Largest magnitude of a commanded control current; beyond it the amplifier is switched off and a fault latched",
-        "(0, 100] A",
     )
     lockstep: bool = parameter(
         False, "Advance the simulated machine only when the command for its last sample has arrived, not in real time"
     )
-    lockstep_delay: float = parameter(
-        0.5, "Time from a sample until its command takes effect while 'lockstep' is true", "[0, 10] samples"
-    )
     simulated: SimulatedParameters = group(SimulatedParameters, "Simulated board")
-    guide: MapParameters = group(MapParameters, "Simulated guide", file="config/guide_synthetic.csv")
     can: CanParameters = group(CanParameters, "CAN board")
     watch: WatchParameters = group(WatchParameters, "Fault detection")
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
@@ -61,10 +56,10 @@ class DriverNodeParameters:
             raise RefusedParameter(
                 "lockstep", "True needs a simulated machine; allowed: false ('{group}hardware' is 'can')"
             )
-        largest = CURRENT_LIMIT * CURRENT_COUNT
-        if self.current_limit > largest:
+        largest, limit = CURRENT_LIMIT * CURRENT_COUNT, self.stage.actuator.current_limit
+        if limit > largest:
             raise RefusedParameter(
-                "current_limit", f"{self.current_limit!r} A is too large for CAN; allowed: <= {largest:g} A"
+                "stage.actuator.current_limit", f"{limit!r} A is too large for CAN; allowed: <= {largest:g} A"
             )
 
     @property
@@ -72,16 +67,30 @@ class DriverNodeParameters:
         """Parameters of the backend that ``hardware`` names."""
         return self.can if self.hardware == "can" else self.simulated
 
+    @property
+    def plant(self) -> PlantParameters:
+        """The simulated machine."""
+        return true_plant(self.stage, self.simulated.truth)
+
+    def guide(self) -> StraightnessMap:
+        """The simulated guide; SurveyError if its survey is refused."""
+        return true_guide(self.stage, self.simulated.truth)
+
+    @property
+    def hold(self) -> Hold:
+        """How the simulated board holds the platform when commands are late."""
+        return self.simulated.hold(self.stage)
+
 
 @dataclass(frozen=True)
 class FeedforwardNodeParameters:
     """Parameters of the node `feedforward`."""
 
-    dynamic: ClassVar[tuple[str, ...]] = ("map",)
+    dynamic: ClassVar[tuple[str, ...]] = ("stage.guide",)
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
-    map: MapParameters = group(MapParameters, "Map of the guide")
+    stage: StageParameters = group(StageParameters)
     feedforward: FeedforwardParameters = group(FeedforwardParameters, "Tracking of the stage")
     interval: float = parameter(
         0.002, "Time between two cycles; each answers all samples since the last", "(0, 0.01] s"
@@ -93,15 +102,15 @@ class FeedforwardNodeParameters:
 class ControllerNodeParameters:
     """Parameters of the node `controller`."""
 
-    dynamic: ClassVar[tuple[str, ...]] = ("control",)
+    dynamic: ClassVar[tuple[str, ...]] = ("control", "stage.actuator.current_limit")
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
-    rate: int = parameter(DEFAULT_RATE, "Control cycles per second", "[10, 20000] Hz")
+    stage: StageParameters = group(StageParameters)
     trigger: str = parameter(
         "sample",
-        "What begins a control cycle. sample: the arrival of an encoder sample. timer: a timer at 'rate'; each cycle "
-        "answers all samples that arrived since the last. lockstep: as sample, but each sample waits for its own "
+        "What begins a control cycle. sample: the arrival of an encoder sample. timer: a timer at 'stage.rate'; each "
+        "cycle answers all samples that arrived since the last. lockstep: as sample, but each sample waits for its own "
         "reference, for a driver in lockstep or a replay",
         choices=("sample", "timer", "lockstep"),
     )
@@ -117,10 +126,13 @@ class ControllerNodeParameters:
     learning: LearningParameters = group(LearningParameters, "Learned correction")
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
+    def __post_init__(self) -> None:
+        self.control.check(self.stage)
+
     @property
     def lead_ns(self) -> int:
-        """``reference_lead`` in ns at this rate."""
-        return round(self.reference_lead * 1e9 / self.rate)
+        """``reference_lead`` in ns at the stage's rate."""
+        return round(self.reference_lead * 1e9 / self.stage.rate)
 
 
 @dataclass(frozen=True)
@@ -188,7 +200,7 @@ class CellNodeParameters:
         0, "Faults in mid-cycle after which the cell switches the amplifier on again; one more ends the run", "[0, inf)"
     )
     progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output while the stage moves")
-    motion: MotionParameters = group(MotionParameters, "Strokes of the stage")
+    stage: StageParameters = group(StageParameters)
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 
@@ -222,7 +234,7 @@ class OpcuaNodeParameters:
         2e-6, "Peak-to-peak error of one motion of the stage above which there is an alarm", "(0, inf) m"
     )
     opcua: OpcuaParameters = group(OpcuaParameters, "OPC UA server")
-    motion: MotionParameters = group(MotionParameters, "Strokes of the stage")
+    stage: StageParameters = group(StageParameters)
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 
@@ -237,14 +249,45 @@ NODE_PARAMETERS: Mapping[str, type] = {
 }
 """Parameter set of each node, by the node's name."""
 
+STAGE = "stage"
+"""Key of the stage's description in values by node, beside the nodes' names."""
+Values = Mapping[str, Mapping[str, Any]]
+"""Parameters by node and dotted name; the description of the stage under :data:`STAGE`."""
 
-def node_parameters(name: str, values: Mapping[str, Any]) -> Any:
+
+def _described(name: str, values: Values) -> dict[str, Any]:
+    """The description's parameters as the node ``name`` calls them; none for a node that has no description."""
+    if STAGE not in NODE_PARAMETERS[name].__dataclass_fields__:
+        return {}
+    return {f"{STAGE}.{key}": value for key, value in values.get(STAGE, {}).items()}
+
+
+def by_node(values: Values) -> dict[str, dict[str, Any]]:
+    """Values of each node alone, the stage's description included, as a running node has them."""
+    return {node: {**_described(node, values), **values.get(node, {})} for node in NODE_PARAMETERS if node in values}
+
+
+def refuse_former_names(node: str, names: Iterable[str]) -> None:
+    """Raise ParameterError for a parameter of ``node`` that has another name now."""
+    for name in names:
+        present = present_name(node, name)
+        if present != name:
+            place = ", under '/**' for all nodes" if present.startswith(f"{STAGE}.") else ""
+            raise ParameterError(f"parameter '{name}' is '{present}' now{place}")
+
+
+def node_parameters(name: str, values: Values) -> Any:
     """Validated parameter set of the node ``name``.
+
+    Args:
+        name: of the node.
+        values: by node and dotted name; those of :data:`STAGE` hold for every node that has not its own.
 
     Raises:
         ParameterError: a name is unknown or a value is refused; the message also names the node.
     """
     try:
-        return from_mapping(NODE_PARAMETERS[name], values)
+        refuse_former_names(name, values.get(name, {}))
+        return from_mapping(NODE_PARAMETERS[name], {**_described(name, values), **values.get(name, {})})
     except ParameterError as error:
         raise ParameterError(f"node {name}: {error}") from error

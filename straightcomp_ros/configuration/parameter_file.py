@@ -1,4 +1,4 @@
-"""Reads the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
+"""Reads and writes the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,12 +6,22 @@ from typing import Any
 
 import yaml
 
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.settings.declaration import ParameterError, flatten
+from straightcomp_ros.settings.share import share_path
+
+ALL_NODES = "/**"
+"""Key of a parameter file for what holds for every node."""
+_PARAMETERS = "ros__parameters"
+DEFAULT_FILE = "config/straightcomp.yaml"
+DEFAULT_STAGE = "config/stage_synthetic.yaml"
+"""Installed files: settings of the nodes, and the description of the synthetic stage."""
 
 
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """Values of a ROS 2 parameter file by node and dotted name, with a key for each node of this package.
+
+    The description of the stage, which the file gives to all nodes under ``/**``, has the key :data:`STAGE`.
 
     Raises:
         ParameterError: the file cannot be read, is not YAML, is empty, or does not have the layout of a parameter file.
@@ -30,19 +40,62 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
 def _read_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
     """Values in the content of a parameter file; ``source`` names the file in messages.
 
-    A key is a node's name, with or without a namespace before it (``/**/driver``, ``driver``).
+    A key is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**`` for all.
 
     Raises:
         ParameterError: another layout, or an unknown node.
     """
-    values: dict[str, dict[str, Any]] = {name: {} for name in NODE_PARAMETERS}
+    values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
     if not isinstance(tree, Mapping):
         raise ParameterError(f"{source}: has no 'NODE: ros__parameters:' level")
     for key, section in tree.items():
         name = str(key).rsplit("/", 1)[-1]
-        if name not in values:
-            raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(values)}")
-        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
+        if name not in (*NODE_PARAMETERS, "**"):
+            raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(NODE_PARAMETERS)}, {ALL_NODES}")
+        if not isinstance(section, Mapping) or not isinstance(section.get(_PARAMETERS), Mapping):
             raise ParameterError(f"{source}: node '{key}' has no 'ros__parameters:'")
-        values[name].update(flatten(section["ros__parameters"]))
+        given = flatten(section[_PARAMETERS])
+        if name != "**":
+            values[name].update(given)
+            continue
+        for parameter, value in given.items():
+            group, _, rest = parameter.partition(".")
+            if group != STAGE or not rest:
+                raise ParameterError(f"{source}: '{parameter}' under '{key}'; allowed for all nodes: {STAGE}.…")
+            values[STAGE][rest] = value
     return values
+
+
+def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
+    """As :func:`read_parameter_file`; the survey of a relative name is looked for beside the file first."""
+    values = read_parameter_file(path)
+    folder = Path(path).resolve().parent
+    for node, name in ((STAGE, "guide.file"), ("driver", "simulated.truth.guide")):
+        survey = values[node].get(name)
+        if isinstance(survey, str) and survey and (folder / survey).is_file():
+            values[node][name] = str(folder / survey)
+    return values
+
+
+def shipped_parameters(params_file: str | None = None, stage: str | None = None) -> dict[str, dict[str, Any]]:
+    """Values by node and dotted name of a parameter file and a stage file; the installed ones by default.
+
+    A parameter file that is named describes the stage too, unless there is a ``stage`` file.
+    """
+    values = read_parameter_file(params_file or share_path(DEFAULT_FILE))
+    if stage or not params_file:
+        for node, described in read_stage_file(stage or share_path(DEFAULT_STAGE)).items():
+            values[node].update(described)
+    return values
+
+
+def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
+    """Text of a ROS 2 parameter file with these values, by node and dotted name."""
+    tree: dict[str, Any] = {}
+    # What a node has of its own must come after what holds for all. rcl refuses an empty section.
+    for node in sorted((node for node, section in values.items() if section), key=lambda node: node != STAGE):
+        if node == STAGE:
+            tree[ALL_NODES] = {_PARAMETERS: {STAGE: dict(values[node])}}
+        else:
+            tree[f"{ALL_NODES}/{node}"] = {_PARAMETERS: dict(values[node])}
+    return yaml.safe_dump(tree, sort_keys=False)

@@ -11,23 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.model.actuator import ActuatorParameters, stiffness_errors
-from straightcomp_ros.settings.declaration import group, parameter
-
-
-@dataclass(frozen=True)
-class NominalPlant:
-    """Nominal model of the plant (5)."""
-
-    mass: float = parameter(3.0, "Moving mass M of the platform", "(0, 10000] kg")
-    friction: float = parameter(
-        0.645, "Largest friction force expected, for the check of smc.rho by (11)", "[0, inf) N"
-    )
-    travel: float = parameter(25e-6, "Largest |y| in operation, for the check of smc.rho", "(0, inf) m")
-    amplifier_bandwidth: float = parameter(
-        500.0, "Bandwidth of the amplifier, for the laws with an observer", "(0, 1e6] Hz"
-    )
-    actuator: ActuatorParameters = group(ActuatorParameters, "Nominal magnets of the laws")
+from straightcomp_ros.model.actuator import stiffness_errors
+from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.stage.description import StageParameters
 
 
 @dataclass(frozen=True)
@@ -56,38 +42,39 @@ class SlidingDesign:
         return 2.0 * math.pi * self.natural_frequency
 
 
-def state_matrices(nominal: NominalPlant) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def state_matrices(stage: StageParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A (3, 3) and B (3,) of (6), with the control current in A as the input instead of u (so K_a = 1)."""
-    actuator = nominal.actuator
-    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, actuator.position_stiffness / nominal.mass, 0.0]])
-    return a, np.array([0.0, 0.0, actuator.current_stiffness / nominal.mass])
+    actuator, mass = stage.actuator, stage.platform.mass
+    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, actuator.position_stiffness / mass, 0.0]])
+    return a, np.array([0.0, 0.0, actuator.current_stiffness / mass])
 
 
-def feedback_gains(design: SlidingDesign, nominal: NominalPlant) -> NDArray[np.float64]:
+def feedback_gains(design: SlidingDesign, stage: StageParameters) -> NDArray[np.float64]:
     """K (3,) with i_c = −K x: (9) without its switching term and with r = 0, i.e. (SB)⁻¹ (SA + φS)."""
-    a, b = state_matrices(nominal)
+    a, b = state_matrices(stage)
     s = np.array([design.omega_n**2, 2.0 * design.zeta * design.omega_n, 1.0])
     return np.asarray((s @ a + design.phi * s) / (s @ b))
 
 
-def closed_loop_poles(design: SlidingDesign, nominal: NominalPlant) -> NDArray[np.inexact[Any]]:
+def closed_loop_poles(design: SlidingDesign, stage: StageParameters) -> NDArray[np.inexact[Any]]:
     """Poles (3,) in rad/s of the nominal plant under (9) without its switching term: the eigenvalues of A − B K."""
-    a, b = state_matrices(nominal)
-    return np.linalg.eigvals(a - np.outer(b, feedback_gains(design, nominal)))
+    a, b = state_matrices(stage)
+    return np.linalg.eigvals(a - np.outer(b, feedback_gains(design, stage)))
 
 
-def reaching_bound(design: SlidingDesign, nominal: NominalPlant) -> float:
-    """Smallest ρ in m/s² that fulfils (11) within the nominal travel, at rest on the reference.
+def reaching_bound(design: SlidingDesign, stage: StageParameters) -> float:
+    """Smallest ρ in m/s² that fulfils (11) within the travel, at rest on the reference.
 
     There SAx + SB_r r = (K̄_y/M) y (x₁ = 0, ẏ = 0, y = r), the matched disturbance is friction over mass and the
     stiffness error m_y, and |m_i| is largest at full travel with the current that holds position and friction.
     """
-    actuator = nominal.actuator
-    a = nominal.travel / actuator.air_gap
-    hold = (actuator.position_stiffness * nominal.travel + nominal.friction) / actuator.current_stiffness
+    actuator, mass = stage.actuator, stage.platform.mass
+    travel, friction = stage.guide.travel, stage.friction.static
+    a = travel / actuator.air_gap
+    hold = (actuator.position_stiffness * travel + friction) / actuator.current_stiffness
     m_y, m_i = stiffness_errors(a, min(1.0, hold / actuator.bias_current))
     if abs(m_i) >= 1.0:
         return math.inf
-    position = actuator.position_stiffness / nominal.mass * nominal.travel
-    disturbance = m_y * position + nominal.friction / nominal.mass
+    position = actuator.position_stiffness / mass * travel
+    disturbance = m_y * position + friction / mass
     return (abs(m_i) * position + disturbance + design.gamma) / (1.0 - abs(m_i))

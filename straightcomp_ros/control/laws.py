@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from functools import partial
 
 from straightcomp_ros.control import sliding_mode, smc_observer
-from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
+from straightcomp_ros.control.design import SlidingDesign, reaching_bound
 from straightcomp_ros.control.friction_size import LagWeights, SizeGains
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
-from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
+from straightcomp_ros.stage.description import StageParameters
 
 LAWS = ("linear", "smc", "smc_observer")
 
@@ -55,66 +55,56 @@ class ObserverDesign:
     )
     rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
     rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
-    lugre: LuGreParameters = group(LuGreParameters, "Friction model of the law smc_observer")
 
 
 @dataclass(frozen=True)
 class ControlParameters:
-    """Law, its design, and the nominal plant."""
+    """Law and its design."""
 
     law: str = parameter("smc_observer", "Control law", choices=LAWS)
-    current_limit: float = parameter(0.9, "Largest control current |i_c| of a law", "(0, 100] A")
     smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
     smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")
-    nominal: NominalPlant = group(NominalPlant, "Nominal plant of the laws")
 
-    def __post_init__(self) -> None:
-        bound = reaching_bound(self.smc, self.nominal)
+    def check(self, stage: StageParameters) -> None:
+        """Raise RefusedParameter if the law's design does not fit ``stage``; the group's name is 'control'."""
+        bound = reaching_bound(self.smc, stage)
         if self.law == "smc" and self.smc.enforce_reaching and self.smc.rho <= bound:
             raise RefusedParameter(
-                "smc.rho",
+                "control.smc.rho",
                 f"{self.smc.rho!r} m/s² does not fulfil the reaching condition (11); "
-                f"allowed: > {bound:.4g} m/s², or any with '{{group}}smc.enforce_reaching' false",
+                f"allowed: > {bound:.4g} m/s², or any with '{{group}}control.smc.enforce_reaching' false",
             )
 
 
 def prepare_all() -> None:
     """Compile the steps of all laws, or read their machine code, so that :func:`make_law` takes no time later."""
     for name in LAWS:
-        make_law(ControlParameters(law=name), 1.0)
+        make_law(ControlParameters(law=name), StageParameters())
 
 
-def make_law(parameters: ControlParameters, period: float) -> Law:
-    """The law that the parameters name, for a sampling period in s."""
+def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
+    """The law that the parameters name, for a stage."""
     if parameters.law in ("linear", "smc"):
         switching = parameters.law == "smc"
         design = parameters.smc
         numbers = sliding_mode.gains(
             design,
-            parameters.nominal,
+            stage,
             switching=switching,
             feedforward=switching and design.feedforward,
-            period=period,
-            current_limit=parameters.current_limit,
         )
         return Law(numbers, sliding_mode.start, sliding_mode.step, compiled=True)
-    return _smc_observer(parameters, period)
+    return _smc_observer(parameters.smc_observer, stage)
 
 
-def _smc_observer(parameters: ControlParameters, period: float) -> Law:
-    design, nominal = parameters.smc_observer, parameters.nominal
-    loop = nominal_loop(
-        nominal,
-        period=period,
-        delay_samples=design.delay,
-        current_limit=parameters.current_limit,
-        gain_allowance=design.gain_allowance,
-    )
+def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
+    period = stage.period
+    loop = nominal_loop(stage, delay_samples=design.delay, gain_allowance=design.gain_allowance)
     size = SizeGains(
         kept=math.exp(-period / design.memory),
         smooth=1.0 - math.exp(-2.0 * math.pi * _MISFIT_BANDWIDTH * period),
         mean=1.0 - math.exp(-period / _MISFIT_MEMORY),
-        travel=nominal.travel,
+        travel=stage.guide.travel,
         speed=design.rest_speed,
         largest=design.largest_size,
     )
@@ -122,8 +112,8 @@ def _smc_observer(parameters: ControlParameters, period: float) -> Law:
         _stiffness(design, 1.0, period),
         _stiffness(design, design.stiffening, period),
         design.velocity_share,
-        design.misfit * design.lugre.coulomb / loop.mass,
-        design.lugre.constants(),
+        design.misfit * stage.friction.coulomb / loop.mass,
+        stage.friction.constants(),
         size,
         smc_observer.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, period),
         loop,

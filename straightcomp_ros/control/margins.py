@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from straightcomp_ros.control.design import NominalPlant
 from straightcomp_ros.control.law import Law, flat
+from straightcomp_ros.stage.description import StageParameters
 
 _STEP = 1e-9
 """Perturbation for the differences, in SI units: far below a count, far above rounding."""
@@ -49,21 +49,19 @@ class Margins(NamedTuple):
     longest_delay: float
 
 
-def sampled_plant(nominal: NominalPlant, *, period: float, delay: float, amplifier_bandwidth: float) -> StateSpace:
+def sampled_plant(stage: StageParameters, delay: float) -> StateSpace:
     """From commanded current (A) to position (m): the linear plant (3), sampled.
 
     Args:
-        nominal: the plant.
-        period: s.
+        stage: whose plant, rate and amplifier are taken.
         delay: of a command from its sample, s, zero or more.
-        amplifier_bandwidth: Hz.
     """
-    actuator = nominal.actuator
-    rate = 2.0 * math.pi * amplifier_bandwidth
+    actuator, mass, period = stage.actuator, stage.platform.mass, stage.period
+    rate = 2.0 * math.pi * stage.drive.bandwidth
     continuous = np.zeros((4, 4))
     continuous[0, 1] = 1.0
-    continuous[1, 0] = actuator.position_stiffness / nominal.mass
-    continuous[1, 2] = actuator.current_stiffness / nominal.mass
+    continuous[1, 0] = actuator.position_stiffness / mass
+    continuous[1, 2] = actuator.current_stiffness / mass
     continuous[2, 2], continuous[2, 3] = -rate, rate
     whole = int(delay / period)
     rest = delay - whole * period
@@ -125,23 +123,22 @@ def _connected(a: Matrix, c: Matrix) -> NDArray[np.bool_]:
     return seen
 
 
-def loop_margins(
-    law: Law, nominal: NominalPlant, *, period: float, delay: float, amplifier_bandwidth: float
-) -> Margins:
-    """Margins of ``law`` on the nominal plant; arguments as of :func:`sampled_plant`.
+def loop_margins(law: Law, stage: StageParameters, delay: float | None = None) -> Margins:
+    """Margins of ``law`` on the plant of ``stage``, with commands ``delay`` s late: by default as described.
 
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    controller = linearised(law)
+    controller, period = linearised(law), stage.period
+    late = stage.drive.delay * period if delay is None else delay
 
-    def plant(at: float = delay) -> StateSpace:
-        return sampled_plant(nominal, period=period, delay=at, amplifier_bandwidth=amplifier_bandwidth)
+    def plant(at: float = late) -> StateSpace:
+        return sampled_plant(stage, at)
 
-    def poles(gain: float = 1.0, at: float = delay) -> NDArray[np.complex128]:
+    def poles(gain: float = 1.0, at: float = late) -> NDArray[np.complex128]:
         return np.asarray(np.linalg.eigvals(_closed(plant(at), controller, gain)), dtype=np.complex128)
 
-    def stable(gain: float = 1.0, at: float = delay) -> bool:
+    def stable(gain: float = 1.0, at: float = late) -> bool:
         return bool(np.abs(poles(gain, at)).max() < 1.0)
 
     if not stable():
@@ -151,7 +148,7 @@ def loop_margins(
         _last_stable(stable, 1.0, 0.0),
         _last_stable(stable, 1.0, 20.0),
         _phase_margin(plant(), controller, period),
-        _last_stable(lambda x: stable(at=x), delay, delay + 10.0 * period),
+        _last_stable(lambda x: stable(at=x), late, late + 10.0 * period),
     )
 
 

@@ -12,9 +12,9 @@ with the reference of that moment. They answer with an acceleration; the exact i
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.design import NominalPlant
 from straightcomp_ros.model.actuator import Actuator, control_current, magnetic_force
 from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.stage.description import StageParameters
 
 _USABLE_GAP = 0.95
 """Fraction of the air gap within which (2) and its inverse are evaluated: they are singular at the poles."""
@@ -103,25 +103,16 @@ def interval(amplifier_rate: float, duration: float) -> Interval:
     return Interval(duration, left, (1.0 - left) / (amplifier_rate * duration) if duration > 0.0 else 1.0)
 
 
-def nominal_loop(
-    nominal: NominalPlant,
-    *,
-    period: float,
-    delay_samples: float,
-    current_limit: float,
-    gain_allowance: float = 1.0,
-) -> Loop:
-    """The loop around the nominal plant.
+def nominal_loop(stage: StageParameters, *, delay_samples: float, gain_allowance: float = 1.0) -> Loop:
+    """The loop around the stage's plant.
 
     Args:
-        nominal: the plant.
-        period: s.
+        stage: its description.
         delay_samples: delay of a command, in periods, at most 1.
-        current_limit: A.
         gain_allowance: factor of the stiffnesses K̄_i and K̄_y. It equals dividing M; the equilibrium does not move.
     """
-    rate = 2.0 * math.pi * nominal.amplifier_bandwidth
-    mass = nominal.mass / gain_allowance
+    rate, period = 2.0 * math.pi * stage.drive.bandwidth, stage.period
+    mass = stage.platform.mass / gain_allowance
     acting = (1.0 - delay_samples) * period
     risen = 1.0 - math.exp(-rate * acting)
     return Loop(
@@ -130,10 +121,10 @@ def nominal_loop(
         interval(rate, delay_samples * period),
         interval(rate, acting),
         mass,
-        current_limit,
-        nominal.actuator.current_stiffness / mass,
+        stage.actuator.current_limit,
+        stage.actuator.current_stiffness / mass,
         (acting - risen / rate) / (period * risen) if risen > 0.0 else 0.0,
-        nominal.actuator.constants(),
+        stage.actuator.constants(),
     )
 
 

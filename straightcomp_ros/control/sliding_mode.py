@@ -3,9 +3,10 @@
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.design import NominalPlant, SlidingDesign, feedback_gains, state_matrices
+from straightcomp_ros.control.design import SlidingDesign, feedback_gains, state_matrices
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.stage.description import StageParameters
 
 
 class Gains(NamedTuple):
@@ -37,14 +38,12 @@ class State(NamedTuple):
 
 def gains(
     design: SlidingDesign,
-    nominal: NominalPlant,
+    stage: StageParameters,
     *,
     switching: bool,
     feedforward: bool,
-    period: float,
-    current_limit: float,
 ) -> Gains:
-    """Numbers of (9) for a sampling period in s and a limit of i_c in A.
+    """Numbers of (9) on a stage.
 
     As printed, (9) takes S x and the reference's part −(SB)⁻¹ SB_r r = ωn² r M / K̄_i, and follows a moving r with a lag
     of 2ζ/ωn. With ``feedforward`` the surface is that of the error,
@@ -54,13 +53,13 @@ def gains(
     and σ̇ = −φσ − ρ sgn σ on the nominal plant asks for the reference's part
     ωn² r + 2ζωn ṙ + r̈ + φ (2ζωn r + ṙ), times M / K̄_i: on σ = 0 the error itself decays with ζ and ωn, without lag.
     """
-    k_integral, k_position, k_velocity = feedback_gains(design, nominal).tolist()
-    input_gain = float(state_matrices(nominal)[1][2])
+    k_integral, k_position, k_velocity = feedback_gains(design, stage).tolist()
+    input_gain = float(state_matrices(stage)[1][2])
     surface_position = 2.0 * design.zeta * design.omega_n
     follow = 1.0 if feedforward else 0.0
     return Gains(
-        period=period,
-        smoothing=1.0 - math.exp(-2.0 * math.pi * design.velocity_bandwidth * period),
+        period=stage.period,
+        smoothing=1.0 - math.exp(-2.0 * math.pi * design.velocity_bandwidth * stage.period),
         surface_integral=design.omega_n**2,
         surface_position=surface_position,
         k_integral=k_integral,
@@ -72,7 +71,7 @@ def gains(
         feedforward=follow,
         k_switching=design.rho / input_gain if switching else 0.0,
         boundary_layer=design.boundary_layer,
-        current_limit=current_limit,
+        current_limit=stage.actuator.current_limit,
     )
 
 

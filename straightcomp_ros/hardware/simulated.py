@@ -1,9 +1,8 @@
 """The simulated machine: plant, encoders, D/A, amplifier and stage behind the hardware interface.
 
 It models a board with its own sampling clock. Samples lie on an exact grid, whenever the host fetches them. A command
-takes effect ``actuation_delay`` after the sample that it answers, or on arrival if that is later. (If commands acted on
-arrival, the loop's delay would be as irregular as the host: a law answers one count of the encoder with some 15 mA for
-one period, and a few commands in a thousand that come 0.3 ms late double its peak-to-peak error.)
+takes effect ``stage.drive.delay`` after the sample that it answers, or on arrival if that is later. (If commands
+acted on arrival, the loop's delay would be as irregular as the host.)
 
 When the next command is late, the board holds the platform by itself (:mod:`straightcomp_ros.model.commanded_plant`)
 until a command comes or ``command_timeout`` switches the amplifier off.
@@ -16,13 +15,14 @@ from functools import partial
 
 import numpy as np
 
-from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.commanded_plant import BIAS, COMMAND, Hold, advance_to_sample, commanded_plant
-from straightcomp_ros.model.plant import PlantParameters, PlantState
+from straightcomp_ros.model.plant import PlantState
 from straightcomp_ros.model.stage import Trajectory, Waypoint
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.settings.declaration import group, parameter
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.truth import TruthParameters, true_plant
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 
@@ -30,14 +30,7 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 class SimulatedParameters:
     """The simulated machine."""
 
-    rate: int = parameter(DEFAULT_RATE, "Samples per second", "[10, 20000] Hz")
     command_timeout: float = parameter(0.005, "Age of the newest command at which the board switches off", "(0, 1] s")
-    actuation_delay: float = parameter(
-        1.0,
-        "A command takes effect this long after its sample, or on arrival if that is later, so that the host's jitter"
-        " does not change the loop's delay. 0: always on arrival. Lockstep uses lockstep_delay instead",
-        "[0, 1] samples",
-    )
     hold_after: float = parameter(
         1.25,
         "Time after the last command took effect at which the board begins to hold the platform by itself",
@@ -49,48 +42,55 @@ class SimulatedParameters:
     )
     hold_memory: float = parameter(0.001, "Time constant with which friction ends an impulse", "(0, 1] s")
     hold_stiffness: float = parameter(
-        7000.0,
-        "Stiffness of the board's hold, as control current per displacement; the magnets' negative stiffness is"
-        " I0/y0 = 667 A/m",
-        "[0, 1e6] A/m",
+        10.5, "Stiffness of the board's hold, relative to the negative stiffness of the magnets", "[0, 1000]"
     )
     sample_memory: int = parameter(256, "Samples that the board keeps for a late host", "[1, 100000]")
     initial_y: float = parameter(0.0, "Platform's position at the start", "[-0.01, 0.01] m")
-    plant: PlantParameters = group(PlantParameters, "Simulated plant")
+    truth: TruthParameters = group(TruthParameters, "Simulated machine")
 
-    @property
-    def hold(self) -> Hold:
-        """The parameters ``hold_…`` at this rate."""
+    def hold(self, stage: StageParameters) -> Hold:
+        """The parameters ``hold_…`` on a stage."""
         return Hold(
-            after_ns=round(self.hold_after * 1e9 / self.rate),
-            weight=1.0 - math.exp(-1.0 / (self.rate * self.hold_mean)),
-            kept=math.exp(-1.0 / (self.rate * self.hold_memory)),
+            after_ns=round(self.hold_after * 1e9 / stage.rate),
+            weight=1.0 - math.exp(-1.0 / (stage.rate * self.hold_mean)),
+            kept=math.exp(-1.0 / (stage.rate * self.hold_memory)),
             braking=self.hold_braking,
-            stiffness=self.hold_stiffness,
+            stiffness=self.hold_stiffness * stage.actuator.bias_current / stage.actuator.air_gap,
         )
 
 
 class SimulatedHardware(Hardware):
-    """Plant and stage in simulated time, integrated up to the caller's time; ``guide`` is the true deviation δ(x)."""
+    """Plant and stage in simulated time, integrated up to the caller's time.
+
+    Args:
+        parameters: of the board, and how the machine differs from its description.
+        stage: the description.
+        guide: the true deviation δ(x).
+
+    Raises:
+        ParameterError: the true air gap does not hold the mechanical stop.
+    """
 
     state = State.OFF
     fault = ""
     lost_samples = 0
 
-    def __init__(self, parameters: SimulatedParameters, guide: StraightnessMap) -> None:
-        self.period_ns = round(1e9 / parameters.rate)
+    def __init__(self, parameters: SimulatedParameters, stage: StageParameters, guide: StraightnessMap) -> None:
+        plant = true_plant(stage, parameters.truth)
+        self.period_ns = stage.period_ns
         self.command_timeout_ns = round(parameters.command_timeout * 1e9)
         self._parameters = parameters
         self._guide = guide
-        self._plant = commanded_plant(parameters.plant, parameters.hold, PlantState(y=parameters.initial_y))
+        self._bias = plant.actuator.bias_current
+        self._plant = commanded_plant(plant, parameters.hold(stage), PlantState(y=parameters.initial_y))
         self._effective_ns, self._asked = np.empty(16, np.int64), np.empty(16)
         self._waiting = 0
         """Commands at the beginning of these two arrays that are yet to take effect."""
         self._advance: Callable[..., int] = partial(advance_to_sample.dispatcher, *self._plant)  # type: ignore[attr-defined]
         # The first call compiles, which must not happen inside the loop; at time 0 it changes nothing.
         self._advance(self._effective_ns, self._asked, 0, 0, 0.0)
-        self._reading = parameters.plant.encoder.reading
-        self._actuation_delay_ns = round(parameters.actuation_delay * self.period_ns)
+        self._reading = plant.encoder.x_reading
+        self._delay_ns = round(stage.drive.delay * self.period_ns)
         self._time_ns = self._next_sample_ns = self._last_command_ns = 0
         self._trajectory = Trajectory([Waypoint(0, 0.0, 0.0)])
         self._trajectory_start_ns = 0
@@ -116,7 +116,7 @@ class SimulatedHardware(Hardware):
         if sample_ns is not None:
             # No sample is newer than the last one, whatever a command says: it would keep all others waiting.
             newest_ns = self._next_sample_ns - self.period_ns
-            at_ns = max(at_ns, min(sample_ns, newest_ns) + self._actuation_delay_ns)
+            at_ns = max(at_ns, min(sample_ns, newest_ns) + self._delay_ns)
         effective_ns, count = max(at_ns, self._time_ns), self._waiting
         if count:
             effective_ns = max(effective_ns, int(self._effective_ns[count - 1]))
@@ -131,7 +131,7 @@ class SimulatedHardware(Hardware):
             raise HardwareError(f"a fault is latched: {self.fault}")
         if self.state is State.OFF:
             self.state = State.ON
-            self._plant.state[BIAS] = self._parameters.plant.actuator.bias_current
+            self._plant.state[BIAS] = self._bias
             self._last_command_ns = max(self._last_command_ns, self._time_ns)
 
     def disable(self) -> None:

@@ -13,8 +13,8 @@ from straightcomp_ros.identification.current_path import CurrentPath, current_pa
 from straightcomp_ros.identification.fit import Fit, fit
 from straightcomp_ros.identification.stretch import Recording, read_recording
 from straightcomp_ros.identification.unknowns import NAMES, RATIO, Unknowns, unknowns
-from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.stage.description import StageParameters
 
 POOR = 1.3
 """Factor from the value to the bounds of its interval, beyond which it counts as poorly determined."""
@@ -25,12 +25,12 @@ _LEAST = 0.002
 _WIDEST = 1e3
 DERIVED = {"actuator.current_stiffness": "N/A", "actuator.position_stiffness": "N/m"}
 """K̄_i and K̄_y with their units: shown, but not parameters of their own."""
-_DECLARED = {one.name: one.unit for one in declarations(PlantParameters)}
+_DECLARED = {one.name: one.unit for one in declarations(StageParameters)}
 _SHOWN = [name.replace(RATIO, "friction.static") for name in NAMES]
 UNITS = {**{n: _DECLARED[n] for n in _SHOWN[:3]}, **DERIVED, **{n: _DECLARED[n] for n in _SHOWN[3:]}}
 """Units of the shown parameters, in their order."""
 HELP = {
-    "mass": "quick motion of the platform: force must go into acceleration, not only into friction",
+    "platform.mass": "quick motion of the platform: force must go into acceleration, not only into friction",
     "actuator.turns": "quick motion of the platform: force must go into acceleration, not only into friction",
     "actuator.air_gap": "positions far to both sides of the centre",
     "friction.coulomb": "steady sliding both ways, far faster than the Stribeck velocity",
@@ -41,10 +41,10 @@ HELP = {
     "friction.viscous": "fast sliding",
 }
 
-PREFIX = "simulated.plant."
+PREFIX = "stage."
 _HEAD = """\
-# Plant parameters estimated from a bag, for `straightcomp simulate --params-file` and for the node `driver`.
-# Only the plant is here: all other parameters, and all other nodes, take the defaults of their declarations.
+# Plant parameters estimated from a bag, for `straightcomp simulate --stage` and for the description of the stage.
+# Only the plant is here: all other parameters take the defaults of their declarations.
 # Each value with its 95 % interval; SI units. What the bag determines poorly is left out and marked.
 """
 
@@ -74,7 +74,7 @@ class Estimate:
     """All parameters, in the order of UNITS, and how well the model explains the record.
 
     Attributes:
-        parameters: by dotted name below ``simulated.plant.``.
+        parameters: by dotted name below ``stage.``.
         recording: the used stretch of the bag.
         path: the coil current between the samples.
         fit: figures of the search.
@@ -93,7 +93,7 @@ class Estimate:
 
 def estimate_from_bag(
     bag: Path,
-    start: PlantParameters,
+    start: StageParameters,
     known: Sequence[str],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Estimate:
@@ -112,7 +112,7 @@ def estimate_from_bag(
     searched = unknowns(start, known)
     recording = read_recording(bag)
     path = current_path(recording, start.drive)
-    found = fit(recording, path, searched, start.encoder.resolution, progress)
+    found = fit(recording, path, searched, start.encoder.y_resolution, progress)
     parameters = _parameters(found, searched, blocks=max(2, int(recording.duration / 0.25)))
     return Estimate(parameters, recording, path, found)
 
@@ -161,8 +161,8 @@ def _alike(name: str, covariance: NDArray[np.float64], free: list[int]) -> tuple
 
 
 def parameter_file(estimate: Estimate) -> str:
-    """Text of a ROS 2 parameter file with the names of the simulated plant."""
-    lines = [_HEAD, "/**/driver:\n  ros__parameters:"]
+    """Text of a stage file with the plant alone."""
+    lines = [_HEAD, "/**:\n  ros__parameters:"]
     for name, found in estimate.parameters.items():
         if name not in DERIVED:
             lines += _entry(found, left_out=found.poor and not _needed(found, estimate))

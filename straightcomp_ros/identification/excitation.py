@@ -1,6 +1,6 @@
 """A made-up map whose reference excites what a stroke along the real guide leaves in the dark.
 
-It is a survey file for `feedforward.map.file`: the platform then follows its waves while the stage moves, in simulation
+It is a survey file for `stage.guide.file`: the platform then follows its waves while the stage moves, in simulation
 and on a real machine alike. Long waves reach far to both sides (stiffness) and slide steadily (Coulomb friction), short
 ones are quick (mass, viscous friction); every turn of every wave reverses the motion (bristles), and while the stage
 speeds up and slows down all of it happens slowly (Stribeck).

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.model.actuator import MU_0, Actuator
 from straightcomp_ros.model.lugre import LuGre
-from straightcomp_ros.model.plant import Plant, PlantParameters, as_array
+from straightcomp_ros.model.plant import Plant, as_array
 from straightcomp_ros.settings.declaration import to_mapping
+from straightcomp_ros.stage.description import StageParameters
 
 RATIO = "static_ratio"
 """F_S/F_C replaces F_S in the vector, so that F_S ≥ F_C is a simple bound."""
 NAMES = (
-    "mass",
+    "platform.mass",
     "actuator.turns",
     "actuator.air_gap",
     "friction.coulomb",
@@ -27,8 +28,8 @@ NAMES = (
     "friction.bristle_damping",
     "friction.viscous",
 )
-"""Order of the vector; dotted names as below ``simulated.plant.``."""
-FORCE_SCALE = ("mass", "actuator.turns")
+"""Order of the vector; dotted names as below ``stage.``."""
+FORCE_SCALE = ("platform.mass", "actuator.turns")
 """At least one of these must be known: position and current tell all forces only up to a common factor."""
 _STOP = 0.9
 """Stop as a fraction of the air gap; the platform stays far from it."""
@@ -62,8 +63,8 @@ class Unknowns:
         return as_array(Plant(mass, _STOP * gap, rate, actuator, lugre))
 
 
-def unknowns(plant: PlantParameters, known: Sequence[str]) -> Unknowns:
-    """The search that starts at ``plant``, with the parameters ``known`` (names of NAMES) held at its values.
+def unknowns(stage: StageParameters, known: Sequence[str]) -> Unknowns:
+    """The search that starts at ``stage``, with the parameters ``known`` (names of NAMES) held at its values.
 
     Raises:
         IdentificationError: a known name is none of NAMES, or neither mass nor turns is known.
@@ -77,10 +78,10 @@ def unknowns(plant: PlantParameters, known: Sequence[str]) -> Unknowns:
             f"known parameters are {', '.join(known) or 'none'}; allowed: with {' or '.join(FORCE_SCALE)} among them, "
             "since position and current tell all forces only up to a common factor"
         )
-    values: dict[str, Any] = {**to_mapping(plant), RATIO: plant.friction.static / plant.friction.coulomb}
+    values: dict[str, Any] = {**to_mapping(stage), RATIO: stage.friction.static / stage.friction.coulomb}
     start = np.log([max(values[name], _SMALLEST.get(name, 0.0)) for name in NAMES])
     low, high = start - _REACH, start + _REACH
     ratio = NAMES.index(RATIO)
     low[ratio] = 0.0
     free = tuple(place for place, name in enumerate(NAMES) if name not in known)
-    return Unknowns(start, low, high, free, plant.actuator.pole_area, plant.actuator.bias_current)
+    return Unknowns(start, low, high, free, stage.actuator.pole_area, stage.actuator.bias_current)

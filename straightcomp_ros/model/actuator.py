@@ -29,6 +29,11 @@ class ActuatorParameters:
     pole_area: float = parameter(5e-4, "Pole area A of each magnet", "(0, 1] m²")
     air_gap: float = parameter(1.5e-3, "Air gap y0, platform in the middle", "(0, 0.1] m")
     bias_current: float = parameter(1.0, "Bias current I0 of both coils", "(0, 100] A")
+    current_limit: float = parameter(
+        0.9,
+        "Largest control current |i_c|; a command beyond it is a fault that switches the amplifier off",
+        "(0, 100] A",
+    )
 
     @property
     def current_stiffness(self) -> float:

@@ -74,8 +74,8 @@ def commanded_plant(plant: PlantParameters, hold: Hold, initial: PlantState) -> 
     """The machine at time 0 with its amplifier off."""
     drive, encoder = plant.drive, plant.encoder
     return CommandedPlant(
-        np.array([*as_array(plant.constants()), *hold, drive.current_step, drive.half_codes, encoder.resolution]),
-        np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, encoder.reading(initial.y)]),
+        np.array([*as_array(plant.constants()), *hold, drive.current_step, drive.half_codes, encoder.y_resolution]),
+        np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, encoder.y_reading(initial.y)]),
         np.array([0, _NEVER, False]),
     )
 

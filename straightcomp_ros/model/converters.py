@@ -23,14 +23,20 @@ def nearest_step(step: float, half_codes: int, current: float) -> float:
 
 @dataclass(frozen=True)
 class EncoderParameters:
-    """Incremental linear encoder."""
+    """Incremental linear encoders of stage and platform."""
 
-    resolution: float = parameter(1e-7, "One count of the encoder", "(0, 0.001] m")
+    x_resolution: float = parameter(1e-7, "One count of the encoder of x", "(0, 0.001] m")
+    y_resolution: float = parameter(1e-7, "One count of the encoder of y", "(0, 0.001] m")
 
     @cached_property  # a partial: no second Python call at each sample
-    def reading(self) -> Callable[[float], float]:
-        """``reading(position)``: position in m as the encoder reports it, see :func:`nearest_count`."""
-        return partial(nearest_count, self.resolution)
+    def x_reading(self) -> Callable[[float], float]:
+        """``x_reading(position)``: x in m as its encoder reports it, see :func:`nearest_count`."""
+        return partial(nearest_count, self.x_resolution)
+
+    @cached_property
+    def y_reading(self) -> Callable[[float], float]:
+        """``y_reading(position)``: the same for y."""
+        return partial(nearest_count, self.y_resolution)
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,7 @@ class DriveParameters:
     dac_range: float = parameter(10.0, "Output range ± of the D/A converter", "(0, 1000] V")
     gain: float = parameter(0.1, "Gain K_a of the amplifier", "(0, 1000] A/V")
     bandwidth: float = parameter(500.0, "Bandwidth of the amplifier (first order)", "(0, 1e6] Hz")
+    delay: float = parameter(1.0, "Time from a sample until its command takes effect", "[0, 10] samples")
 
     @cached_property
     def current_step(self) -> float:

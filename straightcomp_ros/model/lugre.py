@@ -18,7 +18,7 @@ from straightcomp_ros.settings.declaration import RefusedParameter, group, param
 
 _MODELS = ("lugre", "maxwell_slip")
 NO_EXTENSION = (0.0,) * (12 + 2 * MOST_BLOCKS)
-"""What :meth:`FrictionParameters.extension` gives for plain LuGre friction."""
+"""What :meth:`ContactParameters.extension` gives for plain LuGre friction."""
 
 
 class LuGre(NamedTuple):
@@ -52,12 +52,12 @@ class LuGreParameters:
 
     def constants(self) -> LuGre:
         """The constants of the friction functions."""
-        return LuGre(*astuple(self)[: len(LuGre._fields)])
+        return LuGre(*astuple(self))
 
 
 @dataclass(frozen=True)
-class FrictionParameters(LuGreParameters):
-    """Friction between slider and platform."""
+class ContactParameters:
+    """What a simulated contact does beyond the LuGre model."""
 
     model: str = parameter("lugre", "Model of the friction: bristles, or elasto-slip blocks", choices=_MODELS)
     maxwell_slip: MaxwellSlipParameters = group(MaxwellSlipParameters, "Simulated friction (Maxwell-slip)")
@@ -65,14 +65,17 @@ class FrictionParameters(LuGreParameters):
     rest: RestParameters = group(RestParameters, "Simulated friction after rest")
     step: StepParameters = group(StepParameters, "Simulated step of friction")
 
-    def extension(self) -> tuple[float, ...]:
-        """The constants beyond LuGre's, in the order of :mod:`straightcomp_ros.model.extended_friction`: (28,)."""
+    def extension(self, bristle_stiffness: float) -> tuple[float, ...]:
+        """The constants beyond LuGre's, in the order of :mod:`straightcomp_ros.model.extended_friction`: (28,).
+
+        ``bristle_stiffness`` is σ0 in N/m, which the Maxwell-slip blocks share out.
+        """
         changes = self.bands.fraction > 0.0 or self.rest.growth > 0.0 or self.step.factor != 1.0
         if self.model == "lugre" and not changes:
             return NO_EXTENSION
         blocks = np.zeros((2, MOST_BLOCKS))
         slip = self.maxwell_slip
-        blocks[:, : slip.blocks] = slip.stiffnesses_and_shares(self.bristle_stiffness)
+        blocks[:, : slip.blocks] = slip.stiffnesses_and_shares(bristle_stiffness)
         kind = 1.0 + _MODELS.index(self.model)
         changing = (*astuple(self.bands), *astuple(self.rest), *astuple(self.step))
         return (kind, slip.attraction, float(slip.blocks), *changing, *blocks.ravel().tolist())

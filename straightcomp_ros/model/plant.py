@@ -16,8 +16,15 @@ from straightcomp_ros.model.actuator import Actuator, ActuatorParameters, magnet
 from straightcomp_ros.model.compiled import compilable, compiled
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.extended_friction import KIND, PLAIN, extended_force, lugre_now, step_friction
-from straightcomp_ros.model.lugre import NO_EXTENSION, FrictionParameters, LuGre, bristle_after, friction_force
-from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
+from straightcomp_ros.model.lugre import (
+    NO_EXTENSION,
+    ContactParameters,
+    LuGre,
+    LuGreParameters,
+    bristle_after,
+    friction_force,
+)
+from straightcomp_ros.settings.declaration import parameter
 
 SUBSTEP_NS = 25_000
 """Longest substep: 20 in a control cycle at 2 kHz."""
@@ -63,7 +70,7 @@ class _Plant(NamedTuple):
 class Plant(NamedTuple):
     """Constants of the plant; mass in kg, stop in m, amplifier rate in rad/s.
 
-    ``extension`` is that of the friction, see :meth:`~straightcomp_ros.model.lugre.FrictionParameters.extension`.
+    ``extension`` is that of the friction, see :meth:`~straightcomp_ros.model.lugre.ContactParameters.extension`.
     """
 
     mass: float
@@ -75,29 +82,30 @@ class Plant(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PlantParameters:
-    """Platform, magnets, friction, drive and encoder of the simulated machine."""
+class PlatformParameters:
+    """The platform on the slider."""
 
     mass: float = parameter(3.0, "Moving mass M of the platform", "(0, 10000] kg")
     stop: float = parameter(1.2e-3, "Mechanical stop at ± this position, inside the air gap", "(0, inf) m")
-    actuator: ActuatorParameters = group(ActuatorParameters, "Simulated magnets")
-    friction: FrictionParameters = group(FrictionParameters, "Simulated friction")
-    drive: DriveParameters = group(DriveParameters, "Simulated drive")
-    encoder: EncoderParameters = group(EncoderParameters, "Simulated encoders")
 
-    def __post_init__(self) -> None:
-        if self.stop >= self.actuator.air_gap:
-            raise RefusedParameter(
-                "stop",
-                f"{self.stop!r} m is not inside the air gap; allowed: < {self.actuator.air_gap!r} m "
-                "('{group}actuator.air_gap')",
-            )
+
+@dataclass(frozen=True)
+class PlantParameters:
+    """Platform, magnets, friction, drive and encoders of a machine."""
+
+    platform: PlatformParameters = PlatformParameters()
+    actuator: ActuatorParameters = ActuatorParameters()
+    friction: LuGreParameters = LuGreParameters()
+    contact: ContactParameters = ContactParameters()
+    drive: DriveParameters = DriveParameters()
+    encoder: EncoderParameters = EncoderParameters()
 
     def constants(self) -> Plant:
         """The constants of the equations; :func:`advance` takes them :func:`as_array`."""
         rate = 2.0 * math.pi * self.drive.bandwidth
-        friction = self.friction
-        return Plant(self.mass, self.stop, rate, self.actuator.constants(), friction.constants(), friction.extension())
+        lugre = self.friction.constants()
+        extension = self.contact.extension(self.friction.bristle_stiffness)
+        return Plant(self.platform.mass, self.platform.stop, rate, self.actuator.constants(), lugre, extension)
 
 
 def as_array(plant: Plant) -> NDArray[np.float64]:

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from straightcomp_ros.contract import STROKE
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.settings.declaration import RefusedParameter, parameter
 
 _NS = 1e9
+_HEADROOM = 1.5
+"""Least ratio of the speed that the stage cannot reach to its cruising speed."""
 
 
 class Waypoint(NamedTuple):
@@ -31,9 +33,20 @@ class MotionParameters:
     start: float = parameter(0.0, "Position at which the stroke starts", "[-100, 100] m")
     stroke: float = parameter(STROKE, "Length of the stroke", "(0, 100] m")
     speed: float = parameter(0.3, "Cruising speed", "(0, 20] m/s")
+    highest_speed: float = parameter(
+        2.0, "Speed that the stage cannot reach: a faster change of x is a wrong reading", "(0, 100] m/s"
+    )
     acceleration: float = parameter(0.2, "Acceleration and deceleration", "(0, 200] m/s²")
     settle: float = parameter(1.0, "Time at rest before and after each stroke", "[0, 60] s")
     pause: float = parameter(0.5, "Time at rest between forward and back", "[0, 60] s")
+
+    def __post_init__(self) -> None:
+        if self.highest_speed < _HEADROOM * self.speed:
+            raise RefusedParameter(
+                "highest_speed",
+                f"{self.highest_speed!r} m/s is too near the cruising speed; allowed: >= "
+                f"{_HEADROOM * self.speed:g} m/s ({_HEADROOM:g} times '{{group}}speed')",
+            )
 
 
 def trapezoid(start: Waypoint, goal: float, speed: float, acceleration: float) -> list[Waypoint]:

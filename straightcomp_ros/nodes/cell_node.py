@@ -43,7 +43,7 @@ class CellNode(Runnable):
         self._seen = Observation()
         self._sequence = make_sequence(
             self._services,
-            parameters.motion,
+            parameters.stage.motion,
             parameters.start_timeout,
             as_one=True,
             home=parameters.home,
@@ -72,7 +72,7 @@ class CellNode(Runnable):
         sequence.command(Command.START, strokes)
         yield from self._until(State.EXECUTE)
         self._watch.expect_samples()
-        log.info(f"stage moves: {cycles(self._parameters.motion, strokes)[-1].time_ns * 1e-9:.1f} s")
+        log.info(f"stage moves: {cycles(self._parameters.stage.motion, strokes)[-1].time_ns * 1e-9:.1f} s")
         yield from self._follow_motion()
         yield from self._until(State.COMPLETE)
         lost = self._watch.reports().get("driver", {}).get(LOST, "?")

@@ -56,10 +56,10 @@ class ControllerComponent:
         self._learning = make_learning(
             parameters.learning,
             parameters.control.law,
-            parameters.rate,
+            parameters.stage.rate,
             self._learner.run if self._learner is not None else lambda job: job(),
         )
-        self._servo = Servo(make_law(parameters.control, 1.0 / parameters.rate), learning=self._learning)
+        self._servo = Servo(make_law(parameters.control, parameters.stage), learning=self._learning)
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()
         self._publish_command = CopiedPublisher(node, COMMAND, copied=not lockstep)
@@ -77,7 +77,7 @@ class ControllerComponent:
             self._unspun = unspun_node(node)
             self._samples = SubscriptionQueue(node, self._unspun, ENCODER)
             self._references = batched_queue(node, self._unspun, REFERENCE)
-            period_ns = round(1e9 / parameters.rate)
+            period_ns = parameters.stage.period_ns
             self._spare_ns = _SPARE_REFERENCES * period_ns
             self._apart_ns = period_ns // 2
             if parameters.trigger == "timer":
@@ -102,11 +102,11 @@ class ControllerComponent:
                 f"parameter 'control.law': {parameters.control.law!r} is not the law that the learning started with; "
                 f"allowed while 'learning.learn' is true: {self._parameters.control.law}"
             )
-        law = make_law(parameters.control, 1.0 / parameters.rate)
+        law = make_law(parameters.control, parameters.stage)
 
         def take_over() -> None:
             self._parameters = parameters
-            self._servo.change(law, round(FADE_TIME * parameters.rate))
+            self._servo.change(law, round(FADE_TIME * parameters.stage.rate))
 
         return take_over
 

@@ -37,7 +37,6 @@ from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subsc
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
-from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, OVERRUNS, SAMPLES
 
 _ANSWER_LOOK_NS = 100_000
@@ -69,7 +68,7 @@ class DriverComponent:
         self._node, self._system_ns = node, system_ns
         self._command_timeout_ns = round(parameters.machine.command_timeout * 1e9)
         self._hardware = hardware or make_hardware(parameters)
-        period_ns = round(1e9 / parameters.machine.rate)
+        period_ns = parameters.stage.period_ns
         self._publish_sample = CopiedPublisher(node, ENCODER, copied=not parameters.lockstep)
         self._publish_position = publisher(node, POSITION)
         # In lockstep the run may end with the motion's last sample, so every position is published.
@@ -79,8 +78,9 @@ class DriverComponent:
         self._samples = 0
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)
-        self._commands = CommandIntake(self._hardware, self._command_timeout_ns, parameters.current_limit, self._trip)
-        self._sample_watch = SampleWatch(parameters.watch, period_ns)
+        limit = parameters.stage.actuator.current_limit
+        self._commands = CommandIntake(self._hardware, self._command_timeout_ns, limit, self._trip)
+        self._sample_watch = SampleWatch(parameters.watch, parameters.stage)
         self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._sample_watch.switched)
         self._stage_watch = StageWatch(parameters.watch)
         self._clock_watch = ClockWatch(parameters.watch, now_ns, system_ns)
@@ -93,7 +93,7 @@ class DriverComponent:
         self._unspun: Node | None = None
         if parameters.lockstep:
             subscribe(node, COMMAND, self._on_lockstep_command)
-            self._lockstep = Lockstep(node, self._hardware, period_ns, parameters.lockstep_delay, self._publish)
+            self._lockstep = Lockstep(node, self._hardware, period_ns, parameters.stage.drive.delay, self._publish)
         else:
             self._unspun = unspun_node(node)
             self._queue = SubscriptionQueue(node, self._unspun, COMMAND)
@@ -126,7 +126,7 @@ class DriverComponent:
         """Prepare another limit of the control current."""
 
         def take_over() -> None:
-            self._commands.current_limit = parameters.current_limit
+            self._commands.current_limit = parameters.stage.actuator.current_limit
 
         return take_over
 
@@ -275,8 +275,8 @@ def make_hardware(parameters: DriverNodeParameters) -> Hardware:
         ParameterError: python-can knows no such interface.
     """
     if parameters.hardware == "can":
-        return CanHardware(parameters.can, now_ns)
-    return SimulatedHardware(parameters.simulated, load_map(parameters.guide))
+        return CanHardware(parameters.can, parameters.stage, now_ns)
+    return SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
 
 
 def main() -> int:

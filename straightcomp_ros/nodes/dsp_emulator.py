@@ -11,7 +11,6 @@ from straightcomp_ros.hardware.can.board_line import BusLine, HubLine, Line
 from straightcomp_ros.hardware.can.frames import Codec
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.runtime.periodic import PeriodicLoop
-from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
@@ -38,7 +37,7 @@ class Emulator:
         self.unsent = 0
         """Frames that the bus did not accept."""
         self._parameters = parameters
-        self._machine = SimulatedHardware(parameters.simulated, load_map(parameters.guide))
+        self._machine = SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
         self._board: Board | None = None
         self.loop = PeriodicLoop(round(self._machine.period_ns / self._rate), self._cycle)
 
@@ -54,7 +53,7 @@ class Emulator:
         return Board(
             self._machine,
             Codec(self._parameters.can.node, self._parameters.can.fd),
-            self._parameters.simulated.plant.drive.current_range,
+            self._parameters.stage.drive.current_range,
             self._send,
             self._board_ns(wake_ns) + _LEAD_NS,
             tells_truth=self._parameters.can.simulated_stage,

@@ -43,9 +43,9 @@ class FeedforwardComponent:
     def __init__(self, node: ManagedNode, parameters: FeedforwardNodeParameters) -> None:
         self._node, self._parameters = node, parameters
         self._worker = BesideTheLoop(node)
-        self._map = load_map(parameters.map)
-        node.get_logger().info(f"map {parameters.map.file}: {self._map.report}")
-        self._feedforward = Feedforward(self._map, parameters.feedforward)
+        self._map = load_map(parameters.stage.guide)
+        node.get_logger().info(f"map {parameters.stage.guide.file}: {self._map.report}")
+        self._feedforward = Feedforward(self._map, parameters.feedforward, parameters.stage.motion.highest_speed)
         self._publish = BatchPublisher(node, REFERENCE, flushed=True)
         self._trip = tripper(node)
         self._samples = 0
@@ -74,11 +74,11 @@ class FeedforwardComponent:
         """Load another map; the reference fades over to it."""
         if self._feedforward.changing:
             raise ParameterError(f"the previous change of reference takes {FADE_TIME:g} s; try again after it")
-        straightness = self._loaded(parameters.map)
+        straightness = self._loaded(parameters.stage.guide)
 
         def take_over() -> None:
             self._parameters, self._map = parameters, straightness
-            self._node.get_logger().info(f"map {parameters.map.file}: {straightness.report}")
+            self._node.get_logger().info(f"map {parameters.stage.guide.file}: {straightness.report}")
             if not self._centred:
                 self._feedforward.change(straightness.reference)
 
@@ -105,7 +105,7 @@ class FeedforwardComponent:
         """Read the map's file again; the reference fades over to it."""
         try:
             self.prepare(self._parameters)()
-            response.success, response.message = True, f"map {self._parameters.map.file}: {self._map.report}"
+            response.success, response.message = True, f"map {self._parameters.stage.guide.file}: {self._map.report}"
         except (ParameterError, SurveyError, OSError) as error:
             response.success, response.message = False, str(error)
         return response
@@ -125,11 +125,11 @@ class FeedforwardComponent:
     def _look_at_map(self) -> None:
         # Beyond the survey the reference runs out to a constant. That is harmless, so there is time to request a stop.
         low, high = self._map.span
-        runout = self._parameters.map.runout
+        runout = self._parameters.stage.guide.runout
         if self._node.active and not low - runout <= self._x <= high + runout and math.isfinite(self._x):
             self._trip(
                 Fault.MAP_MISSING,
-                f"x = {self._x * 1e3:.1f} mm; the map {self._parameters.map.file} covers "
+                f"x = {self._x * 1e3:.1f} mm; the map {self._parameters.stage.guide.file} covers "
                 f"{low * 1e3:.1f} to {high * 1e3:.1f} mm",
             )
 

@@ -40,7 +40,7 @@ class OpcuaNode:
         names = parameters.nodes.split()
         self._watch, self._services = GraphWatch(node), GraphServices(node, names)
         self._remote = RemoteParameters(node, ["driver"])
-        self._sequence = CellSequence(self._services, parameters.motion, parameters.start_timeout)
+        self._sequence = CellSequence(self._services, parameters.stage.motion, parameters.start_timeout)
         self._alarms = Alarms(parameters.error_limit)
         self._commands = 0
         self._answers: list[tuple[Request, str]] = []
@@ -86,10 +86,10 @@ class OpcuaNode:
             answered(self._sequence.command(request.asked, request.argument))
 
     def _limits(self) -> dict[str, float]:
-        driver, motion = self._remote.values.get("driver", {}), self._parameters.motion
+        driver, motion = self._remote.values.get("driver", {}), self._parameters.stage.motion
         backend = "can" if driver.get("hardware") == "can" else "simulated"
         return {
-            "ControlCurrent": driver.get("current_limit", math.nan),
+            "ControlCurrent": driver.get("stage.actuator.current_limit", math.nan),
             "CommandTimeout": driver.get(f"{backend}.command_timeout", math.nan),
             "ErrorPeakToPeak": self._parameters.error_limit,
             "StrokeStart": motion.start,

@@ -44,7 +44,7 @@ def with_values(values: Values, node: str, changes: Mapping[str, Any]) -> dict[s
 def law_of(values: Values) -> Law:
     """The law that the controller of ``values`` runs; ParameterError if a parameter is refused."""
     controller = node_set(values).controller
-    return make_law(controller.control, 1.0 / controller.rate)
+    return make_law(controller.control, controller.stage)
 
 
 def figures_of(values: Values, law: Law | None = None, starts: int = STARTS) -> LawFigures:

@@ -40,16 +40,16 @@ class NodeSet(NamedTuple):
 
     def check_rates(self) -> None:
         """Raise ParameterError if controller and machine disagree about the rate."""
-        rate, machine = self.controller.rate, self.driver.simulated.rate
+        rate, machine = self.controller.stage.rate, self.driver.stage.rate
         if rate != machine:
             raise ParameterError(
-                f"node controller: parameter 'rate': {rate} Hz; allowed: {machine} Hz, as the driver has"
+                f"node controller: parameter 'stage.rate': {rate} Hz; allowed: {machine} Hz, as the driver has"
             )
 
 
 def node_set(values: Values) -> NodeSet:
     """The parameters of the simulated nodes; ParameterError if one is refused."""
-    return NodeSet(*(nodes.node_parameters(node, values.get(node, {})) for node in NodeSet._fields))
+    return NodeSet(*(nodes.node_parameters(node, values) for node in NodeSet._fields))
 
 
 class Simulation:
@@ -76,17 +76,17 @@ class Simulation:
         parameters = node_set(values)
         parameters.check_rates()
         driver, feedforward, controller, cell = parameters
-        rate, control = controller.rate, controller.control
-        self.map = load_map(feedforward.map)
-        self.delay = driver.lockstep_delay
+        stage, control = controller.stage, controller.control
+        self.map = load_map(feedforward.stage.guide)
+        self.delay = driver.stage.drive.delay
         self._law_name = control.law
-        self._hardware = SimulatedHardware(driver.simulated, load_map(driver.guide))
-        self._feedforward = Feedforward(self.map, feedforward.feedforward)
+        self._hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide())
+        self._feedforward = Feedforward(self.map, feedforward.feedforward, feedforward.stage.motion.highest_speed)
         self._pairing = Pairing(controller.lead_ns, wait=True)
-        self._learning = make_learning(controller.learning, control.law, rate)
-        self._servo = Servo(law or make_law(control, 1.0 / rate), learning=self._learning)
+        self._learning = make_learning(controller.learning, control.law, stage.rate)
+        self._servo = Servo(law or make_law(control, stage), learning=self._learning)
         self._begin_ns = 0
-        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.motion)), 0)
+        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.stage.motion)), 0)
 
     def run(
         self,

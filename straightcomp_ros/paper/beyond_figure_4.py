@@ -64,7 +64,7 @@ class Recovery:
 
     def region(self, law: str) -> NDArray[np.bool_]:
         """Whether the platform comes back under ``law``, (v, p)."""
-        return self.peaks[law] < self.machine.plant.stop
+        return self.peaks[law] < self.machine.plant.platform.stop
 
 
 def compute(machine: Machine, points: int = POINTS) -> Recovery:
@@ -96,7 +96,7 @@ def compute(machine: Machine, points: int = POINTS) -> Recovery:
     amplifier = Claim(
         "beyond Fig. 4: region that the amplifier and the delay leave, part of the physical limit",
         None,
-        data.share(data.least_peaks < limited.plant.stop),
+        data.share(data.least_peaks < limited.plant.platform.stop),
         "",
         note="full current, but through the amplifier's lag and half a sample late: no law here can reach further",
     )
@@ -123,7 +123,7 @@ def _claims(data: Recovery, law: str, machine: Machine) -> tuple[Claim, Claim]:
             data.share(data.region(law)),
             "",
             note=f"at rest it recovers up to {largest_release(machine) / gap:.2f} y0; the stop is at "
-            f"{machine.plant.stop / gap:g} y0",
+            f"{machine.plant.platform.stop / gap:g} y0",
         ),
     )
 
@@ -146,7 +146,7 @@ def draw(data: Recovery) -> Figure:
 
 
 def _plane(axes: Axes, data: Recovery, law: str) -> None:
-    machine, stop, gap = data.machine, data.machine.plant.stop, data.machine.plant.actuator.air_gap
+    machine, stop, gap = data.machine, data.machine.plant.platform.stop, data.machine.plant.actuator.air_gap
     a, speed = data.grid.positions / gap, data.grid.velocities * 1e3
     fine = np.linspace(-stop, stop, 401)
     limit = np.array([fastest_outward(machine, y) for y in fine.tolist()]) * 1e3
@@ -169,11 +169,11 @@ def _plane(axes: Axes, data: Recovery, law: str) -> None:
 
 def _over_time(axes: Axes, data: Recovery) -> None:
     gap = data.machine.plant.actuator.air_gap
-    stop = data.machine.plant.stop / gap
+    stop = data.machine.plant.platform.stop / gap
     axes.axhline(stop, color=BLACK, linewidth=0.8, linestyle=":", label=f"stop, {stop:g} $y_0$")
     for law, (time, y) in data.releases.items():
         # The stop is thought away: what is beyond it did not happen.
-        at_stop = np.flatnonzero(y >= data.machine.plant.stop)[:1]
+        at_stop = np.flatnonzero(y >= data.machine.plant.platform.stop)[:1]
         shown = slice(0, int(at_stop[0]) + 1 if at_stop.size else None)
         width = 2.5 if law == "linear" else 1.2  # smc goes the same way
         a = np.minimum(y[shown] / gap, stop)

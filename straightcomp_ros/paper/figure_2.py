@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.pictures import BLACK, BLUE, VERMILION
-from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters, node_parameters
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import label, legend_above, sheet
 from straightcomp_ros.paper.ideal_machine import Machine
@@ -37,8 +36,7 @@ def compute(machine: Machine) -> SurveyedGuide:
     Raises:
         SurveyError: the survey is refused.
     """
-    parameters: FeedforwardNodeParameters = node_parameters("feedforward", machine.values.get("feedforward", {}))
-    chosen = parameters.map
+    chosen = machine.stage.guide
     survey = read_survey(find_survey(chosen.file), min_points=chosen.min_points, max_gap=chosen.max_gap)
     straightness = StraightnessMap(survey, chosen)
     x = np.linspace(*straightness.span, _POINTS)

@@ -58,7 +58,7 @@ def compute(machine: Machine) -> FarRelease:
     gap = machine.plant.actuator.air_gap
     reference = hold_still(free, _DURATION)
     unclamped, clamped = (release(one, RELEASED_AT * gap, reference) for one in (free, limited))
-    at_stop = np.flatnonzero(np.abs(unclamped.y) >= machine.plant.stop)
+    at_stop = np.flatnonzero(np.abs(unclamped.y) >= machine.plant.platform.stop)
     returns_from = largest_release(free)
     asked = abs(unclamped.command[0]) / machine.plant.actuator.bias_current
     hit = f"against the stop after {unclamped.time[at_stop[0]] * 1e3:.1f} ms" if at_stop.size else "never at the stop"

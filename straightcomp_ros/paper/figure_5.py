@@ -75,7 +75,7 @@ def compute(machine: Machine) -> NearRelease:
         float(response.velocity[reached]),
     )
     deviation = float(np.abs(response.y[sliding] - closed_y).max())
-    demand = reaching_demand(design, ideal.control.nominal, float(response.y[0]), float(response.command[0]))
+    demand = reaching_demand(design, ideal.stage, float(response.y[0]), float(response.command[0]))
     claims = _reaching_claims(design, sigma_0, float(response.time[reached]), demand)
     on_surface = Claim(
         "Fig. 5b: largest deviation from (12) on the surface",

@@ -94,7 +94,7 @@ def compute(machine: Machine) -> FrictionCurve:
     run = follow_sine(machine.with_law("linear"))
     plant = machine.plant
     estimate = estimate_friction(
-        run.reading, run.coil_current, rate=machine.rate, mass=plant.mass, actuator=plant.actuator
+        run.reading, run.coil_current, rate=machine.stage.rate, mass=plant.platform.mass, actuator=plant.actuator
     )
     return curve_of(run, estimate, plant.friction.coulomb)
 

@@ -15,6 +15,7 @@ from straightcomp_ros.configuration.node_parameters import (
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.stage.description import StageParameters
 
 IDEAL_RATE = 20_000
 """Samples per second of the idealised loop: ten times the machine's, so that σ chatters a tenth as wide."""
@@ -27,17 +28,15 @@ class Machine:
     """Plant and control law of one sampled loop.
 
     Attributes:
-        plant: platform, magnets, friction, drive and encoder.
+        plant: platform, magnets, friction, drive and encoders.
         control: law and design.
-        rate: samples per second.
-        delay: of a command from its sample, in sampling periods, at most one.
+        stage: the description that the law has; its rate and delay are the loop's.
         values: parameters by node and dotted name that the machine was made from.
     """
 
     plant: PlantParameters
     control: ControlParameters
-    rate: int
-    delay: float
+    stage: StageParameters
     values: Mapping[str, Mapping[str, Any]]
 
     def with_law(self, law: str) -> Machine:
@@ -46,7 +45,7 @@ class Machine:
 
     def with_limit(self, current: float) -> Machine:
         """The same machine with |i_c| limited to ``current`` in A."""
-        return dataclasses.replace(self, control=dataclasses.replace(self.control, current_limit=current))
+        return dataclasses.replace(self, stage=_limited(self.stage, current))
 
     def without_friction(self) -> Machine:
         """The same machine on bristles too weak to matter (a friction of zero is no LuGre friction)."""
@@ -61,15 +60,16 @@ class Machine:
         drive = dataclasses.replace(
             self.plant.drive, dac_bits=24, dac_range=UNCLAMPED / self.plant.drive.gain, bandwidth=1e6
         )
-        plant = dataclasses.replace(self.plant, drive=drive, encoder=EncoderParameters(resolution=1e-12))
+        plant = dataclasses.replace(self.plant, drive=drive, encoder=EncoderParameters(1e-12, 1e-12))
+        ideal_drive = dataclasses.replace(self.stage.drive, delay=0.0)
+        stage = dataclasses.replace(_limited(self.stage, UNCLAMPED), rate=IDEAL_RATE, drive=ideal_drive)
         control = dataclasses.replace(
             self.control,
-            current_limit=UNCLAMPED,
             smc=dataclasses.replace(
                 self.control.smc, boundary_layer=0.0, velocity_bandwidth=1e5, enforce_reaching=False
             ),
         )
-        return dataclasses.replace(self, plant=plant, control=control, rate=IDEAL_RATE, delay=0.0)
+        return dataclasses.replace(self, plant=plant, control=control, stage=stage)
 
 
 def machine_from(values: Mapping[str, Mapping[str, Any]]) -> Machine:
@@ -78,12 +78,10 @@ def machine_from(values: Mapping[str, Mapping[str, Any]]) -> Machine:
     Raises:
         ParameterError: a parameter is refused.
     """
-    driver: DriverNodeParameters = node_parameters("driver", values.get("driver", {}))
-    controller: ControllerNodeParameters = node_parameters("controller", values.get("controller", {}))
-    return Machine(
-        plant=driver.simulated.plant,
-        control=controller.control,
-        rate=driver.simulated.rate,
-        delay=driver.lockstep_delay,
-        values=values,
-    )
+    driver: DriverNodeParameters = node_parameters("driver", values)
+    controller: ControllerNodeParameters = node_parameters("controller", values)
+    return Machine(plant=driver.plant, control=controller.control, stage=controller.stage, values=values)
+
+
+def _limited(stage: StageParameters, current: float) -> StageParameters:
+    return dataclasses.replace(stage, actuator=dataclasses.replace(stage.actuator, current_limit=current))

@@ -12,7 +12,7 @@ PAPER = (-175.9, 131.9, -100.0)
 
 def claims(machine: Machine) -> tuple[Claim, ...]:
     """Poles of the nominal plant under (9) without its switching term."""
-    poles = closed_loop_poles(machine.control.smc, machine.control.nominal)
+    poles = closed_loop_poles(machine.control.smc, machine.stage)
     pair = poles[np.argmax(poles.imag)]
     single = poles[np.argmin(np.abs(poles.imag))]
     names = ("closed-loop pole pair, real part", "closed-loop pole pair, imaginary part", "third closed-loop pole")

@@ -48,7 +48,7 @@ class StartGrid:
 
 def start_grid(machine: Machine, points: int) -> StartGrid:
     """All positions between the stops, and all velocities that any of them allows; ``points`` each way, odd."""
-    stop = machine.plant.stop
+    stop = machine.plant.platform.stop
     fastest = fastest_outward(machine, -stop)
     return StartGrid(np.linspace(-stop, stop, points), np.linspace(-fastest, fastest, points))
 
@@ -60,21 +60,21 @@ def fastest_outward(machine: Machine, y: float) -> float:
     """
     actuator = machine.plant.actuator
     strength = actuator.current_stiffness * actuator.bias_current * actuator.air_gap**2
-    work = strength * (1.0 / (actuator.air_gap + y) - 1.0 / (actuator.air_gap + machine.plant.stop))
-    return math.sqrt(2.0 * max(0.0, work) / machine.plant.mass)
+    work = strength * (1.0 / (actuator.air_gap + y) - 1.0 / (actuator.air_gap + machine.plant.platform.stop))
+    return math.sqrt(2.0 * max(0.0, work) / machine.plant.platform.mass)
 
 
 def possible(machine: Machine, y: float, velocity: float) -> bool:
     """Whether some current within ±I0, if it came at once, would keep the platform off its stops."""
-    stop = machine.plant.stop
+    stop = machine.plant.platform.stop
     return abs(y) < stop and velocity < fastest_outward(machine, y) and -velocity < fastest_outward(machine, -y)
 
 
 def least_peak(machine: Machine, y: float, velocity: float) -> float:
     """Largest way in m toward either stop under full current away from it, through amplifier and delay.
 
-    The first command acts ``machine.delay`` after the start, and the current rises from zero. No law of this machine
-    can do better: at any time no current leaves the platform further from a stop than full current away from it. The
+    The first command acts late by the delay, and the current rises from zero. No law of this machine can do better: at
+    any time no current leaves the platform further from a stop than full current away from it. The
     mechanical stop is out of the way, as in :func:`peak`.
     """
     return max(_under_full_current(machine, y, velocity), _under_full_current(machine, -y, -velocity))
@@ -82,14 +82,14 @@ def least_peak(machine: Machine, y: float, velocity: float) -> float:
 
 def _under_full_current(machine: Machine, y: float, velocity: float) -> float:
     """Largest y in m under i_c = −I0, until the platform is at the other stop or beyond this one."""
-    period_ns = round(1e9 / machine.rate)
-    delay_ns = round(machine.delay * period_ns)
-    bias, stop = machine.plant.actuator.bias_current, machine.plant.stop
+    period_ns = round(1e9 / machine.stage.rate)
+    delay_ns = round(machine.stage.drive.delay * period_ns)
+    bias, stop = machine.plant.actuator.bias_current, machine.plant.platform.stop
     wide = _beyond_its_stop(machine).plant
     constants = as_array(wide.constants())
     state = np.array(PlantState(y=y, velocity=velocity, bias=bias))
     largest, asked = y, 0.0
-    for _ in range(round(_FULL_CURRENT_FOR * machine.rate)):
+    for _ in range(round(_FULL_CURRENT_FOR * machine.stage.rate)):
         if not -stop < state[0] < wide.stop:
             break
         advance(constants, state, bias, asked, delay_ns, -bias, period_ns - delay_ns)
@@ -116,7 +116,7 @@ def peak(machine: Machine, y: float, velocity: float = 0.0) -> float:
 
 def recovers(machine: Machine, y: float) -> bool:
     """Whether the law brings a platform at rest at ``y`` in m to rest at the centre, without its touching a stop."""
-    return peak(machine, y) < machine.plant.stop
+    return peak(machine, y) < machine.plant.platform.stop
 
 
 def settling_time(machine: Machine, true_y: NDArray[np.float64]) -> float:
@@ -124,7 +124,7 @@ def settling_time(machine: Machine, true_y: NDArray[np.float64]) -> float:
     if true_y.size < _samples(machine):
         return math.inf
     outside = np.flatnonzero(np.abs(true_y) >= RETURNED * machine.plant.actuator.air_gap)
-    settled = float(outside[-1] + 1) / machine.rate if outside.size else 0.0
+    settled = float(outside[-1] + 1) / machine.stage.rate if outside.size else 0.0
     return settled if settled <= _DURATION - _HELD else math.inf
 
 
@@ -134,28 +134,31 @@ def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.fl
     Shorter than the others if the law's current is not finite.
     """
     count = _samples(machine)
-    period_ns = round(1e9 / machine.rate)
+    period_ns = round(1e9 / machine.stage.rate)
     conditions = Conditions(
         stamps=np.arange(count) * period_ns,
-        delays=np.full(count, round(machine.delay * period_ns)),
+        delays=np.full(count, round(machine.stage.drive.delay * period_ns)),
         references=np.zeros((count, 3)),
         noise=np.zeros(count),
     )
     initial = PlantState(y=y, velocity=velocity, bias=machine.plant.actuator.bias_current)
-    law = make_law(machine.control, 1.0 / machine.rate)
+    law = make_law(machine.control, machine.stage)
     return run_cycle(law, _beyond_its_stop(machine).plant, conditions, initial).true_y
 
 
 def largest_release(machine: Machine, steps: int = 8) -> float:
     """Largest y in m from which a platform at rest recovers, by bisection between the centre and the stop."""
-    return largest(lambda y: recovers(machine, y), 0.0, machine.plant.stop, steps)
+    return largest(lambda y: recovers(machine, y), 0.0, machine.plant.platform.stop, steps)
 
 
 def _samples(machine: Machine) -> int:
-    return round(_DURATION * machine.rate)
+    return round(_DURATION * machine.stage.rate)
 
 
 def _beyond_its_stop(machine: Machine) -> Machine:
     gap = machine.plant.actuator.air_gap
-    wide = max(machine.plant.stop, _BESIDE_STOP * gap)
-    return dataclasses.replace(machine, plant=dataclasses.replace(machine.plant, stop=wide))
+    wide = max(machine.plant.platform.stop, _BESIDE_STOP * gap)
+    return dataclasses.replace(
+        machine,
+        plant=dataclasses.replace(machine.plant, platform=dataclasses.replace(machine.plant.platform, stop=wide)),
+    )

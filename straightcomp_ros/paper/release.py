@@ -40,7 +40,7 @@ class Response:
 
 def hold_still(machine: Machine, duration: float) -> NDArray[np.float64]:
     """A reference of zero for ``duration`` in s, (n,) in m."""
-    return np.zeros(round(duration * machine.rate))
+    return np.zeros(round(duration * machine.stage.rate))
 
 
 def largest(returns: Callable[[float], bool], low: float, high: float, steps: int) -> float:
@@ -64,13 +64,13 @@ def release(machine: Machine, initial_y: float, reference: NDArray[np.float64]) 
         initial_y: m, inside the stops.
         reference: (n,) in m, one value for each sample.
     """
-    period_ns = round(1e9 / machine.rate)
-    delay_ns = round(machine.delay * period_ns)
+    period_ns = round(1e9 / machine.stage.rate)
+    delay_ns = round(machine.stage.drive.delay * period_ns)
     constants = as_array(machine.plant.constants())
     bias = machine.plant.actuator.bias_current
     state = np.array(PlantState(y=initial_y, bias=bias))
-    reading, converted = machine.plant.encoder.reading, machine.plant.drive.converted
-    law = make_law(machine.control, 1.0 / machine.rate)
+    reading, converted = machine.plant.encoder.y_reading, machine.plant.drive.converted
+    law = make_law(machine.control, machine.stage)
     law.reset(reading(initial_y))
     applied = 0.0
     rows = np.empty((len(reference), 7))

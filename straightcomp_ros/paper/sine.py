@@ -20,8 +20,8 @@ OMEGA = 2.0 * math.pi * FREQUENCY
 
 def follow_sine(machine: Machine) -> Response:
     """Run the loop from rest; the platform's friction is whatever the machine has."""
-    count = round((SETTLING_PERIODS + PERIODS) / FREQUENCY * machine.rate)
-    reference = AMPLITUDE * np.sin(OMEGA * np.arange(count) / machine.rate)
+    count = round((SETTLING_PERIODS + PERIODS) / FREQUENCY * machine.stage.rate)
+    reference = AMPLITUDE * np.sin(OMEGA * np.arange(count) / machine.stage.rate)
     return release(machine, 0.0, reference)
 
 

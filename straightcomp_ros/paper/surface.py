@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from straightcomp_ros.control.design import NominalPlant, SlidingDesign
+from straightcomp_ros.control.design import SlidingDesign
 from straightcomp_ros.model.actuator import stiffness_errors
+from straightcomp_ros.stage.description import StageParameters
 
 
 def sliding_variable_at_rest(design: SlidingDesign, y: float) -> float:
@@ -46,19 +47,19 @@ def gain_implied(time: float, phi: float, sigma_0: float) -> float:
     return phi * abs(sigma_0) / math.expm1(phi * time)
 
 
-def reaching_demand(design: SlidingDesign, nominal: NominalPlant, y: float, current: float) -> float:
+def reaching_demand(design: SlidingDesign, stage: StageParameters, y: float, current: float) -> float:
     """ρ in m/s² that (11) demands at rest at ``y`` with r = 0 and nothing integrated, for the current i_c in A.
 
     There SAx + SB_r r = (ωn² + K̄_y/M) y, and SBη is the stiffness error and friction over mass. Infinite
     where |m_i| >= 1.
     """
-    actuator = nominal.actuator
+    actuator, mass = stage.actuator, stage.platform.mass
     m_y, m_i = stiffness_errors(y / actuator.air_gap, current / actuator.bias_current)
     if abs(m_i) >= 1.0:
         return math.inf
-    stiffness = actuator.position_stiffness / nominal.mass
+    stiffness = actuator.position_stiffness / mass
     motion = (design.omega_n**2 + stiffness) * abs(y)
-    disturbance = m_y * stiffness * abs(y) + nominal.friction / nominal.mass
+    disturbance = m_y * stiffness * abs(y) + stage.friction.static / mass
     return (abs(m_i) * motion + disturbance + design.gamma) / (1.0 - abs(m_i))
 
 

@@ -63,7 +63,7 @@ class ParameterChanges:
     def _refuse_fixed(self, changed: dict[str, Any]) -> None:
         dynamic = self._parameter_set.dynamic  # type: ignore[attr-defined]
         for name in changed:
-            if name.split(".")[0] not in dynamic:
+            if not any(name == one or name.startswith(f"{one}.") for one in dynamic):
                 raise ParameterError(
                     f"parameter '{name}' is fixed while the node is configured; clean the node up first, "
                     f"or change one of: {', '.join(dynamic) or 'none'}"

@@ -6,11 +6,13 @@ from typing import TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, refuse_former_names
 from straightcomp_ros.settings.declaration import Declaration, belongs_to_ros, declarations, from_mapping
 
 T = TypeVar("T")
 
 
+_NAMES = {parameter_set: name for name, parameter_set in NODE_PARAMETERS.items()}
 _FIXED = ("autostart", "realtime")
 """Parameters that are used once, when the process starts."""
 
@@ -25,6 +27,13 @@ def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> 
         ParameterError: unknown name, wrong type or value out of range.
     """
     given = {name: value.value for name, value in node.get_parameters_by_prefix("").items() if not belongs_to_ros(name)}
+    # A stage file describes the stage to all nodes; some need nothing of it.
+    if STAGE not in parameter_set.__dataclass_fields__:  # type: ignore[attr-defined]
+        described = [name for name in given if name.startswith(f"{STAGE}.")]
+        for name in described:
+            node.undeclare_parameter(name)
+            del given[name]
+    refuse_former_names(_NAMES.get(parameter_set, ""), given)
     parameters = from_mapping(parameter_set, given)
     for declaration in declarations(parameter_set):
         value = declaration.check(given.get(declaration.name, declaration.default))

@@ -45,13 +45,14 @@ def _override(argument: str, parameter: str, what: str, kind: type = str) -> Ove
 
 RT_PRIORITY = _override("rt_priority", "realtime.priority", "SCHED_FIFO priority, 0 for none", int)
 LAW = _override("law", "control.law", "Control law")
-MAP = _override("map", "map.file", "Survey file")
+MAP = _override("map", "stage.guide.file", "Survey file")
 HARDWARE = _override("hardware", "hardware", "Machine, 'simulated' or 'can'")
 OUTPUT = _override("output", "output", "Folder of the bag")
 OPCUA_USERS = _override("opcua_users", "opcua.users", "File of the gateway's users")
 OF_ALL: Arguments = {
     "namespace": ("", "Namespace of all started nodes"),
     "params_file": (PathJoinSubstitution([SHARE, "config", "straightcomp.yaml"]), "YAML file of parameters"),
+    "stage": (PathJoinSubstitution([SHARE, "config", "stage_synthetic.yaml"]), "YAML file that describes the stage"),
 }
 """Arguments of each launch file."""
 RECORD: Arguments = {"record": ("true", "false: start no logger and record no bag")}
@@ -101,7 +102,11 @@ def starting(
             executable=f"{name}_node",
             name=name,
             namespace=LaunchConfiguration("namespace"),
-            parameters=[LaunchConfiguration("params_file"), *([parameters] if parameters else [])],
+            parameters=[
+                LaunchConfiguration("params_file"),
+                LaunchConfiguration("stage"),
+                *([parameters] if parameters else []),
+            ],
             output="screen",
         )
         if not runs_cycle:

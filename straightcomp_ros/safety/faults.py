@@ -50,7 +50,7 @@ class Fault(enum.Enum):
         10.0,
     )
     SAMPLE_NOT_FINITE = Description(5, "x or y is NaN or infinite", "driver", 2.0)
-    X_JUMP = Description(6, "x moved faster than `watch.max_speed`", "driver", 2.0)
+    X_JUMP = Description(6, "x moved faster than `stage.motion.highest_speed`", "driver", 2.0)
     Y_OUT_OF_RANGE = Description(7, "|y| beyond `watch.y_limit`, after it has been within", "driver", 2.0)
     Y_FROZEN = Description(
         8,

@@ -9,6 +9,7 @@ from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.stage import Trajectory
 from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.stage.description import StageParameters
 
 _MEAN_TIME = 0.005
 """s, time constant of the mean control current, which suppresses a law's switching."""
@@ -19,7 +20,6 @@ _ERROR_STEP, _ERROR_LIMIT = 4, 16
 class WatchParameters:
     """Limits that a working machine does not exceed."""
 
-    max_speed: float = parameter(2.0, "Speed of the stage beyond which x has jumped", "(0, 100] m/s")
     y_limit: float = parameter(1e-3, "Largest |y|, once y was within it with the amplifier on", "(0, 0.1] m")
     frozen_time: float = parameter(0.01, "Time without a change of y after which it may count as frozen", "(0, 10] s")
     frozen_current: float = parameter(
@@ -36,10 +36,10 @@ class WatchParameters:
 class SampleWatch:
     """Checks each sample, of which a normal one costs three comparisons and a mean."""
 
-    def __init__(self, parameters: WatchParameters, period_ns: int) -> None:
+    def __init__(self, parameters: WatchParameters, stage: StageParameters) -> None:
         self._parameters = parameters
-        self._period_ns = period_ns
-        self._x_step = parameters.max_speed * period_ns * 1e-9
+        self._period_ns = period_ns = stage.period_ns
+        self._x_step = stage.motion.highest_speed * period_ns * 1e-9
         self._share = 1.0 - math.exp(-period_ns * 1e-9 / _MEAN_TIME)
         self._frozen_samples = math.ceil(parameters.frozen_time / (period_ns * 1e-9))
         self._frozen_current = parameters.frozen_current

@@ -43,9 +43,6 @@ class FeedforwardParameters:
     restart_gap: float = parameter(
         0.05, "Time without a sample after which the estimate of speed and acceleration restarts", "(0, 10] s"
     )
-    max_speed: float = parameter(
-        1.0, "Speed that the stage cannot reach; a jump of x that would need more restarts the estimate", "(0, 100] m/s"
-    )
 
     @property
     def restart_gap_ns(self) -> int:
@@ -84,17 +81,26 @@ def blended(old: Rates, new: Rates, fade: Rates) -> Rates:
 
 
 class Feedforward:
-    """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers."""
+    """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers.
+
+    Args:
+        straightness: the map.
+        parameters: of the tracking.
+        highest_speed: that the stage cannot reach, m/s.
+    """
 
     def __init__(
-        self, straightness: StraightnessMap, parameters: FeedforwardParameters = FeedforwardParameters()
+        self,
+        straightness: StraightnessMap,
+        parameters: FeedforwardParameters = FeedforwardParameters(),
+        highest_speed: float = 2.0,
     ) -> None:
         self._reference: Lookup = straightness.reference
         self._left: Lookup | None = None
         self._left_ns = 0
         self._bandwidth = parameters.bandwidth
         self._restart_gap_ns = parameters.restart_gap_ns
-        self._max_speed = parameters.max_speed
+        self._max_speed = highest_speed
         self.reset()
 
     def reset(self) -> None:
@@ -122,8 +128,8 @@ class Feedforward:
 
         The stamps give the times, also across lost samples. A repeated stamp gives the last answer again and changes
         nothing. The estimate restarts (ṙ = r̈ = 0 once) on the first sample, a stamp that goes back, a gap longer than
-        ``restart_gap``, an x that moved faster than ``max_speed``, and an x that is not finite, for which the answer is
-        NaN.
+        ``restart_gap``, an x that moved faster than ``highest_speed``, and an x that is not finite, for which the
+        answer is NaN.
         """
         elapsed_ns = stamp_ns - self._stamp_ns
         if elapsed_ns == 0:

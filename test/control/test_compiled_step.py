@@ -22,7 +22,7 @@ def samples(count):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_the_compiled_step_equals_the_function_to_the_last_bit(name):
-    law = make_law(ControlParameters(law=name), PERIOD)
+    law = make_law(ControlParameters(law=name), STAGE)
     law.reset(2e-6)
     state = law.start(2e-6)
     for sample in samples(2000):
@@ -33,7 +33,7 @@ def test_the_compiled_step_equals_the_function_to_the_last_bit(name):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name):
-    law = make_law(ControlParameters(law=name), PERIOD)
+    law = make_law(ControlParameters(law=name), STAGE)
     before = len(law._run.signatures)
     answer = law.step(0, 0, 0, 0, 0)
     law.reset(0)
@@ -42,10 +42,10 @@ def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name
 
 
 def test_two_laws_of_a_kind_have_each_a_state_of_its_own():
-    one, other = (make_law(ControlParameters(), PERIOD) for _ in range(2))
+    one, other = (make_law(ControlParameters(), STAGE) for _ in range(2))
     for sample in samples(50):
         one.step(*sample)
-    fresh = make_law(ControlParameters(), PERIOD)
+    fresh = make_law(ControlParameters(), STAGE)
     for sample in samples(50):
         assert repr(other.step(*sample)) == repr(fresh.step(*sample))
 

@@ -63,8 +63,8 @@ def steps_of(currents):
 @pytest.mark.parametrize(("before", "after"), list(itertools.permutations(LAWS, 2)))
 def test_the_command_never_steps_by_more_than_the_laws_themselves_and_their_difference_over_n(before, after):
     period = 1.0 / RATE
-    old = Noted(make_law(ControlParameters(law=before), period))
-    new = Noted(make_law(ControlParameters(law=after), period))
+    old = Noted(make_law(ControlParameters(law=before), STAGE))
+    new = Noted(make_law(ControlParameters(law=after), STAGE))
     currents, errors = run(old, lambda servo: servo.change(new, FADE))
     fading = range(BEFORE, BEFORE + FADE)
     olds, news = old.currents[BEFORE - 1 :], [new.currents[0], *new.currents]
@@ -99,7 +99,7 @@ def test_laws_that_differ_by_an_ampere_are_left_by_steps_of_an_nth(samples, larg
 
 
 def test_a_change_within_a_change_ends_with_the_last_law():
-    laws = [make_law(ControlParameters(law=law), 1.0 / RATE) for law in ("linear", "smc", "smc_observer")]
+    laws = [make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc", "smc_observer")]
 
     def change(servo):
         servo.change(laws[1], FADE)
@@ -113,16 +113,16 @@ def test_a_change_within_a_change_ends_with_the_last_law():
 
 
 def test_while_no_law_acts_the_new_one_is_there_at_once():
-    old, new = (make_law(ControlParameters(law=law), 1.0 / RATE) for law in ("linear", "smc"))
+    old, new = (make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc"))
     servo = Servo(old)
     servo.change(new, FADE)
-    fresh = Servo(make_law(ControlParameters(law="smc"), 1.0 / RATE))
+    fresh = Servo(make_law(ControlParameters(law="smc"), STAGE))
     assert repr(servo.step(0, 1e-7, 0.0, (0.0, 0.0, 0.0))) == repr(fresh.step(0, 1e-7, 0.0, (0.0, 0.0, 0.0)))  # NaN too
 
 
 def test_a_reset_ends_a_fade():
     ended = []
-    fade = Crossfade(*(make_law(ControlParameters(law=law), 1.0 / RATE) for law in ("linear", "smc")), 10, ended.append)
+    fade = Crossfade(*(make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc")), 10, ended.append)
     fade.reset(0.0)
     assert ended == [fade]
 

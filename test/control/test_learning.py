@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
+from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters, draw, streams
 
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.control import learning as learning_module
@@ -15,7 +16,6 @@ from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters, draw, streams
 from straightcomp_ros.settings.declaration import ParameterError
 
 RATE, PERIOD_NS = 2000, 500_000
@@ -224,7 +224,7 @@ def test_while_the_amplifier_is_off_nothing_is_corrected_and_nothing_learned():
     for _ in range(2):
         rig.cycle()
     updates = learner.tables[True].updates
-    servo = Servo(make_law(ControlParameters(law="linear"), 1.0 / RATE), learning=learner)
+    servo = Servo(make_law(ControlParameters(law="linear"), STAGE), learning=learner)
     trajectory = Trajectory(forward_and_back(STROKE))
     for index in range(trajectory.end_ns // PERIOD_NS):
         x = trajectory.position(index * PERIOD_NS)
@@ -242,8 +242,8 @@ def test_the_error_that_is_reported_is_that_of_the_reference_asked_for():
     learner = learning()
     for table in learner.tables.values():
         table.restore(-100, np.full(1000, 0.5e-6), np.ones(1000), np.ones(1000), np.zeros(1000))
-    corrected = Servo(make_law(ControlParameters(law="linear"), 1.0 / RATE), learning=learner)
-    plain = Servo(make_law(ControlParameters(law="linear"), 1.0 / RATE))
+    corrected = Servo(make_law(ControlParameters(law="linear"), STAGE), learning=learner)
+    plain = Servo(make_law(ControlParameters(law="linear"), STAGE))
     differ = False
     for index in range(600):
         x = max(0, index - 200) * 0.05 / RATE
@@ -276,7 +276,7 @@ def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning
                 plant + "friction.viscous": 10.0 * machine.friction,
             },
             "controller": {"control.law": law},
-            "cell": {"motion.stroke": 0.04, "motion.settle": 0.2, "motion.pause": 0.1},
+            "stage": {"motion.stroke": 0.04, "motion.settle": 0.2, "motion.pause": 0.1},
         }
         learned, bare = ([cycle.true_rms for cycle in cycles_of(values, learn)] for learn in (True, False))
         # Two passes differ by chance by up to 10 %: it depends on the count at which the platform came to rest.

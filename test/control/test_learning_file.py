@@ -87,7 +87,7 @@ def test_a_file_that_is_no_text_is_refused(tmp_path, content):
         read_tables(path, "smc", tables())
 
 
-SHORT = [f"--set=cell.motion.{name}" for name in ("stroke=0.05", "settle=0.2", "pause=0.1")]
+SHORT = [f"--set=stage.motion.{name}" for name in ("stroke=0.05", "settle=0.2", "pause=0.1")]
 
 
 def test_the_command_runs_strokes_keeps_what_it_learned_and_goes_on_from_there(tmp_path, capsys):

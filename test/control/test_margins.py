@@ -19,7 +19,7 @@ LOOP = {"period": PERIOD, "delay": 2.5e-4, "amplifier_bandwidth": 500.0}
 
 
 def law(name: str, **parameters):
-    return make_law(ControlParameters(law=name, **parameters), PERIOD)
+    return make_law(ControlParameters(law=name, **parameters), STAGE)
 
 
 def test_fast_sampling_without_lag_gives_the_continuous_poles_of_the_design():

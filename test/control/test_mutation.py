@@ -28,7 +28,7 @@ ALLOWED = {"a whole path": 1.3, "one sign in the source": 1.02}
 
 
 def law_named(name: str) -> Law:
-    return make_law(ControlParameters(law=name), PERIOD_NS * 1e-9)
+    return make_law(ControlParameters(law=name), STAGE)
 
 
 def closed_loop_error(law: Law) -> float:

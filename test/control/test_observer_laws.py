@@ -7,22 +7,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.settings.share import share_path
 
 T = 5e-4
 OBSERVER_LAWS = ("smc_observer",)
 
 
 def run(**controller):
-    values = read_parameter_file(share_path("config/straightcomp.yaml"))
+    values = shipped_parameters()
     values["controller"].update({key.replace("__", "."): value for key, value in controller.items()})
     delay = controller.get("control__smc_observer__delay")
     if delay is not None:
-        values["driver"]["lockstep_delay"] = delay
-    values["cell"].update({"motion.stroke": 0.6, "motion.settle": 0.3, "motion.pause": 0.1})
+        values["stage"]["drive.delay"] = delay
+    values["stage"].update({"motion.stroke": 0.6, "motion.settle": 0.3, "motion.pause": 0.1})
     simulation = Simulation(values)
     record = simulation.run()
     return record, evaluate(record, simulation.map)
@@ -31,7 +30,7 @@ def run(**controller):
 @pytest.mark.parametrize("law", OBSERVER_LAWS)
 @given(y=st.floats(-2e-3, 2e-3), r=st.floats(-1e-4, 1e-4), rate=st.floats(-1e-3, 1e-3))
 def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(law, y, r, rate):
-    servo = make_law(ControlParameters(law=law, current_limit=0.4), T)
+    servo = make_law(ControlParameters(law=law, current_limit=0.4), STAGE)
     servo.reset(y)
     for reading in (y, -y, 0.0, y):
         command = servo.step(reading, r, rate, 0.0)
@@ -65,14 +64,14 @@ def test_the_observer_law_switches_less_than_a_quarter_of_literal_sgn():
 
 def test_the_disturbance_estimate_is_friction_over_mass():
     record, _ = run(control__law="smc_observer")
-    servo = make_law(ControlParameters(law="smc_observer"), T)
+    servo = make_law(ControlParameters(law="smc_observer"), STAGE)
     servo.reset(record.y[0])
     estimates = [servo.step(y, r, 0.0, 0.0).disturbance_estimate for y, r in zip(record.y, record.r, strict=True)]
     assert np.percentile(np.abs(estimates[2000:]), 50) < 1.0 * ObserverDesign().gain_allowance
 
 
 def test_a_law_is_a_function_without_memory_of_its_own():
-    law = make_law(ControlParameters(law="smc_observer"), T)
+    law = make_law(ControlParameters(law="smc_observer"), STAGE)
     state = law.start(1e-6)
     first = law.function(law.gains, state, 1.1e-6, 0.0, 0.0, 0.0, 0.0)
     assert law.function(law.gains, state, 1.1e-6, 0.0, 0.0, 0.0, 0.0) == first

@@ -46,7 +46,7 @@ def test_a_step_is_equation_9(y0, y1, r):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_at_rest_on_the_reference_only_the_negative_stiffness_is_held(law):
-    servo = make_law(ControlParameters(law=law), T)
+    servo = make_law(ControlParameters(law=law), STAGE)
     servo.reset(0.0)
     assert servo.step(0.0, 0.0, 0.0, 0.0).current == 0.0
 
@@ -54,7 +54,7 @@ def test_at_rest_on_the_reference_only_the_negative_stiffness_is_held(law):
 @pytest.mark.parametrize("law", LAWS)
 def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
     for r in (1e-6, -1e-6):
-        servo = make_law(ControlParameters(law=law), T)
+        servo = make_law(ControlParameters(law=law), STAGE)
         servo.reset(0.0)
         assert math.copysign(1.0, servo.step(0.0, r, 0.0, 0.0).current) == math.copysign(1.0, r)
 
@@ -62,14 +62,14 @@ def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
 @pytest.mark.parametrize("law", LAWS)
 @given(readings=st.lists(st.floats(-1e-3, 1e-3), min_size=1, max_size=50))
 def test_the_current_never_exceeds_its_limit(law, readings):
-    servo = make_law(ControlParameters(law=law, current_limit=0.3), T)
+    servo = make_law(ControlParameters(law=law, current_limit=0.3), STAGE)
     servo.reset(0.0)
     assert all(abs(servo.step(y, 0.0, 0.0, 0.0).current) <= 0.3 for y in readings)
 
 
 @pytest.mark.parametrize("law", ["linear", "smc"])
 def test_at_the_limit_nothing_winds_up(law):
-    servo = make_law(ControlParameters(law=law, current_limit=0.05), T)
+    servo = make_law(ControlParameters(law=law, current_limit=0.05), STAGE)
     servo.reset(0.0)
     for _ in range(4000):
         blocked = servo.step(0.0, 1e-4, 0.0, 0.0)
@@ -89,7 +89,7 @@ def test_the_switching_function_is_odd_bounded_and_sgn_outside_its_layer(sigma, 
 
 def test_with_feedforward_the_surface_is_that_of_the_error():
     r, rate, acceleration = 3e-6, 4e-5, 2e-4
-    servo = make_law(ControlParameters(law="smc", smc=SlidingDesign(velocity_bandwidth=1e5)), T)
+    servo = make_law(ControlParameters(law="smc", smc=SlidingDesign(velocity_bandwidth=1e5)), STAGE)
     servo.reset(r - rate * T)
     answer = servo.step(r, r, rate, acceleration)
     # On the reference and moving with it σ is zero, but for the velocity filter's last thousandth.
@@ -102,7 +102,7 @@ def test_the_surface_is_reached_in_the_time_of_its_closed_form():
     """σ̇ = −φσ − ρ sgn σ: from σ0 the surface is reached at (1/φ) ln(1 + φ|σ0|/ρ)."""
     design = SlidingDesign(boundary_layer=0.0, velocity_bandwidth=1e6)
     period = 2e-6
-    servo = make_law(ControlParameters(law="smc", current_limit=100.0, smc=design), period)
+    servo = make_law(ControlParameters(law="smc", current_limit=100.0, smc=design), STAGE)
     a, b = state_matrices(NOMINAL)
     y0 = 2e-4
     servo.reset(y0)

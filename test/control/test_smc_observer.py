@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import _stiffness
 from straightcomp_ros.model.lugre import bristle_after, friction_force
 from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
-from straightcomp_ros.settings.share import share_path
 
 T = 5e-4
 SETTLE = 0.5
@@ -18,19 +17,19 @@ SETTLE = 0.5
 
 def stroke(delay=0.5, friction=1.0, plant=None, **design):
     """Record and metrics of a stroke whose plant has ``friction`` times the nominal friction."""
-    values = read_parameter_file(share_path("config/straightcomp.yaml"))
+    values = shipped_parameters()
     values["controller"].update({f"control.smc_observer.{name}": value for name, value in design.items()})
     for name in ("coulomb", "static"):
         values["driver"][f"simulated.plant.friction.{name}"] *= friction
     values["driver"].update({f"simulated.plant.{name}": value for name, value in (plant or {}).items()})
-    values["driver"]["lockstep_delay"] = delay
-    values["cell"].update({"motion.stroke": 0.6, "motion.settle": SETTLE, "motion.pause": SETTLE})
+    values["stage"]["drive.delay"] = delay
+    values["stage"].update({"motion.stroke": 0.6, "motion.settle": SETTLE, "motion.pause": SETTLE})
     record, straightness = run_stroke(values)
     return record, evaluate(record, straightness)
 
 
 def law(**design):
-    return make_law(ControlParameters(smc_observer=ObserverDesign(**design)), T)
+    return make_law(ControlParameters(smc_observer=ObserverDesign(**design)), STAGE)
 
 
 @pytest.mark.parametrize("third", [0.5, 1.0, 1.28])
@@ -121,7 +120,7 @@ def test_a_moving_reference_ends_the_hold():
 
 def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observed_velocity():
     design = ObserverDesign(first_size=1.0, velocity_share=0.25)
-    one = make_law(ControlParameters(smc_observer=design), T)
+    one = make_law(ControlParameters(smc_observer=design), STAGE)
     state = one.start(0.0)
     state = state._replace(prior=state.prior._replace(velocity=4e-5))
     state, answer = one.function(one.gains, state, 0.0, 0.0, 1e-4, 0.0, math.nan)

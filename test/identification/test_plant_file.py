@@ -13,7 +13,7 @@ from straightcomp_ros.identification import stretch as recording
 from straightcomp_ros.identification.estimate import DERIVED, UNITS, Estimate, Estimated, parameter_file
 from straightcomp_ros.settings.declaration import to_mapping
 
-SHORT_CYCLE = ("cell.motion.stroke=0.05", "cell.motion.settle=0.1", "cell.motion.pause=0.1")
+SHORT_CYCLE = ("stage.motion.stroke=0.05", "stage.motion.settle=0.1", "stage.motion.pause=0.1")
 
 
 def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
@@ -52,7 +52,7 @@ def test_the_file_holds_the_plant_under_the_drivers_names(stiff_answer) -> None:
     answer, file = stiff_answer
     values = read_parameter_file(file)
     assert {node for node, section in values.items() if section} == {"driver"}
-    plant = to_mapping(node_parameters("driver", values["driver"]).simulated.plant)
+    plant = to_mapping(node_parameters("driver", values).simulated.plant)
     for name, found in answer["parameters"].items():
         if name not in DERIVED:
             assert plant[name] == pytest.approx(found["value"], rel=1e-5), name

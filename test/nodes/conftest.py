@@ -4,8 +4,7 @@ import random
 import pytest
 
 from straightcomp_ros.cell.launcher import Graph, ros_available
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 
 if not ros_available():
     pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)
@@ -62,8 +61,8 @@ def forgiving():
 @pytest.fixture
 def short_cycle(request):
     """The shipped parameters with a cycle of some 3.6 s over 100 mm, on a machine that forgives a stall."""
-    values = read_parameter_file(share_path("config/straightcomp.yaml"))
-    values["cell"].update({"motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1, "motion.start": 0.0})
+    values = shipped_parameters()
+    values["stage"].update({"motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1, "motion.start": 0.0})
     values["driver"].update(FORGIVING)
     values["controller"]["trigger"] = request.config.getoption("trigger")
     if request.node.get_closest_marker("live") is None:
@@ -80,5 +79,5 @@ def in_lockstep(short_cycle):
     short_cycle["controller"]["trigger"] = "lockstep"
     short_cycle["driver"].update({"lockstep": True, "lockstep_delay": 0.5})
     # Both directions and a turn: a difference of one bit would grow from the first sample on.
-    short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
+    short_cycle["stage"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
     return short_cycle

@@ -21,7 +21,7 @@ from straightcomp_ros.offline.simulation import Simulation
 )
 def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, in_lockstep, law, delay):
     in_lockstep["controller"]["control.law"] = law
-    in_lockstep["driver"]["lockstep_delay"] = delay
+    in_lockstep["stage"]["drive.delay"] = delay
     offline = Simulation(in_lockstep).run()
     live = demonstrate(in_lockstep, tmp_path).evaluation
     assert live.expected_samples == live.received_samples == len(offline.x)

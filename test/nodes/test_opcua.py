@@ -31,9 +31,9 @@ SLOW = {
     "driver.watch.frozen_current": 100.0,
     "controller.rate": 200,
     "controller.reference_lead": 1,
-    "cell.motion.stroke": 0.02,
-    "cell.motion.settle": 0.2,
-    "cell.motion.pause": 0.1,
+    "stage.motion.stroke": 0.02,
+    "stage.motion.settle": 0.2,
+    "stage.motion.pause": 0.1,
     **{f"{node}.realtime.priority": 0 for node in ("driver", "feedforward", "controller", "logger", "opcua")},
 }
 

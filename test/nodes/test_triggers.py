@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.live, pytest.mark.keeps_time]
 @pytest.mark.parametrize("trigger", ["sample", "timer"])
 def test_each_law_compensates_and_can_be_audited(tmp_path, short_cycle, trigger, law):
     short_cycle["controller"].update({"trigger": trigger, "control.law": law})
-    short_cycle["cell"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
+    short_cycle["stage"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
     result = demonstrate(short_cycle, tmp_path)
     figures, record = result.figures(), result.evaluation.record
     assert figures["law"] == law

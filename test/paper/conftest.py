@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.paper.ideal_machine import Machine, machine_from
-from straightcomp_ros.settings.share import share_path
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Output:
 
 @pytest.fixture(scope="session")
 def machine() -> Machine:
-    return machine_from(read_parameter_file(share_path("config/straightcomp.yaml")))
+    return machine_from(shipped_parameters())
 
 
 @pytest.fixture(scope="session")

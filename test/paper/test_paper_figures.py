@@ -25,7 +25,7 @@ def far(machine):
 
 
 def test_released_far_out_the_unclamped_law_drives_the_platform_against_its_stop(far, machine):
-    assert far.unclamped.y[-1] == machine.plant.stop
+    assert far.unclamped.y[-1] == machine.plant.platform.stop
     assert np.abs(far.unclamped.y).min() >= figure_4.RELEASED_AT * far.air_gap
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "plant.md").read_text(encoding="utf-8")
@@ -35,7 +34,7 @@ def test_a_row_of_the_result_is_what_the_script_finds(name, fit):
 
 def test_the_fitted_friction_is_the_shipped_one():
     (coulomb, static) = re.search(r"F_C = ([\d.]+) N, F_S = ([\d.]+) N, literal", PAGE).groups()
-    driver = read_parameter_file(share_path("config/straightcomp.yaml"))["driver"]
+    driver = shipped_parameters()["driver"]
     assert driver["simulated.plant.friction.coulomb"] == float(coulomb)
     assert driver["simulated.plant.friction.static"] == float(static)
 

@@ -32,7 +32,7 @@ def test_the_physical_limit_is_what_full_current_does_in_a_machine_without_lag_a
     limit = recovery_region.fastest_outward(ideal, y)
     assert (
         recovery_region.least_peak(ideal, y, 0.99 * limit)
-        < ideal.plant.stop
+        < ideal.plant.platform.stop
         < recovery_region.least_peak(ideal, y, 1.01 * limit)
     )
     assert recovery_region.possible(ideal, y, 0.99 * limit) and not recovery_region.possible(ideal, y, 1.01 * limit)
@@ -43,18 +43,18 @@ def test_every_law_recovers_from_the_centre_and_from_fig_4_but_not_from_beyond_t
     one = limited.with_law(law)
     assert recovery_region.peak(one, 0.0) < 1e-6
     assert recovery_region.recovers(one, RELEASED_AT * one.plant.actuator.air_gap)
-    assert not recovery_region.recovers(one, 1.05 * one.plant.stop)
+    assert not recovery_region.recovers(one, 1.05 * one.plant.platform.stop)
 
 
 def test_more_current_recovers_from_further_out(limited):
     one = limited.with_law("smc")
     full = one.plant.actuator.bias_current
     reached = [recovery_region.largest_release(one.with_limit(part * full)) for part in (0.4, 0.7, 1.0)]
-    assert reached == sorted(reached) and reached[0] < 0.9 * reached[-1] < one.plant.stop
+    assert reached == sorted(reached) and reached[0] < 0.9 * reached[-1] < one.plant.platform.stop
 
 
 def test_no_law_reaches_beyond_what_the_amplifier_leaves_and_that_not_beyond_physics(data):
-    leaves = data.least_peaks < data.machine.plant.stop
+    leaves = data.least_peaks < data.machine.plant.platform.stop
     assert 0 < leaves.sum() < data.possible.sum()
     assert not (leaves & ~data.possible).any()
     for law in LAWS:

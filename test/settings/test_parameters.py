@@ -5,10 +5,10 @@ from typing import get_type_hints
 
 import pytest
 import yaml
+from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
 
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
-from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
 from straightcomp_ros.settings.declaration import (
     ParameterError,
     declarations,

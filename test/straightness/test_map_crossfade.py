@@ -79,7 +79,7 @@ def test_the_command_does_not_step_further_during_a_change_of_map_than_without_o
     def currents(change):
         machine = SimulatedHardware(SimulatedParameters(), straightness)
         feedforward = Feedforward(straightness)
-        servo = Servo(make_law(ControlParameters(law="smc_observer"), DT))
+        servo = Servo(make_law(ControlParameters(law="smc_observer"), STAGE))
         machine.start(0)
         machine.enable()
         found, errors = [], []

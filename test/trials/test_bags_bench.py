@@ -19,7 +19,7 @@ def bag(tmp_path_factory):
     path = tmp_path_factory.mktemp("bags") / "run"
     values = {
         "controller": {"control.law": "smc"},
-        "cell": {"motion.stroke": 0.03, "motion.settle": 0.05, "motion.pause": 0.05},
+        "stage": {"motion.stroke": 0.03, "motion.settle": 0.05, "motion.pause": 0.05},
     }
     simulation = Simulation(values)
     with SimulatedRun(path, values, simulation.delay) as run:

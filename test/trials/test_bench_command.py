@@ -11,7 +11,7 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.trials.bench.step_costs import cost
 from straightcomp_ros.trials.verbs.bench_graph import ratios
 
-SHORT = ["--set", "cell.motion.stroke=0.05", "--set", "cell.motion.settle=0.1"]
+SHORT = ["--set", "stage.motion.stroke=0.05", "--set", "stage.motion.settle=0.1"]
 
 
 def test_each_law_each_stream_and_the_simulation_are_timed(capsys):

@@ -11,11 +11,10 @@ import pytest
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
 from straightcomp_ros.model.stage import forward_and_back
 from straightcomp_ros.settings.declaration import ParameterError
-from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.trials.bench.graph_bench import bench_parameters
 from straightcomp_ros.trials.bench.processes import Usage, cores, usage
 from straightcomp_ros.trials.bench.recorded_window import read_window
@@ -108,21 +107,21 @@ def test_a_window_without_samples_is_an_error(bag):
 @pytest.mark.parametrize("rate", [1000, 2000, 4000])
 @pytest.mark.parametrize("seconds", [2.0, 20.0, 3600.0])
 def test_at_every_rate_the_reference_leads_by_the_same_time_and_the_stage_moves_all_the_while(rate, seconds):
-    shipped = read_parameter_file(share_path("config/straightcomp.yaml"))
+    shipped = shipped_parameters()
     values = bench_parameters(shipped, rate=rate, seconds=seconds, priority=0)
-    controller = node_parameters("controller", values["controller"])
-    driver = node_parameters("driver", values["driver"])
+    controller = node_parameters("controller", values)
+    driver = node_parameters("driver", values)
     assert controller.rate == driver.simulated.rate == rate
     assert controller.reference_lead / rate == pytest.approx(0.006)
     assert driver.simulated.sample_memory / rate == pytest.approx(0.128)
-    duration = forward_and_back(node_parameters("cell", values["cell"]).motion)[-1].time_ns * 1e-9
+    duration = forward_and_back(node_parameters("cell", values).motion)[-1].time_ns * 1e-9
     assert duration == pytest.approx(seconds + 2.5)
     assert all(section["realtime.priority"] == 0 for section in values.values())
     assert not driver.realtime.keep_awake
 
 
 def test_a_priority_is_that_of_all_nodes_and_is_checked():
-    shipped = read_parameter_file(share_path("config/straightcomp.yaml"))
+    shipped = shipped_parameters()
     values = bench_parameters(shipped, rate=2000, seconds=5.0, priority=30)
     assert {section["realtime.priority"] for section in values.values()} == {30}
     assert values["driver"]["realtime.keep_awake"] is True

@@ -13,6 +13,7 @@ from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.stage import Trajectory
 from straightcomp_ros.safety.faults import Fault, Finding
+from straightcomp_ros.stage.description import StageParameters
 
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
@@ -35,11 +36,15 @@ class CanHardware(Hardware):
     """How often the heartbeat was lost while the amplifier was on."""
 
     def __init__(
-        self, parameters: CanParameters, clock: Callable[[], int], make_link: Callable[..., Link] = Link
+        self,
+        parameters: CanParameters,
+        stage: StageParameters,
+        clock: Callable[[], int],
+        make_link: Callable[..., Link] = Link,
     ) -> None:
         self._parameters = parameters
         self._clock = clock
-        self._receiver = Receiver(parameters)
+        self._receiver = Receiver(parameters, stage)
         self._codec = self._receiver.codec
         self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
         self._numbers: dict[int, int] = {}

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.settings.declaration import RefusedParameter, parameter
 
 _LOG_ENDINGS = (".log", ".blf")
@@ -19,7 +18,6 @@ class CanParameters:
     data_bitrate: int = parameter(5_000_000, "Bit rate of the data phase of CAN FD", "[10000, 8e6] bit/s")
     options: str = parameter("", "Further arguments for python-can, as NAME=VALUE separated by blanks")
     node: int = parameter(1, "Node id of the board", "[1, 127]")
-    rate: int = parameter(DEFAULT_RATE, "Samples per second that the board takes", "[10, 20000] Hz")
     command_timeout: float = parameter(0.005, "Age of a command from which it is not sent any more", "(0, 1] s")
     sample_timeout: float = parameter(
         0.005, "Time without a sample that latches a fault while the amplifier is on", "(0, 1] s"
@@ -29,7 +27,6 @@ class CanParameters:
     strike_limit: int = parameter(
         16, "Error counter that latches a fault: a bad frame adds 4, a good one subtracts 1", "[4, 1000]"
     )
-    x_speed: float = parameter(2.0, "A change of x faster than this is a wrong frame", "(0, 100] m/s")
     y_speed: float = parameter(0.5, "A change of y faster than this is a wrong frame", "(0, 100] m/s")
     sample_memory: int = parameter(256, "Samples kept for a late driver", "[1, 100000]")
     simulated_stage: bool = parameter(

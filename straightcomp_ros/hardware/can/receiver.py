@@ -14,6 +14,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, FrameErr
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
 from straightcomp_ros.hardware.interface import Sample, Truth
+from straightcomp_ros.stage.description import StageParameters
 
 _REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth")
 _ERRORS = ("error_frames", "error_passive", "bus_off")
@@ -39,9 +40,9 @@ class Receiver:
         identifiers: CAN identifiers that this receiver reads.
     """
 
-    def __init__(self, parameters: CanParameters) -> None:
+    def __init__(self, parameters: CanParameters, stage: StageParameters) -> None:
         self.codec = frames.Codec(parameters.node, parameters.fd)
-        self._period_ns = period_ns = round(1e9 / parameters.rate)
+        self._period_ns = period_ns = stage.period_ns
         self.clock = SampleClock(period_ns)
         self.sequence = Sequence(self._elapsed)
         self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
@@ -53,7 +54,7 @@ class Receiver:
         self.node_state: int | None = None
         self._memory, self._strike_limit = parameters.sample_memory, parameters.strike_limit
         self._stale_ns = round(parameters.sample_timeout * 1e9)
-        self._x_step = parameters.x_speed * period_ns * 1e-9 / frames.POSITION_COUNT
+        self._x_step = stage.motion.highest_speed * period_ns * 1e-9 / frames.POSITION_COUNT
         self._y_step = parameters.y_speed * period_ns * 1e-9 / frames.POSITION_COUNT
         self._accepted: frames.Encoder | None = None
         self._alive = self._stamp_ns = 0

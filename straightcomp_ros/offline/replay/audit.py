@@ -87,7 +87,7 @@ def audit(bag: Path, remap: Mapping[str, str] | None = None) -> Audit:
     if "controller" not in values:
         raise BagError(f"bag {bag}: the controller's parameters are not attached; name its node to the logger")
     try:
-        parameters: ControllerNodeParameters = node_parameters("controller", values["controller"])
+        parameters: ControllerNodeParameters = node_parameters("controller", values)
     except ParameterError as error:
         raise ParameterError(f"bag {bag}: {error}") from error
     if parameters.learning.learn:
@@ -102,7 +102,7 @@ def _audited(
     command: StreamColumns,
     state: StreamColumns,
 ) -> Audit:
-    servo = Servo(make_law(parameters.control, 1.0 / parameters.rate))
+    servo = Servo(make_law(parameters.control, parameters.stage))
     samples = _rows(encoder, "y", "coil_current")
     references = _rows(reference, *REFERENCE.layout.columns)
     currents = _rows(command, *COMMAND.layout.columns)

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
 from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words
+from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.contract import COMMAND, ENCODER
 
 _PLAYED_TO = ("feedforward", "controller", "logger")
@@ -65,7 +65,7 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
         values = {name: dict(recorded.get(name, {})) for name in _PLAYED_TO[:2]}
         survey = unpacked_map(attachments, Path(folder))
         if survey is not None:
-            values["feedforward"]["map.file"] = str(survey)
+            values["feedforward"]["stage.guide.file"] = str(survey)
         values["controller"]["trigger"] = "lockstep"
         values["player"] = {
             "bag": str(Path(bag).absolute()),
@@ -78,7 +78,7 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
             section["realtime.priority"] = 0
         values["logger"] = {"output": str(new), "nodes": "feedforward controller"}
         file = Path(folder) / "parameters.yaml"
-        file.write_text(yaml.safe_dump({f"/**/{node}": {"ros__parameters": s} for node, s in values.items()}))
+        file.write_text(as_parameter_file(values))
         _play(file, output / "logs", duration)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -13,9 +13,10 @@ from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.model.stage import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation, Values
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import find_survey
 from straightcomp_ros.straightness.survey import SurveyError
 
@@ -69,7 +70,12 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
         changed, changed_law = None, None
         if any(changes.values()):
             for node, section in changes.items():
-                values.setdefault(node, {}).update(section)
+                if node == STAGE:
+                    # Each recorded node has its own copy of the description.
+                    for of_node in values.values():
+                        of_node.update({f"{STAGE}.{name}": value for name, value in section.items()})
+                else:
+                    values.setdefault(node, {}).update(section)
             changed, changed_law = _simulated(values, motion)
     recorded = evaluate(record, RecordedReference(record))
     return WhatIf(recorded, again, changed, (record.law, law, changed_law))
@@ -78,17 +84,17 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
 def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path | None) -> dict[str, dict[str, Any]]:
     values = {node: dict(parameters.get(node, {})) for node in NODE_PARAMETERS}
     if survey is not None:
-        values["feedforward"]["map.file"] = str(survey)
+        values["feedforward"]["stage.guide.file"] = str(survey)
     driver, record = values["driver"], evaluation.record
     try:
         if record.guide is None:
             raise SurveyError("no truth")
-        find_survey(str(driver.get("guide.file", NODE_PARAMETERS["driver"]().guide.file)))
+        find_survey(str(driver.get("simulated.truth.guide", "")))
     except SurveyError:
-        driver["guide.file"] = values["feedforward"].get("map.file", NODE_PARAMETERS["feedforward"]().map.file)
+        driver["simulated.truth.guide"] = values["feedforward"].get("stage.guide.file", StageParameters().guide.file)
     period = float(np.median(np.diff(evaluation.stamps))) * 1e-9
     if len(evaluation.latency):
-        driver["lockstep_delay"] = float(np.clip(np.median(evaluation.latency) / period, 0.0, 10.0))
+        driver["stage.drive.delay"] = float(np.clip(np.median(evaluation.latency) / period, 0.0, 10.0))
     driver["simulated.initial_y"] = float(record.y[0])
     # A delay of some samples must not end the run.
     driver["simulated.command_timeout"] = 1.0

@@ -13,16 +13,16 @@ from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import LOWEST_RATE, make_scenario
 from straightcomp_ros.offline.sweep.trial import laws_of
-from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 
 def can_run(values: Values) -> bool:
     """Whether the compiled loop models a cycle under ``values``; ParameterError if a parameter is refused."""
     driver, _, controller, _ = node_set(values)
-    rate = driver.simulated.rate
-    oldest_command = (driver.lockstep_delay + 1.0) / rate
+    rate = driver.stage.rate
+    oldest_command = (driver.stage.drive.delay + 1.0) / rate
     return (
-        rate == controller.rate
+        rate == controller.stage.rate
         and rate >= LOWEST_RATE
         and oldest_command < driver.simulated.command_timeout
         and not controller.learning.learn
@@ -34,7 +34,7 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
 
     Args:
         values: parameters by node and dotted name.
-        delays: of the first commands in ns, in place of ``lockstep_delay``, which the others have.
+        delays: of the first commands in ns, in place of ``stage.drive.delay``, which the others have.
 
     Raises:
         ParameterError: a parameter is refused.
@@ -44,18 +44,18 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
     driver, _, controller, _ = node_set(values)
     law = controller.control.law
     scenario = make_scenario(values, [law])
-    machine, period_ns = driver.simulated, scenario.period_ns
-    straightness = StraightnessMap(scenario.survey, scenario.map_parameters)
+    period_ns = scenario.period_ns
+    straightness = StraightnessMap(scenario.survey, scenario.description.guide)
     stamps = np.arange(scenario.samples, dtype=np.int64) * period_ns
     true_x = scenario.positions(stamps)
-    x = readings(machine.plant.encoder.resolution, true_x)
-    given = references(straightness, scenario.feedforward, stamps, x)
-    given_delays = np.full(stamps.size, round(driver.lockstep_delay * period_ns))
+    x = readings(driver.stage.encoder.x_resolution, true_x)
+    given = references(straightness, scenario.feedforward, scenario.description.motion.highest_speed, stamps, x)
+    given_delays = np.full(stamps.size, round(driver.stage.drive.delay * period_ns))
     if delays is not None:
         given_delays[: delays.size] = delays[: stamps.size]
     conditions = Conditions(stamps, given_delays, served(given, stamps, scenario.lead_ns), np.zeros(stamps.size))
-    initial = PlantState(y=machine.initial_y)
-    cycle = run_cycle(laws_of(scenario)[law], machine.plant, conditions, initial, machine.hold)
+    initial = PlantState(y=driver.simulated.initial_y)
+    cycle = run_cycle(laws_of(scenario)[law], driver.plant, conditions, initial, driver.hold)
     if cycle.y.size < stamps.size:
         raise ValueError(f"law '{law}': position or control current is not finite after {cycle.y.size} samples")
     record = StrokeRecord(
@@ -66,7 +66,7 @@ def run_stroke(values: Values, delays: NDArray[np.int64] | None = None) -> tuple
         current=cycle.current,
         true_x=true_x,
         true_y=cycle.true_y,
-        guide=load_map(driver.guide).deviations(true_x),
+        guide=driver.guide().deviations(true_x),
         law=law,
     )
     return record, straightness

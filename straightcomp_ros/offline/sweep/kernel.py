@@ -18,8 +18,9 @@ from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.commanded_plant import BIAS, READING, Hold, advance_to_sample, commanded_plant
 from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.plant import PlantParameters, PlantState
+from straightcomp_ros.stage.description import StageParameters
 
-_SHIPPED_HOLD = SimulatedParameters().hold
+_SHIPPED_HOLD = SimulatedParameters().hold(StageParameters())
 _AT_REST = PlantState()
 _compiling = threading.Lock()
 _kernels: dict[Callable[..., Any], Callable[..., int]] = {}
@@ -75,7 +76,7 @@ def run_cycle(
     """
     count = conditions.stamps.size
     true_y, y, current = np.empty(count), np.empty(count), np.empty(count)
-    first = plant.encoder.reading(initial.y + float(conditions.noise[0]))
+    first = plant.encoder.y_reading(initial.y + float(conditions.noise[0]))
     machine = commanded_plant(plant, hold, initial)
     machine.state[BIAS] = plant.actuator.bias_current
     done = kernel(law.function)(

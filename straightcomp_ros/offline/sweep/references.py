@@ -34,11 +34,18 @@ def _follow(bandwidth, gap_ns, max_speed, stamps, x, v, a):  # type: ignore[no-u
 
 
 def references(
-    straightness: StraightnessMap, parameters: FeedforwardParameters, stamps: NDArray[np.int64], x: NDArray[np.float64]
+    straightness: StraightnessMap,
+    parameters: FeedforwardParameters,
+    highest_speed: float,
+    stamps: NDArray[np.int64],
+    x: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """r in m, ṙ in m/s and r̈ in m/s², (n, 3), at ``stamps``, (n,) in ns, all different, and ``x``, (n,) in m."""
+    """r in m, ṙ in m/s and r̈ in m/s², (n, 3), at ``stamps``, (n,) in ns, all different, and ``x``, (n,) in m.
+
+    ``highest_speed`` is that which the stage cannot reach, m/s.
+    """
     v, a = np.empty_like(x), np.empty_like(x)
-    _follow(parameters.bandwidth, parameters.restart_gap_ns, parameters.max_speed, stamps, x, v, a)
+    _follow(parameters.bandwidth, parameters.restart_gap_ns, highest_speed, stamps, x, v, a)
     r, slope, curvature = straightness.evaluate(x)
     return np.column_stack([r, *rates(slope, curvature, v, a)])
 

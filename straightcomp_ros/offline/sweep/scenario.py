@@ -1,7 +1,7 @@
 """What all trials of a sweep have in common: the nominal machine, the motion, the survey and the laws' design."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,11 @@ from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.model.stage import Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Values, node_set
-from straightcomp_ros.offline.sweep.uncertainty import Deviation, UncertaintyParameters, deviating
 from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.truth import Factors, deviating
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
+from straightcomp_ros.straightness.guide_map import find_survey
 from straightcomp_ros.straightness.survey import Survey, read_survey
 
 LOWEST_RATE = 100
@@ -27,29 +28,27 @@ class Scenario:
     The guide is left out: the error under r(x) does not depend on how straight the guide truly is.
 
     Attributes:
-        driver: machine, and the rate of its samples.
+        driver: the simulated machine.
+        description: of the stage, as the controller has it.
         controls: parameters of each law, by its name.
         feedforward: tracking of the stage.
         lead_ns: how much older than a sample its reference is, in ns.
         trajectory: motion of the stage, one cycle.
         survey: the measurement for the controller's map.
-        map_parameters: of that map.
-        uncertainty: ranges of what is drawn for each trial.
     """
 
     driver: DriverNodeParameters
+    description: StageParameters
     controls: Mapping[str, ControlParameters]
     feedforward: FeedforwardParameters
     lead_ns: int
     trajectory: Trajectory
     survey: Survey
-    map_parameters: MapParameters
-    uncertainty: UncertaintyParameters = field(default_factory=UncertaintyParameters)
 
     @property
     def period_ns(self) -> int:
         """Sampling period in ns."""
-        return round(1e9 / self.driver.simulated.rate)
+        return self.description.period_ns
 
     @property
     def samples(self) -> int:
@@ -61,13 +60,12 @@ class Scenario:
         return np.array([self.trajectory.position(stamp) for stamp in stamps.tolist()])
 
 
-def make_scenario(values: Values, laws: Sequence[str], uncertainty: UncertaintyParameters | None = None) -> Scenario:
+def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
     """The scenario under the parameters of the nodes, as `Simulation` takes them.
 
     Args:
         values: parameters by node and dotted name.
         laws: names of the laws; all run on the same machines. `control.law` is not read.
-        uncertainty: ranges; the default ones if None. The driver's `lockstep_delay` is not read.
 
     Raises:
         ParameterError: a parameter is refused, rates differ, or a machine within the ranges is impossible.
@@ -77,35 +75,32 @@ def make_scenario(values: Values, laws: Sequence[str], uncertainty: UncertaintyP
     for law in laws:
         nodes = node_set({**values, "controller": {**values.get("controller", {}), "control.law": law}})
         driver, feedforward, controller, cell = nodes
-        if driver.simulated.rate < LOWEST_RATE:
-            raise ParameterError(
-                f"node driver: parameter 'simulated.rate': {driver.simulated.rate} Hz; "
-                f"allowed in a sweep: >= {LOWEST_RATE}"
-            )
         nodes.check_rates()
+        rate = controller.stage.rate
+        if rate < LOWEST_RATE:
+            raise ParameterError(f"parameter 'stage.rate': {rate} Hz; allowed in a sweep: >= {LOWEST_RATE}")
         controls[law] = controller.control
-    guide_map = feedforward.map
+    guide_map = feedforward.stage.guide
     scenario = Scenario(
         driver=driver,
+        description=controller.stage,
         controls=controls,
         feedforward=feedforward.feedforward,
         lead_ns=controller.lead_ns,
-        trajectory=Trajectory(forward_and_back(cell.motion)),
+        trajectory=Trajectory(forward_and_back(cell.stage.motion)),
         survey=read_survey(find_survey(guide_map.file), min_points=guide_map.min_points, max_gap=guide_map.max_gap),
-        map_parameters=guide_map,
-        uncertainty=uncertainty or UncertaintyParameters(),
     )
     _check(scenario)
     return scenario
 
 
 def _check(scenario: Scenario) -> None:
-    machine, ranges, period = scenario.driver.simulated, scenario.uncertainty, scenario.period_ns * 1e-9
-    narrowest = Deviation(1.0, 1.0, 1.0 - ranges.air_gap, 1.0, 0.0, 0.0)
-    deviating(machine.plant, narrowest)
+    machine, ranges, period = scenario.driver.simulated, scenario.description.uncertainty, scenario.period_ns * 1e-9
+    deviating(scenario.driver.plant, Factors(air_gap=1.0 - ranges.air_gap))
     if ranges.jitter > 0.4 * period:
         raise ParameterError(
-            f"parameter 'jitter': {ranges.jitter!r} s; allowed: <= {0.4 * period:.4g} s, four tenths of the period, "
+            f"parameter 'stage.uncertainty.jitter': {ranges.jitter!r} s; "
+            f"allowed: <= {0.4 * period:.4g} s, four tenths of the period, "
             "so that samples keep their order"
         )
     # The oldest command on the board is a period and twice the jitter old, even if it acts at once.

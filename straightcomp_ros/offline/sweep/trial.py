@@ -12,11 +12,12 @@ from straightcomp_ros.analysis.record import StrokeRecord, find_motion
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.plant import PlantState
+from straightcomp_ros.offline.sweep.draws import Streams, draw, mismeasured, sample_times, streams
 from straightcomp_ros.offline.sweep.kernel import Conditions, Cycle, run_cycle
 from straightcomp_ros.offline.sweep.limit_cycle import LEAST_AMPLITUDE, LOWEST_FREQUENCY, sustained_oscillation
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import Scenario
-from straightcomp_ros.offline.sweep.uncertainty import Streams, deviating, draw, mismeasured, sample_times, streams
+from straightcomp_ros.stage.truth import deviating
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 
@@ -63,7 +64,7 @@ class _Course(NamedTuple):
 
 def laws_of(scenario: Scenario) -> dict[str, Law]:
     """The scenario's laws, ready to run."""
-    return {law: make_law(control, scenario.period_ns * 1e-9) for law, control in scenario.controls.items()}
+    return {law: make_law(control, scenario.description) for law, control in scenario.controls.items()}
 
 
 def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int) -> list[TrialResult]:
@@ -74,9 +75,10 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
         MetricsError: the stage does not move.
     """
     random, board = streams(seed, trial), scenario.driver.simulated
-    deviation = draw(scenario.uncertainty, random.machine)
-    plant = deviating(board.plant, deviation)
-    stamps = sample_times(scenario.uncertainty.jitter, scenario.period_ns, scenario.samples, random.clock)
+    uncertainty = scenario.description.uncertainty
+    deviation = draw(uncertainty, random.machine)
+    plant = deviating(scenario.driver.plant, deviation.factors)
+    stamps = sample_times(uncertainty.jitter, scenario.period_ns, scenario.samples, random.clock)
     given, course = _follow(scenario, stamps, random)
     conditions = Conditions(
         stamps=stamps,
@@ -86,18 +88,18 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
     )
     initial = PlantState(y=board.initial_y)
     return [
-        _judged(scenario, trial, name, course, run_cycle(law, plant, conditions, initial, board.hold))
+        _judged(scenario, trial, name, course, run_cycle(law, plant, conditions, initial, scenario.driver.hold))
         for name, law in laws.items()
     ]
 
 
 def _follow(scenario: Scenario, stamps: NDArray[np.int64], random: Streams) -> tuple[NDArray[np.float64], _Course]:
     """References (n, 3) from a map of this trial, and the stage's course."""
-    survey = mismeasured(scenario.survey, scenario.uncertainty.map_noise, random.survey)
-    straightness = StraightnessMap(survey, scenario.map_parameters)
+    survey = mismeasured(scenario.survey, scenario.description.uncertainty.map_noise, random.survey)
+    straightness = StraightnessMap(survey, scenario.description.guide)
     true_x = scenario.positions(stamps)
-    x = readings(scenario.driver.simulated.plant.encoder.resolution, true_x)
-    given = references(straightness, scenario.feedforward, stamps, x)
+    x = readings(scenario.description.encoder.x_resolution, true_x)
+    given = references(straightness, scenario.feedforward, scenario.description.motion.highest_speed, stamps, x)
     r, time = given[:, 0], np.asarray(stamps * 1e-9, dtype=np.float64)
     # The motion depends on x alone.
     motion = find_motion(StrokeRecord(time=time, x=x, y=r, r=r, current=np.zeros_like(r), law=""))
@@ -111,11 +113,11 @@ def _judged(scenario: Scenario, trial: int, law: str, course: _Course, cycle: Cy
     if cycle.current.size < scenario.samples:
         broken = (math.inf,) * 4
         return TrialResult(trial, law, *broken, 0.0, 0.0, False, "position or current not finite")
-    plant = scenario.driver.simulated.plant
+    plant = scenario.driver.plant
     error = (course.target - cycle.true_y)[course.window]
     pp = peak_to_peak(error)
     failure = ""
-    if np.abs(cycle.true_y).max() >= plant.stop:
+    if np.abs(cycle.true_y).max() >= plant.platform.stop:
         failure = "mechanical stop"
     elif pp > LARGEST_PP:
         failure = f"error beyond {LARGEST_PP * 1e6:g} µm"
@@ -130,6 +132,6 @@ def _judged(scenario: Scenario, trial: int, law: str, course: _Course, cycle: Cy
         control_rms_step=float(np.sqrt(np.mean(steps * steps))),
         oscillation=oscillation.amplitude,
         frequency=oscillation.frequency,
-        limit_cycle=oscillation.amplitude > max(LEAST_AMPLITUDE, plant.encoder.resolution),
+        limit_cycle=oscillation.amplitude > max(LEAST_AMPLITUDE, plant.encoder.y_resolution),
         failure=failure,
     )

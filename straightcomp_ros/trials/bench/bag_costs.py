@@ -25,12 +25,12 @@ from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cell.launcher import Graph, ros_available
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.node_parameters import by_node
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.messages.cdr import read_by_names
 from straightcomp_ros.offline.replay.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.trials.bench.traffic_streams import record_traffic
 
 _LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
@@ -68,9 +68,9 @@ def run(
         if bag is None:
             progress("simulating a stroke", 0.0)
             bag = work / "run"
-            values = read_parameter_file(share_path("config/straightcomp.yaml"))
+            values = shipped_parameters()
             simulation = Simulation(values)
-            with SimulatedRun(bag, values, simulation.delay) as recording:
+            with SimulatedRun(bag, by_node(values), simulation.delay) as recording:
                 simulation.run(observe=recording.add)
         bag = Path(bag)
         progress("recording", 0.02)

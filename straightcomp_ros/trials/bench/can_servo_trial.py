@@ -21,7 +21,8 @@ from straightcomp_ros.hardware.can.frames import POSITION_COUNT, Amplifier, Code
 from straightcomp_ros.hardware.can.hub import ERROR, Flag, Frame
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.stage import Trajectory, forward_and_back
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 _START_NS = 1_700_000_000_000_000_000
@@ -94,17 +95,16 @@ class _Trial:
     openings, transmit_full, overloads, problem, log = 1, 0, 0, "", None
 
     def __init__(self, rates: Mapping[str, float], guide: StraightnessMap, fd: bool, seed: int) -> None:
-        self.now = _START_NS
+        self.now, stage = _START_NS, StageParameters()
         self.to_host, self.to_board = Faults(rates, seed), Faults(rates, seed + 1)
         self._dead_until = 0
         self._codec = Codec(1, fd)
-        self.host = CanHardware(CanParameters(fd=fd), lambda: self.now, self._link)
-        parameters = SimulatedParameters()
-        machine = SimulatedHardware(parameters, guide)
+        self.host = CanHardware(CanParameters(fd=fd), stage, lambda: self.now, self._link)
+        machine = SimulatedHardware(SimulatedParameters(), stage, guide)
         self._period_ns = machine.period_ns
-        self._board = Board(machine, self._codec, parameters.plant.drive.current_range, self._from_board, self.now)
-        machine.move(Trajectory(forward_and_back(MotionParameters())), self.now)
-        self._servo = Servo(make_law(ControlParameters(), self._period_ns * 1e-9))
+        self._board = Board(machine, self._codec, stage.drive.current_range, self._from_board, self.now)
+        machine.move(Trajectory(forward_and_back(stage.motion)), self.now)
+        self._servo = Servo(make_law(ControlParameters(), stage))
         self._answers: list[tuple[int, float]] = []
         self._taken: list[tuple[float, float]] = []
         self._fault_ns = 0

@@ -10,10 +10,16 @@ from typing import Any
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
-from straightcomp_ros.cell.cycle import RECORDED, as_parameter_file, run_cycle
+from straightcomp_ros.cell.cycle import RECORDED, run_cycle
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import LaunchError, verb_command
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, ControllerNodeParameters, node_parameters
+from straightcomp_ros.configuration.node_parameters import (
+    NODE_PARAMETERS,
+    STAGE,
+    ControllerNodeParameters,
+    node_parameters,
+)
+from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.contract import DEFAULT_RATE, PACKAGE, STROKE
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.stage import forward_and_back
@@ -101,23 +107,22 @@ def bench_parameters(
     Raises:
         ParameterError: a value is refused.
     """
-    chosen = {node: dict(section) for node, section in values.items()}
+    chosen = {STAGE: {}, **{node: dict(section) for node, section in values.items()}}
     for node in NODE_PARAMETERS:
         chosen.setdefault(node, {})["realtime.priority"] = priority
     for node, scaled in _SCALED.items():
         for name, default in scaled.items():
             chosen[node][name] = round(chosen[node].get(name, default) * rate / DEFAULT_RATE)
     chosen["driver"] |= {
-        "simulated.rate": rate,
         "simulated.command_timeout": _DRIVER_TIMEOUT_S,
         "realtime.keep_awake": priority > 0,
     }
-    chosen["controller"]["rate"] = rate
     stroke_s = 0.5 * (_SETTLE_S + seconds + _REST_S - _PAUSE_S)
     stroke, acceleration = min(STROKE, 0.2 * stroke_s), 1.0
     # A trapezoidal motion takes stroke/speed + speed/acceleration.
     speed = 0.5 * acceleration * (stroke_s - math.sqrt(stroke_s**2 - 4.0 * stroke / acceleration))
-    chosen["cell"] |= {
+    chosen[STAGE] |= {
+        "rate": rate,
         "motion.start": 0.0,
         "motion.stroke": stroke,
         "motion.speed": speed,
@@ -125,8 +130,8 @@ def bench_parameters(
         "motion.settle": 0.0,
         "motion.pause": _PAUSE_S,
     }
-    for node, section in chosen.items():
-        node_parameters(node, section)
+    for node in NODE_PARAMETERS:
+        node_parameters(node, chosen)
     return chosen
 
 
@@ -171,7 +176,7 @@ def measure(
     folder.mkdir(parents=True, exist_ok=True)
     bag, parameter_file = folder / "bag", folder / "parameters.yaml"
     parameter_file.write_text(as_parameter_file(values))
-    duration = forward_and_back(node_parameters("cell", values["cell"]).motion)[-1].time_ns * 1e-9
+    duration = forward_and_back(node_parameters("cell", values).stage.motion)[-1].time_ns * 1e-9
     process_ids: dict[str, int] = {}
     window = Window(lambda: usage(process_ids), settle=_SETTLE_S, seconds=seconds, interval=look_interval)
 
@@ -198,7 +203,7 @@ def measure(
             beside=beside,
         )
         begin, end = window.looks[0], window.looks[-1]
-        recording = read_window(bag, values["driver"]["simulated.rate"], begin.time_ns, end.time_ns)
+        recording = read_window(bag, node_parameters("driver", values).stage.rate, begin.time_ns, end.time_ns)
         reports = read_reports(bag)
     except (LaunchError, BagError, OSError) as error:
         raise BenchFailed(str(error)) from error

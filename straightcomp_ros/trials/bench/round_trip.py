@@ -15,10 +15,10 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.cell.cycle import as_parameter_file
 from straightcomp_ros.cell.demonstration import on_hub
 from straightcomp_ros.cell.launcher import Graph, LaunchError, verb_command
-from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.node_parameters import STAGE, node_parameters
+from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, Command, Switch
 from straightcomp_ros.hardware.can.hub import Frame
@@ -72,11 +72,12 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
         RoundTripFailed: a process ended, or no sample arrives.
         ParameterError: a parameter is refused.
     """
-    driver = {**values["driver"], **on_hub(values["driver"], str(folder / "bus"))}
-    parameters = node_parameters("driver", driver).can
+    values = {**values, "driver": {**values["driver"], **on_hub(values, str(folder / "bus"))}}
+    driver = node_parameters("driver", values)
+    parameters = driver.can
     file = folder / "parameters.yaml"
-    file.write_text(as_parameter_file({"driver": driver}))
-    priority = str(node_parameters("driver", driver).realtime.priority)
+    file.write_text(as_parameter_file({node: values.get(node, {}) for node in (STAGE, "driver")}))
+    priority = str(driver.realtime.priority)
     programs = {
         "hub": verb_command("can", "hub", "--socket", parameters.channel, "--priority", priority, "--json"),
         "board": verb_command("dsp", "--params-file", str(file)),

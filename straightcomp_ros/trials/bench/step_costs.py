@@ -10,6 +10,7 @@ from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.stage.description import StageParameters
 
 _CALLS = 1000
 
@@ -38,13 +39,13 @@ def cost(work: Callable[[], object], calls: int, repeats: int) -> Cost:
     return Cost(statistics.median(times), min(times), max(times))
 
 
-def law_costs(parameters: ControlParameters, rate: int, repeats: int) -> dict[str, Cost]:
+def law_costs(parameters: ControlParameters, stage: StageParameters, repeats: int) -> dict[str, Cost]:
     """One step of each law, with the platform's error swinging by half a micrometre about the reference."""
-    return {name: _law_cost(replace(parameters, law=name), rate, repeats) for name in LAWS}
+    return {name: _law_cost(replace(parameters, law=name), stage, repeats) for name in LAWS}
 
 
-def _law_cost(parameters: ControlParameters, rate: int, repeats: int) -> Cost:
-    law = make_law(parameters, 1.0 / rate)
+def _law_cost(parameters: ControlParameters, stage: StageParameters, repeats: int) -> Cost:
+    law = make_law(parameters, stage)
     # Both signs of the error, and amplitudes inside and outside the boundary layer.
     readings = [0.5e-6 * (-1) ** k * (k % 10) / 10 for k in range(_CALLS)]
 
@@ -86,7 +87,7 @@ def simulation_cost(values: Mapping[str, Mapping[str, Any]], repeats: int) -> tu
         ParameterError: a parameter is refused.
         SurveyError: the map is refused.
     """
-    rate = node_parameters("driver", values["driver"]).simulated.rate
+    rate = node_parameters("driver", values).stage.rate
     # Exclude what is made once, before the first sample.
     simulations = [Simulation(values) for _ in range(repeats + 1)]
     samples = len(simulations.pop().run().time)

@@ -14,6 +14,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
 from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.configuration.node_parameters import STAGE
 from straightcomp_ros.safety.faults import ALLOWANCE_MS, Fault
 from straightcomp_ros.trials.faults.faulty_driver import CLOCK_STEP, LATE_COMMANDS
 from straightcomp_ros.trials.faults.rows import Row
@@ -35,7 +36,7 @@ _OTHERS = {
 
 def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Parameters by node and dotted name for the trials, from those to start from."""
-    chosen = {node: dict(values[node]) for node in RECORDED}
+    chosen = {node: dict(values.get(node, {})) for node in (STAGE, *RECORDED)}
     chosen["driver"] |= {"hardware": "simulated", "lockstep": False, "simulated.command_timeout": COMMAND_TIMEOUT}
     chosen["controller"]["sample_timeout"] = SAMPLE_TIMEOUT
     if chosen["controller"].get("trigger") == "lockstep":

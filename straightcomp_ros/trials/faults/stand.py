@@ -18,8 +18,9 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.cell.cycle import RECORDED, as_parameter_file
+from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
+from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.contract import COMMAND, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
 from straightcomp_ros.model.stage import Waypoint, trapezoid
 from straightcomp_ros.runtime.heartbeats import Heartbeats

@@ -64,7 +64,7 @@ def reload_map(scene: Scene) -> list[str]:
 def another_map(scene: Scene) -> list[str]:
     """Change the feedforward to another map file; the amplifier must stay on."""
     scene.stand.spin(_FADE_S)
-    return _changed(scene, "feedforward", {"map.file": scene.rng.choice(scene.maps)})
+    return _changed(scene, "feedforward", {"stage.guide.file": scene.rng.choice(scene.maps)})
 
 
 def another_law(scene: Scene) -> list[str]:
@@ -211,10 +211,10 @@ _ORDER = ("driver", "feedforward", "controller", "logger")
 _REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
     ("controller", {"control.law": "linear", "control.smc_observer.surface": -1.0}),
     ("controller", {"control.smc_observer.surface": 500.0, "control.law": "no such law"}),
-    ("controller", {"control.smc_observer.surface": 510.0, "rate": 1000}),
+    ("controller", {"control.smc_observer.surface": 510.0, "stage.rate": 1000}),
     ("controller", {"control.law": "smc", "control.smc.rho": 1e-6}),
-    ("feedforward", {"map.runout": 0.03, "map.file": "no_such_file.csv"}),
-    ("driver", {"current_limit": 0.95, "simulated.rate": 1000}),
+    ("feedforward", {"stage.guide.runout": 0.03, "stage.guide.file": "no_such_file.csv"}),
+    ("driver", {"stage.actuator.current_limit": 0.95, "stage.rate": 1000}),
     ("logger", {"min_free_bytes": 1000, "output": "elsewhere"}),
 )
 """By node, parameters of which the second is invalid."""

@@ -57,7 +57,7 @@ def run_soak(
     begin = time.monotonic()
     priority = values["driver"].get("realtime.priority", 0)
     with Stand(folder, values) as stand, Stalls(folder, priority) as stalls:
-        rate, log = values["driver"]["simulated.rate"], folder / "actions.log"
+        rate, log = node_parameters("driver", values).stage.rate, folder / "actions.log"
         scene = Scene(stand, rng, rate, result, stalls, log, _maps(values, folder))
         scene.back_to_work()
         killed = rng.sample(RECORDED, len(RECORDED))
@@ -83,7 +83,7 @@ def run_soak(
 
 def _maps(values: Mapping[str, Mapping[str, Any]], folder: Path) -> tuple[str, ...]:
     """The map's file, and a copy of it: a different map might lead the platform out of its travel."""
-    file = node_parameters("feedforward", values["feedforward"]).map.file
+    file = node_parameters("feedforward", values).stage.guide.file
     copy = folder.absolute() / "another_map.csv"
     shutil.copyfile(find_survey(file), copy)
     return file, str(copy)

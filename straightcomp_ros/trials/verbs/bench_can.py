@@ -16,7 +16,6 @@ from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import console, print_json, progress_bar
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.trials.bench.bus_faults_found import fault_run
 from straightcomp_ros.trials.bench.codec import codec_costs, per_frame
 from straightcomp_ros.trials.bench.round_trip import measure_round_trip
@@ -54,9 +53,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _figures(values: dict[str, dict[str, Any]], options: argparse.Namespace) -> dict[str, Any]:
-    driver = node_parameters("driver", values["driver"])
+    driver = node_parameters("driver", values)
     fd = driver.can.fd
-    guide = load_map(driver.guide)
+    guide = driver.guide()
     costs = codec_costs(_REPEATS)
     # The path of a Unix socket is limited to about a hundred characters.
     with tempfile.TemporaryDirectory(prefix="straightcomp_") as folder, progress_bar() as bar:

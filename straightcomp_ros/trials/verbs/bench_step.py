@@ -31,10 +31,10 @@ def run(options: argparse.Namespace) -> int:
     """Time and print."""
     check_range("--repeats", options.repeats, 1, _MOST_REPEATS)
     values = chosen_parameters(options)
-    controller = node_parameters("controller", values["controller"])
+    controller = node_parameters("controller", values)
     with working("timing"):
         sample, speed = simulation_cost(values, min(options.repeats, _SIMULATIONS))
-        laws = law_costs(controller.control, controller.rate, options.repeats)
+        laws = law_costs(controller.control, controller.stage, options.repeats)
         messages = message_costs(options.repeats)
     figures = {
         "laws": {name: found.to_display() for name, found in laws.items()},

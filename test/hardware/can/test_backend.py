@@ -72,7 +72,7 @@ class World:
 
     def servo(self, seconds, reference):
         """Close the loop: each sample's command is there half a period after it."""
-        servo = Servo(make_law(ControlParameters(), PERIOD * 1e-9))
+        servo = Servo(make_law(ControlParameters(), STAGE))
         for _ in range(round(seconds * 2000)):
             self.now += PERIOD // 2
             for stamp_ns, current in self.answers:

@@ -128,7 +128,7 @@ def live(path: Path, seed: int) -> Path:
     are not finite, the amplifier goes off and on; all is recorded."""
     source = np.random.default_rng(seed)
     values = {"controller": {"control.law": "smc_observer"}}
-    controller = node_parameters("controller", values["controller"])
+    controller = node_parameters("controller", values)
     servo = Servo(make_law(controller.control, 1.0 / controller.rate))
     pairing = Pairing(8 * 500_000, wait=False)
     with BagWriter(path) as writer:

@@ -10,7 +10,7 @@ def values() -> dict[str, dict]:
     return {
         "driver": {},
         "controller": {},
-        "cell": {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1},
+        "stage": {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1},
     }
 
 

@@ -73,7 +73,7 @@ def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(va
         "step.time": 0.8,
     }
     values["driver"] = {f"simulated.plant.friction.{name}": value for name, value in friction.items()}
-    values["driver"]["lockstep_delay"] = 0.5
+    values["stage"]["drive.delay"] = 0.5
     values["controller"] = {"control.law": "smc"}
     simulation = Simulation(values)
     record = simulation.run()
@@ -98,7 +98,7 @@ def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(va
 def test_commands_with_a_delay_of_their_own_take_effect_as_on_the_simulated_board():
     delays = np.random.default_rng(5).integers(0, 4 * PERIOD, 400)
     hardware = SimulatedHardware(SimulatedParameters(), MAP)
-    servo = Servo(make_law(ControlParameters(), PERIOD * 1e-9))
+    servo = Servo(make_law(ControlParameters(), STAGE))
     hardware.enable()
     hardware.start(0)
     positions = []
@@ -107,7 +107,7 @@ def test_commands_with_a_delay_of_their_own_take_effect_as_on_the_simulated_boar
         positions.append(truth.y)
         command = servo.step(sample.stamp_ns, sample.y, sample.current, (1e-6, 0.0, 0.0))
         hardware.write(command.current, sample.stamp_ns + delay)
-    cycle = run_cycle(make_law(ControlParameters(), PERIOD * 1e-9), PlantParameters(), steady(400, delays=delays))
+    cycle = run_cycle(make_law(ControlParameters(), STAGE), PlantParameters(), steady(400, delays=delays))
     np.testing.assert_array_equal(cycle.true_y, positions)
 
 
@@ -132,14 +132,14 @@ def test_readings_of_a_cycle_are_those_of_the_encoder_to_the_last_bit():
 def test_noise_reaches_the_encoder_and_not_the_platform():
     noise = np.zeros(50)
     noise[49] = 3e-6
-    quiet, disturbed = (run_cycle(make_law(ControlParameters(), 5e-4), PlantParameters(), c) for c in (
+    quiet, disturbed = (run_cycle(make_law(ControlParameters(), STAGE), PlantParameters(), c) for c in (
         steady(50), steady(50, noise=noise)))  # fmt: skip
     np.testing.assert_array_equal(quiet.true_y, disturbed.true_y)
     assert disturbed.y[49] - quiet.y[49] == pytest.approx(3e-6, abs=1e-7)
 
 
 def test_a_law_starts_anew_in_each_cycle():
-    law = make_law(ControlParameters(), 5e-4)
+    law = make_law(ControlParameters(), STAGE)
     first, second = (run_cycle(law, PlantParameters(), steady(200)) for _ in range(2))
     np.testing.assert_array_equal(first.current, second.current)
 

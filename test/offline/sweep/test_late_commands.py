@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
-from straightcomp_ros.settings.share import share_path
 
 PERIOD = 500_000
 
@@ -25,9 +24,9 @@ def script():
 
 @pytest.fixture
 def shipped():
-    values = read_parameter_file(share_path("config/straightcomp.yaml"))
-    values["cell"]["motion.stroke"] = 0.1
-    values["driver"]["lockstep_delay"] = 1.0
+    values = shipped_parameters()
+    values["stage"]["motion.stroke"] = 0.1
+    values["stage"]["drive.delay"] = 1.0
     return values
 
 

@@ -8,7 +8,7 @@ from straightcomp_ros.offline.sweep.many_trials import summarise
 from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
 from straightcomp_ros.offline.sweep.trial import TrialResult
 
-SHORT = ["--set", "cell.motion.stroke=0.02", "--set", "cell.motion.settle=0.1", "--set", "cell.motion.pause=0.1"]
+SHORT = ["--set", "stage.motion.stroke=0.02", "--set", "stage.motion.settle=0.1", "--set", "stage.motion.pause=0.1"]
 
 
 def result(trial: int, pp: float, failure: str = "", law: str = "linear") -> TrialResult:
@@ -40,7 +40,7 @@ def test_the_table_names_the_laws_and_what_they_ran_under(capsys):
         (["--range", "mess=0.1"], "'mess' is unknown; did you mean 'mass'"),
         (["--range", "mass"], "NAME=VALUE"),
         (["--range", "mass=heavy"], "'mass': 'heavy' is not a number"),
-        (["--set", "cell.motion.stroke=0.0"], "'motion.stroke'"),
+        (["--set", "stage.motion.stroke=0.0"], "'motion.stroke'"),
     ],
 )
 def test_wrong_parameters_are_named(capsys, arguments, message):

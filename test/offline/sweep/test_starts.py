@@ -17,7 +17,7 @@ from straightcomp_ros.offline.sweep.starts import (
     values_of_starts,
 )
 
-SHORT = {"driver": {}, "controller": {}, "cell": {"motion.stroke": 0.03, "motion.settle": 0.3, "motion.pause": 0.1}}
+SHORT = {"driver": {}, "controller": {}, "stage": {"motion.stroke": 0.03, "motion.settle": 0.3, "motion.pause": 0.1}}
 
 
 def test_the_first_start_is_the_one_of_the_parameters_and_the_others_lie_around_it():

@@ -5,16 +5,15 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
-from straightcomp_ros.settings.share import share_path
 
 
 @pytest.fixture
 def shipped():
-    values = read_parameter_file(share_path("config/straightcomp.yaml"))
-    values["cell"]["motion.stroke"] = 0.1
+    values = shipped_parameters()
+    values["stage"]["motion.stroke"] = 0.1
     return values
 
 
@@ -29,11 +28,11 @@ def test_a_compiled_cycle_is_the_simulation_in_every_column(shipped):
 
 def test_what_the_compiled_cycle_does_not_model_is_left_to_the_simulation(shipped):
     assert can_run(shipped)
-    shipped["driver"]["lockstep_delay"] = 4.0
+    shipped["stage"]["drive.delay"] = 4.0
     assert can_run(shipped)
     shipped["driver"]["simulated.command_timeout"] = 0.002
     assert not can_run(shipped)
-    shipped["driver"]["lockstep_delay"] = 0.5
+    shipped["stage"]["drive.delay"] = 0.5
     assert can_run(shipped)
     shipped["controller"]["learning.learn"] = True
     assert not can_run(shipped)

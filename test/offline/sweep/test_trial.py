@@ -59,6 +59,6 @@ def test_a_platform_that_falls_onto_its_stop_has_failed(values):
 def test_a_platform_that_does_not_follow_has_failed(values):
     # A milliampere does not overcome friction, and the reference moves on by more than the limit.
     values["controller"] = {"control.current_limit": 1e-3}
-    values["cell"]["motion.stroke"] = 1.2
+    values["stage"]["motion.stroke"] = 1.2
     (result,) = run_trials(make_scenario(values, ["linear"], EXACT), 1, [0])
     assert result.failure == "error beyond 10 µm"

@@ -4,9 +4,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nominal import EXACT
 from numpy.random import SeedSequence, default_rng
-
-from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.uncertainty import (
     UncertaintyParameters,
     deviating,
@@ -15,6 +12,9 @@ from straightcomp_ros.offline.sweep.uncertainty import (
     sample_times,
     streams,
 )
+
+from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.settings.declaration import ParameterError, from_mapping
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
@@ -36,7 +36,7 @@ def test_every_machine_lies_within_the_ranges(seed, trial):
     assert 0.9 <= machine.air_gap <= 1.1
     assert 0.5 <= machine.friction <= 2.0
     assert 0.0 <= machine.sensor_noise <= 0.05e-6
-    assert 0.2 <= machine.delay <= 1.5
+    assert 0.2 <= machine.stage.drive.delay <= 1.5
 
 
 def test_half_of_the_machines_have_less_than_nominal_friction():
@@ -100,7 +100,7 @@ def test_ranges_that_no_machine_can_have_are_refused(ranges, message):
 @pytest.mark.parametrize(
     "values, message",
     [
-        ({"controller": {"rate": 1000}}, "1000 Hz; allowed: 2000 Hz"),
+        ({"stage": {"rate": 1000}}, "1000 Hz; allowed: 2000 Hz"),
         ({"driver": {"simulated.rate": 50}}, "50 Hz; allowed in a sweep: >= 100"),
         ({"driver": {"simulated.command_timeout": 0.5e-3}}, "command_timeout.*>= 0.00054 s"),
     ],

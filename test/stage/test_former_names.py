@@ -1,5 +1,4 @@
 import pytest
-
 from straightcomp_ros.control.former_names import FORMER_OBSERVER, present_names
 
 

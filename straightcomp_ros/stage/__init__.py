@@ -1,0 +1,1 @@
+"""The description of a machine, which every node and every offline run takes its facts from."""

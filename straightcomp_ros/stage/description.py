@@ -1,0 +1,69 @@
+"""The description of a stage: each fact about the machine once, and how well it is known.
+
+Nodes declare it as the parameters `stage.*`; a stage file sets them under the wildcard node `/**`, for all at once.
+"""
+
+from dataclasses import dataclass
+
+from straightcomp_ros.contract import DEFAULT_RATE
+from straightcomp_ros.model.actuator import ActuatorParameters
+from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
+from straightcomp_ros.model.lugre import LuGreParameters
+from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
+from straightcomp_ros.model.stage import MotionParameters
+from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
+from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.straightness.guide_map import MapParameters
+
+
+@dataclass(frozen=True)
+class StageParameters:
+    """The description of a stage; its defaults are those of the shipped synthetic one."""
+
+    name: str = parameter("synthetic", "Name of the stage, for reports")
+    rate: int = parameter(DEFAULT_RATE, "Samples and control cycles per second", "[10, 20000] Hz")
+    motion: MotionParameters = group(MotionParameters, "Strokes of the stage")
+    guide: MapParameters = group(MapParameters, "Map of the guide")
+    platform: PlatformParameters = group(PlatformParameters, "Platform")
+    actuator: ActuatorParameters = group(ActuatorParameters, "Magnets")
+    friction: LuGreParameters = group(LuGreParameters, "Friction between slider and platform")
+    drive: DriveParameters = group(DriveParameters, "D/A converter and amplifier")
+    encoder: EncoderParameters = group(EncoderParameters, "Encoders")
+    uncertainty: UncertaintyParameters = group(UncertaintyParameters, "How well it is known")
+
+    def __post_init__(self) -> None:
+        stop, gap = self.platform.stop, self.actuator.air_gap
+        if stop >= gap:
+            raise RefusedParameter(
+                "platform.stop",
+                f"{stop!r} m is not inside the air gap; allowed: < {gap!r} m ('{{group}}actuator.air_gap')",
+            )
+        # A narrower gap must still hold the mechanical stop.
+        narrowest = gap * (1.0 - self.uncertainty.air_gap)
+        if stop >= narrowest:
+            raise RefusedParameter(
+                "uncertainty.air_gap",
+                f"{self.uncertainty.air_gap!r}: a gap of {narrowest:.4g} m does not hold the stop; "
+                f"allowed: < {1.0 - stop / gap:.4g} ('{{group}}platform.stop')",
+            )
+
+    @property
+    def period(self) -> float:
+        """Sampling period in s."""
+        return 1.0 / self.rate
+
+    @property
+    def period_ns(self) -> int:
+        """Sampling period in ns."""
+        return round(1e9 / self.rate)
+
+    @property
+    def plant(self) -> PlantParameters:
+        """The machine as described."""
+        return PlantParameters(
+            platform=self.platform,
+            actuator=self.actuator,
+            friction=self.friction,
+            drive=self.drive,
+            encoder=self.encoder,
+        )
