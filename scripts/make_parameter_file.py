@@ -19,8 +19,8 @@ CHANGED: dict[str, dict[str, Any]] = {
 }
 """Values that differ from the default; the head of the file says why."""
 HEAD = """\
-# Settings of all nodes of straightcomp_ros, for `--params-file` and for the launch files. What they know of the machine,
-# the parameters stage.*, is in a file of its own: stage_synthetic.yaml describes the simulated stage.
+# Settings of all nodes of straightcomp_ros, for `--params-file` and for the launch files. What they know of the
+# machine, the parameters stage.*, is in a file of its own: stage_synthetic.yaml describes the simulated stage.
 # Made by scripts/make_parameter_file.py from the declarations in the code; SI units.
 # Some values differ from their defaults. realtime.priority asks for real-time scheduling; where it is not permitted the
 # nodes say so and run without; all have the same, since they share locks, and one that is starved while it holds a
@@ -32,8 +32,8 @@ HEAD = """\
 # machine breaks nothing.
 """
 STAGE_HEAD = """\
-# The synthetic stage that is shipped: a machine as it might stand in a shop. Each fact is here once; every node takes what
-# it needs. Made by scripts/make_parameter_file.py; SI units.
+# The synthetic stage that is shipped: a machine as it might stand in a shop. Each fact is here once; every node takes
+# what it needs. Made by scripts/make_parameter_file.py; SI units.
 """
 TRUTH = {"simulated.truth.guide": "config/guide_synthetic.csv"}
 """The survey of the shipped stage was measured with errors: its guide is another file."""

@@ -7,6 +7,9 @@ import pytest
 
 from straightcomp_ros.control.law import flat
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
+from straightcomp_ros.stage.description import StageParameters
+
+STAGE = StageParameters()
 
 PERIOD = 5e-4
 

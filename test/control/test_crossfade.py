@@ -9,7 +9,10 @@ from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.servo import FADE_TIME, Crossfade, Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+
+STAGE = StageParameters()
 
 RATE = 2000
 T = 500_000

@@ -17,6 +17,9 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.stage.description import StageParameters
+
+STAGE = StageParameters()
 
 RATE, PERIOD_NS = 2000, 500_000
 STROKE = MotionParameters(stroke=0.06, settle=0.2, pause=0.1)

@@ -12,6 +12,9 @@ from straightcomp_ros.control.margins import (
     loop_margins,
     sampled_plant,
 )
+from straightcomp_ros.stage.description import StageParameters
+
+STAGE = StageParameters()
 
 NOMINAL = NominalPlant()
 PERIOD = 5e-4

@@ -18,6 +18,9 @@ from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.model.plant import PlantParameters, advance, as_array
+from straightcomp_ros.stage.description import StageParameters
+
+STAGE = StageParameters()
 
 PERIOD_NS, SAMPLES, SETTLED = 500_000, 600, 200
 ENCODER = 1e-7

@@ -10,6 +10,9 @@ from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.stage.description import StageParameters
+
+STAGE = StageParameters()
 
 T = 5e-4
 OBSERVER_LAWS = ("smc_observer",)
@@ -30,7 +33,7 @@ def run(**controller):
 @pytest.mark.parametrize("law", OBSERVER_LAWS)
 @given(y=st.floats(-2e-3, 2e-3), r=st.floats(-1e-4, 1e-4), rate=st.floats(-1e-3, 1e-3))
 def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(law, y, r, rate):
-    servo = make_law(ControlParameters(law=law, current_limit=0.4), STAGE)
+    servo = make_law(ControlParameters(law=law), from_mapping(StageParameters, {"actuator.current_limit": 0.4}))
     servo.reset(y)
     for reading in (y, -y, 0.0, y):
         command = servo.step(reading, r, rate, 0.0)

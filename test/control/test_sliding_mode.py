@@ -9,6 +9,9 @@ from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.design import NominalPlant, SlidingDesign, state_matrices
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.sliding_mode import switching_function
+from straightcomp_ros.stage.description import StageParameters
+
+STAGE = StageParameters()
 
 T = 5e-4
 DESIGN, NOMINAL = SlidingDesign(), NominalPlant()
@@ -62,14 +65,14 @@ def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
 @pytest.mark.parametrize("law", LAWS)
 @given(readings=st.lists(st.floats(-1e-3, 1e-3), min_size=1, max_size=50))
 def test_the_current_never_exceeds_its_limit(law, readings):
-    servo = make_law(ControlParameters(law=law, current_limit=0.3), STAGE)
+    servo = make_law(ControlParameters(law=law), limited(0.3))
     servo.reset(0.0)
     assert all(abs(servo.step(y, 0.0, 0.0, 0.0).current) <= 0.3 for y in readings)
 
 
 @pytest.mark.parametrize("law", ["linear", "smc"])
 def test_at_the_limit_nothing_winds_up(law):
-    servo = make_law(ControlParameters(law=law, current_limit=0.05), STAGE)
+    servo = make_law(ControlParameters(law=law), limited(0.05))
     servo.reset(0.0)
     for _ in range(4000):
         blocked = servo.step(0.0, 1e-4, 0.0, 0.0)
@@ -102,7 +105,10 @@ def test_the_surface_is_reached_in_the_time_of_its_closed_form():
     """σ̇ = −φσ − ρ sgn σ: from σ0 the surface is reached at (1/φ) ln(1 + φ|σ0|/ρ)."""
     design = SlidingDesign(boundary_layer=0.0, velocity_bandwidth=1e6)
     period = 2e-6
-    servo = make_law(ControlParameters(law="smc", current_limit=100.0, smc=design), STAGE)
+    servo = make_law(
+        ControlParameters(law="smc", smc=design),
+        from_mapping(StageParameters, {"rate": 20_000, "actuator.current_limit": 100.0}),
+    )
     a, b = state_matrices(NOMINAL)
     y0 = 2e-4
     servo.reset(y0)

@@ -10,6 +10,9 @@ from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import _stiffness
 from straightcomp_ros.model.lugre import bristle_after, friction_force
 from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
+from straightcomp_ros.stage.description import StageParameters
+
+STAGE = StageParameters()
 
 T = 5e-4
 SETTLE = 0.5

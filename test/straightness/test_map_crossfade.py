@@ -9,8 +9,11 @@ import pytest
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward, weight
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+
+STAGE = StageParameters()
 
 T = 500_000
 DT = T * 1e-9

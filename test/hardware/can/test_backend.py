@@ -17,7 +17,10 @@ from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+
+STAGE = StageParameters()
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 PERIOD = 500_000

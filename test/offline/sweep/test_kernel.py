@@ -17,8 +17,11 @@ from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.trial import laws_of
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+
+STAGE = StageParameters()
 
 PERIOD = 500_000
 MAP = load_map(MapParameters())
