@@ -4,21 +4,23 @@ Run `python scripts/fit_paper_plant.py`: a few minutes, the same numbers each ti
 Figures are true peak-to-peak errors in µm over the whole cycle: median of nine starts (min to max).
 """
 
+import dataclasses
 import math
 from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from paper_stroke import PERIOD, Stroke
+from paper_stroke import STAGE, Stroke
 from scipy.stats import qmc
 
 from straightcomp_ros.control import sliding_mode
-from straightcomp_ros.control.design import NominalPlant, SlidingDesign, reaching_bound
+from straightcomp_ros.control.design import SlidingDesign, reaching_bound
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.stage.description import StageParameters
 
 LINEAR, SMC = 1.77, 0.40
 """The paper's figures in µm peak to peak."""
@@ -40,11 +42,9 @@ def law(slope: float = 0.0, *, feedforward: bool = False, rho: float = 1.0, velo
     """The paper's design; ``slope`` ρ/ε in 1/s of the boundary layer: 0 is linear control, inf is sgn σ."""
     gains = sliding_mode.gains(
         SlidingDesign(rho=rho, boundary_layer=rho / slope if slope else 1.0, velocity_bandwidth=velocity_bandwidth),
-        NominalPlant(),
+        STAGE,
         switching=slope > 0.0,
         feedforward=feedforward,
-        period=PERIOD,
-        current_limit=0.9,
     )
     return Law(gains, sliding_mode.start, sliding_mode.step)
 
@@ -52,7 +52,7 @@ def law(slope: float = 0.0, *, feedforward: bool = False, rho: float = 1.0, velo
 def plant_with(coulomb: float, **others: Any) -> PlantParameters:
     """The shipped plant with this Coulomb friction in N, F_S in proportion, and ``others`` by dotted name."""
     friction = {"friction.coulomb": coulomb, "friction.static": round(STATIC_RATIO * coulomb, 7)}
-    return from_mapping(PlantParameters, {**friction, **others})
+    return from_mapping(StageParameters, {**friction, **others}).plant
 
 
 def plant_in_box(point: Iterable[float]) -> PlantParameters:
@@ -65,10 +65,10 @@ def plant_in_box(point: Iterable[float]) -> PlantParameters:
         "static": static,
         "stribeck_velocity": value["stribeck_velocity"],
         "bristle_stiffness": stiffness,
-        "bristle_damping": 2.0 * value["damping_ratio"] * math.sqrt(stiffness * PlantParameters().mass),
+        "bristle_damping": 2.0 * value["damping_ratio"] * math.sqrt(stiffness * STAGE.platform.mass),
         "viscous": value["viscous"],
     }
-    return from_mapping(PlantParameters, {f"friction.{name}": number for name, number in friction.items()})
+    return from_mapping(StageParameters, {f"friction.{name}": number for name, number in friction.items()}).plant
 
 
 def survey_the_box(stroke: Stroke, count: int = 512) -> None:
@@ -144,12 +144,11 @@ def show_drive(stroke: Stroke, coulomb: float, slope: float) -> None:
 
 def stable_slope(delay: float, bandwidth: float) -> float:
     """Slope ρ/ε in 1/s, to 10 /s, up to which the sampled loop inside the boundary layer is stable."""
+    stage = from_mapping(StageParameters, {"drive.delay": delay, "drive.bandwidth": bandwidth})
     low, high = 0.0, 5000.0
     while high - low > 10.0:
         middle = 0.5 * (low + high)
-        margins = loop_margins(
-            law(middle), NominalPlant(), period=PERIOD, delay=delay * PERIOD, amplifier_bandwidth=bandwidth
-        )
+        margins = loop_margins(law(middle), stage)
         low, high = (middle, high) if np.abs(margins.poles).max() < 1.0 else (low, middle)
     return low
 
@@ -170,16 +169,16 @@ def show_guides(slope: float) -> None:
 def main() -> None:
     """Print all tables, in Markdown."""
     stroke, slope = Stroke(), 300.0
-    still = plant_with(1e-6, **{"friction.viscous": 0.0, "encoder.resolution": 1e-12, "drive.dac_bits": 24})
+    still = plant_with(1e-6, **{"friction.viscous": 0.0, "encoder.y_resolution": 1e-12, "drive.dac_bits": 24})
     floor = stroke.error(still, law())
     print(f"largest ṙ {stroke.rate * 1e6:.1f} µm/s; without friction and quantisation the law without feedforward")
     print(f"leaves {floor:.3f} µm, with it {stroke.error(still, law(feedforward=True)):.4f} µm")
     survey_the_box(stroke)
     coulomb = fitted_coulomb(stroke)
     plant = plant_with(coulomb)
-    nominal = NominalPlant(friction=plant.friction.static)
+    stage = dataclasses.replace(STAGE, friction=plant.friction)
     print(f"\nfitted: F_C = {coulomb:g} N, F_S = {plant.friction.static:g} N;", end=" ")
-    print(f"(11) asks for ρ > {reaching_bound(SlidingDesign(), nominal):.3f} m/s²")
+    print(f"(11) asks for ρ > {reaching_bound(SlidingDesign(), stage):.3f} m/s²")
     for feedforward, words in ((False, "the paper's law, without feedforward"), (True, "with feedforward")):
         show_switching(stroke, plant, f"smc, {words}", feedforward=feedforward)
     show_velocity_estimate(stroke, plant, slope)

@@ -19,6 +19,7 @@ from straightcomp_ros.analysis.record import find_motion
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.offline.simulation import Values
 from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
 from straightcomp_ros.offline.sweep.starts import spreads, values_of_starts
@@ -87,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         values = chosen_parameters(options)
-        period_ns = round(1e9 / values["driver"]["simulated.rate"])
+        period_ns = node_parameters("driver", values).stage.period_ns
         values["stage"]["drive.delay"] = 1.0
         delays = typical_delays(period_ns)
         if options.bag:

@@ -4,13 +4,15 @@ import ast
 import inspect
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from straightcomp_ros import contract
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
+from straightcomp_ros.configuration.parameter_file import DEFAULT_FILE, DEFAULT_STAGE
 from straightcomp_ros.messages.batch import BATCH_TYPE
-from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.settings.declaration import Declaration, declarations
+from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
@@ -52,14 +54,27 @@ def reference() -> str:
     lines += ["", "## Services", "", "| service | type | what it does |", "|---|---|---|"]
     lines += [f"| `{node}/{name}` | std_srvs/srv/{kind} | {text} |" for node, name, kind, text in services()]
     lines += ["", "## Parameters", ""]
-    lines += ["`config/straightcomp.yaml` has them all, with the values that are shipped where these differ.", ""]
+    lines += [f"`{DEFAULT_FILE}` and `{DEFAULT_STAGE}` have them all, with the values that are shipped.", ""]
+    described = ", ".join(node for node, kind in NODE_PARAMETERS.items() if STAGE in kind.__dataclass_fields__)
+    lines += [
+        "### The stage",
+        "",
+        f"Of the nodes {described}. A stage file sets them for all: [the stage](stage.md).",
+        "",
+    ]
+    lines += _parameters(declarations(StageParameters, f"{STAGE}."))
     for node, parameter_set in NODE_PARAMETERS.items():
-        lines += [f"### Node {node}", "", "| parameter | default | unit | allowed | meaning |", "|---|---|---|---|---|"]
-        for one in declarations(parameter_set):
-            allowed, meaning = _cell(one.allowed()), _cell(one.description)
-            lines.append(f"| `{one.name}` | {_default(one.default)} | {one.unit} | {allowed} | {meaning} |")
-        lines.append("")
+        own = (one for one in declarations(parameter_set) if not one.name.startswith(f"{STAGE}."))
+        lines += [f"### Node {node}", "", *_parameters(own)]
     return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _parameters(declared: Iterable[Declaration]) -> list[str]:
+    lines = ["| parameter | default | unit | allowed | meaning |", "|---|---|---|---|---|"]
+    for one in declared:
+        allowed, meaning = _cell(one.allowed()), _cell(one.description)
+        lines.append(f"| `{one.name}` | {_default(one.default)} | {one.unit} | {allowed} | {meaning} |")
+    return [*lines, ""]
 
 
 def _other_streams() -> list[contract.Stream]:

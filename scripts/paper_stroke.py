@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.record import StrokeRecord, find_motion
-from straightcomp_ros.contract import DEFAULT_RATE, STROKE
 from straightcomp_ros.control.law import Law
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.model.plant import PlantParameters, PlantState
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.starts import Spread, offsets, spread
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.guide_map import load_map
 
-PERIOD = 1.0 / DEFAULT_RATE
-"""Sampling period in s."""
+STAGE = StageParameters()
+"""The shipped stage."""
 
 
 class Stroke:
@@ -30,11 +30,11 @@ class Stroke:
     """
 
     def __init__(self, half_waves: int | None = None) -> None:
-        trajectory = Trajectory(forward_and_back(MotionParameters()))
-        period_ns = round(PERIOD * 1e9)
+        trajectory, period_ns = Trajectory(forward_and_back(STAGE.motion)), STAGE.period_ns
         self._stamps = np.arange(-(-trajectory.end_ns // period_ns)) * period_ns
         true_x = np.array([trajectory.position(stamp) for stamp in self._stamps.tolist()])
-        x = np.floor(true_x / 1e-7 + 0.5) * 1e-7
+        count = STAGE.encoder.x_resolution
+        x = np.floor(true_x / count + 0.5) * count
         guide = load_map()
         if half_waves is None:
             feedforward = Feedforward(guide)
@@ -43,10 +43,11 @@ class Stroke:
             )
             self._true_r = guide.evaluate(true_x)[0]
         else:
-            wave = half_waves * math.pi / STROKE
-            height = 0.5 * float(np.ptp(guide.evaluate(np.linspace(0.0, STROKE, 20_000))[0]))
+            stroke = STAGE.motion.stroke
+            wave = half_waves * math.pi / stroke
+            height = 0.5 * float(np.ptp(guide.evaluate(np.linspace(0.0, stroke, 20_000))[0]))
             r = height * np.cos(wave * x)
-            reference = np.stack([r, np.gradient(r, PERIOD), np.zeros_like(r)], axis=1)
+            reference = np.stack([r, np.gradient(r, STAGE.period), np.zeros_like(r)], axis=1)
             self._true_r = height * np.cos(wave * true_x)
         rest = np.zeros_like(x)
         record = StrokeRecord(time=self._stamps * 1e-9, x=x, y=rest, r=rest, current=rest, law="")
@@ -63,7 +64,7 @@ class Stroke:
             delay: of the command, in samples.
             start: where the platform stands at the start, m.
         """
-        late = np.full(self._stamps.size, round(delay * PERIOD * 1e9))
+        late = np.full(self._stamps.size, round(delay * STAGE.period_ns))
         conditions = Conditions(self._stamps, late, self._reference, np.zeros(self._stamps.size))
         true_y = run_cycle(law, plant, conditions, PlantState(y=start)).true_y
         return float(np.ptp((self._true_r - true_y)[self._window])) * 1e6

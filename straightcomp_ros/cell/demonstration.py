@@ -21,7 +21,7 @@ from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
-from straightcomp_ros.model.stage import cycles
+from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.users import OPERATOR, add_user
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map

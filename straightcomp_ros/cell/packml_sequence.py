@@ -12,7 +12,7 @@ from typing import Protocol
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
 from straightcomp_ros.cell.stage_movements import NotArrived, StageMovements
-from straightcomp_ros.model.stage import MotionParameters, Waypoint
+from straightcomp_ros.model.motion import MotionParameters, Waypoint
 
 _ASK_AGAIN_S = 0.5
 _SETTLE_S = 1.5

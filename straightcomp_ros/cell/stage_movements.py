@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.model.stage import MotionParameters, Waypoint, cycles, trapezoid
+from straightcomp_ros.model.motion import MotionParameters, Waypoint, cycles, trapezoid
 
 _ARRIVE_WITHIN_S = 5.0
 _ARRIVED_M = 10e-6

@@ -7,7 +7,7 @@ guide says little about mass and viscous friction; --excitation writes a map who
   straightcomp friction --excitation excitation.csv
   straightcomp simulate --set stage.guide.file=excitation.csv --bag BAG     (or run it on the machine)
   straightcomp friction BAG -o plant.yaml
-  straightcomp simulate --params-file plant.yaml
+  straightcomp simulate --stage plant.yaml
 """
 
 import argparse
@@ -35,9 +35,9 @@ _EXCITATION_COMMENTS = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", nargs="?", metavar="BAG", help="rosbag2 folder or MCAP file")
     add_parameter_options(parser)
-    known = f"hold this parameter at its value, e.g. mass (default: {_DEFAULT_KNOWN})"
+    known = f"hold this parameter at its value, e.g. platform.mass (default: {_DEFAULT_KNOWN})"
     add_repeatable(parser, "--known", "NAME", known)
-    parser.add_argument("--output", "-o", metavar="FILE", help="write the parameters as a ROS 2 parameter file")
+    parser.add_argument("--output", "-o", metavar="FILE", help="write the parameters as a stage file")
     parser.add_argument("--excitation", metavar="FILE", help="write a map (CSV) that excites all parameters, and stop")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 

@@ -27,6 +27,11 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     values = shipped_parameters(options.params_file, options.stage)
     for node, changes in chosen_changes(options).items():
         values[node].update(changes)
+    return checked_values(values)
+
+
+def checked_values(values: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """``values`` as they are; raises ParameterError if a node would refuse them."""
     for node in NODE_PARAMETERS:
         node_parameters(node, values)
     return values

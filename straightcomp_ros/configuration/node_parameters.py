@@ -290,4 +290,6 @@ def node_parameters(name: str, values: Values) -> Any:
         refuse_former_names(name, values.get(name, {}))
         return from_mapping(NODE_PARAMETERS[name], {**_described(name, values), **values.get(name, {})})
     except ParameterError as error:
-        raise ParameterError(f"node {name}: {error}") from error
+        # A fact of the description is no node's own.
+        own = "" if str(error).startswith(f"parameter '{STAGE}.") else f"node {name}: "
+        raise ParameterError(f"{own}{error}") from error

@@ -16,6 +16,8 @@ _PARAMETERS = "ros__parameters"
 DEFAULT_FILE = "config/straightcomp.yaml"
 DEFAULT_STAGE = "config/stage_synthetic.yaml"
 """Installed files: settings of the nodes, and the description of the synthetic stage."""
+_SURVEYS = {STAGE: "guide.file", "driver": "simulated.truth.guide"}
+"""Parameters of a stage file that name a survey."""
 
 
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -69,12 +71,20 @@ def _read_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
 def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """As :func:`read_parameter_file`; the survey of a relative name is looked for beside the file first."""
     values = read_parameter_file(path)
+    for node, found in surveys_beside(path, values).items():
+        values[node].update(found)
+    return values
+
+
+def surveys_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """Full names, by node and parameter, of the surveys that lie beside the stage file ``path`` with ``values``."""
     folder = Path(path).resolve().parent
-    for node, name in ((STAGE, "guide.file"), ("driver", "simulated.truth.guide")):
+    found: dict[str, dict[str, str]] = {}
+    for node, name in _SURVEYS.items():
         survey = values[node].get(name)
         if isinstance(survey, str) and survey and (folder / survey).is_file():
-            values[node][name] = str(folder / survey)
-    return values
+            found[node] = {name: str(folder / survey)}
+    return found
 
 
 def shipped_parameters(params_file: str | None = None, stage: str | None = None) -> dict[str, dict[str, Any]]:

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from straightcomp_ros.model.stage import Trajectory
+from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault
 
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.commanded_plant import BIAS, COMMAND, Hold, advance_to_sample, commanded_plant
+from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.model.plant import PlantState
-from straightcomp_ros.model.stage import Trajectory, Waypoint
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.settings.declaration import group, parameter
 from straightcomp_ros.stage.description import StageParameters

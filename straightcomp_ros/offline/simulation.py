@@ -18,7 +18,7 @@ from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.model.stage import Trajectory, forward_and_back
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map

@@ -90,7 +90,7 @@ def compute(machine: Machine, points: int = POINTS) -> Recovery:
         peaks={law: peaks(law, one) for law, one in machines.items()},
         possible=within,
         least_peaks=grid.filled(lambda y, v: least_peak(limited, y, v)),
-        releases={law: (np.arange(y.size) / machines[law].rate, y) for law, y in releases.items()},
+        releases={law: (np.arange(y.size) / machines[law].stage.rate, y) for law, y in releases.items()},
     )
     claims = [claim for law, one in machines.items() for claim in _claims(data, law, one)]
     amplifier = Claim(

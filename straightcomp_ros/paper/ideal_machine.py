@@ -17,6 +17,8 @@ from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.stage.description import StageParameters
 
+DELAY = 0.5
+"""Command delay of the paper's loop, in samples; the shipped friction was fitted with it."""
 IDEAL_RATE = 20_000
 """Samples per second of the idealised loop: ten times the machine's, so that σ chatters a tenth as wide."""
 UNCLAMPED = 100.0

@@ -90,7 +90,7 @@ def _under_full_current(machine: Machine, y: float, velocity: float) -> float:
     state = np.array(PlantState(y=y, velocity=velocity, bias=bias))
     largest, asked = y, 0.0
     for _ in range(round(_FULL_CURRENT_FOR * machine.stage.rate)):
-        if not -stop < state[0] < wide.stop:
+        if not -stop < state[0] < wide.platform.stop:
             break
         advance(constants, state, bias, asked, delay_ns, -bias, period_ns - delay_ns)
         asked = -bias

@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.observation import ABSENT, PLAIN, SILENT
 from straightcomp_ros.contract import STAGE_TRAJECTORY
-from straightcomp_ros.model.stage import Waypoint
+from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 

@@ -18,7 +18,10 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from straightcomp_ros.configuration.node_parameters import STAGE
+from straightcomp_ros.configuration.parameter_file import read_parameter_file, surveys_beside
 from straightcomp_ros.contract import PACKAGE
+from straightcomp_ros.settings.declaration import ParameterError
 
 SHARE = FindPackageShare(PACKAGE)
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -89,10 +92,10 @@ def starting(
         if any(_is_true(context, argument) is not wanted for argument, wanted in (only_if or {}).items()):
             return []
         # The arguments' values are known only now. An empty one leaves the parameter to the file or the default.
-        given = {name: LaunchConfiguration(name).perform(context) for name in overrides}
-        parameters = {
-            overrides[name].parameter: ParameterValue(value, value_type=overrides[name].kind)
-            for name, value in given.items()
+        given = {argument: LaunchConfiguration(argument).perform(context) for argument in overrides}
+        parameters = _surveys_beside_stage(LaunchConfiguration("stage").perform(context), name) | {
+            overrides[argument].parameter: ParameterValue(value, value_type=overrides[argument].kind)
+            for argument, value in given.items()
             if value
         }
         if runs_cycle and not _is_true(context, "record"):
@@ -116,6 +119,17 @@ def starting(
         return [RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[shutdown])), node]
 
     return OpaqueFunction(function=actions)
+
+
+def _surveys_beside_stage(stage: str, node: str) -> dict[str, ParameterValue]:
+    """Parameters of ``node`` that name a survey beside the stage file: a node alone would not look there."""
+    try:
+        found = surveys_beside(stage, read_parameter_file(stage))
+    except ParameterError:
+        # The node refuses the file, and says why.
+        return {}
+    described = {f"{STAGE}.{name}": survey for name, survey in found.get(STAGE, {}).items()}
+    return {name: ParameterValue(survey, value_type=str) for name, survey in (described | found.get(node, {})).items()}
 
 
 def _is_true(context: LaunchContext, argument: str) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, Truth
-from straightcomp_ros.model.stage import Trajectory
+from straightcomp_ros.model.motion import Trajectory
 
 _REPEAT_AFTER_S = 0.05
 

@@ -7,7 +7,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from straightcomp_ros.contract import STAGE
 from straightcomp_ros.messages.cdr import NANOSECONDS
-from straightcomp_ros.model.stage import Trajectory, Waypoint
+from straightcomp_ros.model.motion import Trajectory, Waypoint
 
 
 def message_from_waypoints(waypoints: Sequence[Waypoint]) -> JointTrajectory:

@@ -35,7 +35,7 @@ class Fault(enum.Enum):
     """All faults."""
 
     COMMAND_NOT_FINITE = Description(1, "a command of NaN or ±infinity", "driver", 2.0)
-    COMMAND_OUT_OF_RANGE = Description(2, "a command beyond ± `current_limit`", "driver", 2.0)
+    COMMAND_OUT_OF_RANGE = Description(2, "a command beyond ± `stage.actuator.current_limit`", "driver", 2.0)
     COMMAND_TIMEOUT = Description(
         3,
         "no command, or only commands that are older, for `command_timeout`: controller, feedforward or the "

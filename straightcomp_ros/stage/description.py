@@ -9,8 +9,8 @@ from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.lugre import LuGreParameters
+from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
-from straightcomp_ros.model.stage import MotionParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 from straightcomp_ros.straightness.guide_map import MapParameters
@@ -37,14 +37,6 @@ class StageParameters:
             raise RefusedParameter(
                 "platform.stop",
                 f"{stop!r} m is not inside the air gap; allowed: < {gap!r} m ('{{group}}actuator.air_gap')",
-            )
-        # A narrower gap must still hold the mechanical stop.
-        narrowest = gap * (1.0 - self.uncertainty.air_gap)
-        if stop >= narrowest:
-            raise RefusedParameter(
-                "uncertainty.air_gap",
-                f"{self.uncertainty.air_gap!r}: a gap of {narrowest:.4g} m does not hold the stop; "
-                f"allowed: < {1.0 - stop / gap:.4g} ('{{group}}platform.stop')",
             )
 
     @property

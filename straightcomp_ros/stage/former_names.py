@@ -3,8 +3,11 @@
 Before there was one description of the stage, each node had its own part of it.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
+from straightcomp_ros.model.motion import MotionParameters
 
 _FORMER: Mapping[str, Mapping[str, str]] = {
     "driver": {
@@ -82,6 +85,7 @@ def present_names(node: str, values: Mapping[str, Any]) -> dict[str, Any]:
     if "simulated.plant.mass" in kept:
         # It was in A/m; now it is relative to the magnets' negative stiffness I0/y0.
         present.pop("simulated.hold_stiffness", None)
+    _fit_speeds(present)
     if f"{_OBSERVER}rho" not in present:
         return present
     if present.get("control.law") == "smc_observer":
@@ -93,6 +97,14 @@ def _unused(values: Mapping[str, Any]) -> tuple[str, ...]:
     """Former names that said nothing of a run with ``values``."""
     rate = "simulated.rate" if values.get("hardware") == "can" else "can.rate"
     delay = "simulated.actuation_delay" if values.get("lockstep") else "lockstep_delay"
-    # The friction of the reaching condition is that of the laws' friction model, where there is one.
-    friction = ("control.nominal.friction",) if "control.smc_observer.lugre.static" in values else ()
-    return (rate, delay, "can.x_speed", *friction)
+    # The friction of the reaching condition might contradict the other facts of friction.
+    return (rate, delay, "can.x_speed", "control.nominal.friction")
+
+
+def _fit_speeds(present: dict[str, Any]) -> None:
+    """Where only one of the two speeds is known, choose the other so that both fit together."""
+    cruise, highest, usual = "stage.motion.speed", "stage.motion.highest_speed", MotionParameters()
+    if highest not in present and present.get(cruise, 0.0) > 0.5 * usual.highest_speed:
+        present[highest] = 2.0 * present[cruise]
+    if cruise not in present and present.get(highest, math.inf) < 2.0 * usual.speed:
+        present[cruise] = 0.5 * present[highest]

@@ -7,11 +7,13 @@
 
 The column's name ends with the unit: x in m, mm or um, deviation in m, mm, um or nm. The names and separators of
 instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or tabs between the
-cells, and then decimal commas. ``run`` and ``direction`` may be left out: then the file is one run, and the trend of x
-tells its direction. Rows with the same run and direction belong to one run, so that a cycle may count forward and
-backward as one. Other columns are ignored.
+cells, and then decimal commas. ``run`` and ``direction`` may be left out: then the trend of x tells the
+direction, and where x turns back another run begins. Rows with the same run and direction belong to one run, so that a
+cycle may count forward and backward as one. Other columns are ignored.
 """
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +29,8 @@ __all__ = ["Direction", "Run", "Survey", "SurveyError", "check_gaps", "orient", 
 
 Direction = Literal["forward", "backward"]
 _DIRECTIONS = ("forward", "backward")
+Groups = dict[tuple[str, Direction | None], list[tuple[int, float, float]]]
+"""Points (line, x in m, deviation in m) by the name and the direction of their run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +71,7 @@ def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05
     """
     path = Path(path)
     table = read_table(path)
-    groups: dict[tuple[str, Direction | None], list[tuple[int, float, float]]] = {}
+    groups: Groups = {}
     for line, row in table.rows:
         where = f"survey {path}, line {line}"
         cells = dict(zip(table.header, row, strict=True))
@@ -79,6 +83,8 @@ def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05
     if not groups:
         raise SurveyError(f"survey {path}: has a header but no rows; allowed: at least {min_points} rows")
 
+    if not {"run", "direction"} & set(table.header):
+        groups = _passages(groups, min_points)
     runs = []
     for (name, way), points in groups.items():
         where = f"survey {path}, run '{name}'{f' {way}' if way else ''}"
@@ -91,6 +97,31 @@ def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05
         check_gaps(where, run, max_gap)
         runs.append(run)
     return Survey(tuple(runs), str(path))
+
+
+def _passages(groups: Groups, min_points: int) -> Groups:
+    """The one run of a file that names none, split at the turning points of x: out and back, again and again.
+
+    As it is where a passage is too short: there x does not turn, it is wrong.
+    """
+    ((_, points),) = groups.items()
+    passages = [points[:1]]
+    way = 0.0
+    for before, point in itertools.pairwise(points):
+        step = math.copysign(1.0, point[1] - before[1]) if point[1] != before[1] else 0.0
+        if way and step != way:
+            # Where x stands still at the turning point, the way back begins with the second point.
+            passages.append([])
+            way = 0.0
+        else:
+            way = step
+        passages[-1].append(point)
+    ways = [one[-1][1] > one[0][1] for one in passages]
+    alternate = all(a is not b for a, b in itertools.pairwise(ways))
+    if len(passages) == 1 or not alternate or min(map(len, passages)) < min_points:
+        return groups
+    names = ((str(n // 2 + 1), "forward" if rises else "backward") for n, rises in enumerate(ways))
+    return dict(zip(names, passages, strict=True))  # type: ignore[arg-type]
 
 
 def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ()) -> None:

@@ -31,7 +31,7 @@ def as_evaluation(record, **changes) -> BagEvaluation:
         "lateness": np.zeros(100),
         "stamps": stamps,
         "amplifier_on": np.ones(len(stamps), bool),
-        "parameters": {"controller": {"control.current_limit": 0.5}},
+        "parameters": {"controller": {"stage.actuator.current_limit": 0.5}},
     }
     return BagEvaluation(**{**values, **changes})
 

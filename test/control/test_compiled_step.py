@@ -11,8 +11,6 @@ from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
 
-PERIOD = 5e-4
-
 
 def samples(count):
     """A platform that wanders, jumps now and then, and has no measured current at times."""

@@ -13,12 +13,11 @@ from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 STAGE = StageParameters()
-
 RATE = 2000
 T = 500_000
 FADE = round(FADE_TIME * RATE)
 BEFORE, AFTER = 600, 600
-LIMIT = ControlParameters().current_limit
+LIMIT = STAGE.actuator.current_limit
 
 
 def reference(step):
@@ -44,7 +43,9 @@ class Noted:
 
 def run(old, change, steps=BEFORE + AFTER):
     """The simulated machine under ``old``; ``change(servo)`` is called at step BEFORE. Gives currents and errors."""
-    machine = SimulatedHardware(SimulatedParameters(), load_map(MapParameters(file="config/guide_synthetic.csv")))
+    machine = SimulatedHardware(
+        SimulatedParameters(), STAGE, load_map(MapParameters(file="config/guide_synthetic.csv"))
+    )
     servo, currents, errors = Servo(old), [], []
     machine.start(0)
     machine.enable()
@@ -65,7 +66,6 @@ def steps_of(currents):
 
 @pytest.mark.parametrize(("before", "after"), list(itertools.permutations(LAWS, 2)))
 def test_the_command_never_steps_by_more_than_the_laws_themselves_and_their_difference_over_n(before, after):
-    period = 1.0 / RATE
     old = Noted(make_law(ControlParameters(law=before), STAGE))
     new = Noted(make_law(ControlParameters(law=after), STAGE))
     currents, errors = run(old, lambda servo: servo.change(new, FADE))

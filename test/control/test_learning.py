@@ -6,7 +6,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
-from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters, draw, streams
 
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.control import learning as learning_module
@@ -14,13 +13,14 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.sweep.draws import draw, streams
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 
 STAGE = StageParameters()
-
 RATE, PERIOD_NS = 2000, 500_000
 STROKE = MotionParameters(stroke=0.06, settle=0.2, pause=0.1)
 LEARN = LearningParameters(learn=True)
@@ -267,19 +267,18 @@ def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning
     ratios = []
     for trial in range(4):
         machine = draw(UncertaintyParameters(), streams(seed, trial).machine)
-        plant = "simulated.plant."
         values = {
             "driver": {
-                "lockstep_delay": machine.delay,
-                plant + "mass": 3.0 * machine.mass,
-                plant + "actuator.pole_area": 5e-4 * machine.force,
-                plant + "actuator.air_gap": 1.5e-3 * machine.air_gap,
-                plant + "friction.coulomb": 0.43 * machine.friction,
-                plant + "friction.static": 0.645 * machine.friction,
-                plant + "friction.viscous": 10.0 * machine.friction,
+                "simulated.truth.guide": "config/guide_synthetic.csv",
+                **{f"simulated.truth.{name}": factor for name, factor in machine.factors._asdict().items()},
             },
             "controller": {"control.law": law},
-            "stage": {"motion.stroke": 0.04, "motion.settle": 0.2, "motion.pause": 0.1},
+            "stage": {
+                "drive.delay": machine.delay,
+                "motion.stroke": 0.04,
+                "motion.settle": 0.2,
+                "motion.pause": 0.1,
+            },
         }
         learned, bare = ([cycle.true_rms for cycle in cycles_of(values, learn)] for learn in (True, False))
         # Two passes differ by chance by up to 10 %: it depends on the count at which the platform came to rest.

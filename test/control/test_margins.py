@@ -1,7 +1,9 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.design import NominalPlant, SlidingDesign, closed_loop_poles
+from straightcomp_ros.control.design import SlidingDesign, closed_loop_poles
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.control.margins import (
     StateSpace,
@@ -12,13 +14,12 @@ from straightcomp_ros.control.margins import (
     loop_margins,
     sampled_plant,
 )
+from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
-STAGE = StageParameters()
-
-NOMINAL = NominalPlant()
-PERIOD = 5e-4
-LOOP = {"period": PERIOD, "delay": 2.5e-4, "amplifier_bandwidth": 500.0}
+STAGE = from_mapping(StageParameters, {"drive.delay": 0.5})
+PERIOD, DELAY = 5e-4, 2.5e-4
 
 
 def law(name: str, **parameters):
@@ -26,10 +27,11 @@ def law(name: str, **parameters):
 
 
 def test_fast_sampling_without_lag_gives_the_continuous_poles_of_the_design():
-    fast = make_law(ControlParameters(law="linear", smc=SlidingDesign(velocity_bandwidth=1e5)), 1e-6)
-    poles = loop_margins(fast, NOMINAL, period=1e-6, delay=0.0, amplifier_bandwidth=1e6).poles
+    stage = dataclasses.replace(STAGE, rate=1_000_000, drive=DriveParameters(bandwidth=1e6, delay=0.0))
+    fast = make_law(ControlParameters(law="linear", smc=SlidingDesign(velocity_bandwidth=1e5)), stage)
+    poles = loop_margins(fast, stage).poles
     continuous = np.log(poles[np.abs(poles) > 0.99]) / 1e-6
-    for pole in closed_loop_poles(SlidingDesign(), NOMINAL):
+    for pole in closed_loop_poles(SlidingDesign(), stage):
         assert min(abs(continuous - pole)) < 0.01 * abs(pole)
 
 
@@ -38,26 +40,30 @@ def test_fast_sampling_without_lag_gives_the_continuous_poles_of_the_design():
     [("linear", 0.3, 3.0, 35.0), ("smc", 0.3, 1.9, 25.0), ("smc_observer", 0.6, 2.4, 20.0)],
 )
 def test_every_default_law_is_stable_with_margins_to_each_side(name, gain_low, gain_high, phase):
-    margins = loop_margins(law(name), NOMINAL, **LOOP)
+    margins = loop_margins(law(name), STAGE)
     assert max(abs(margins.poles)) < 0.97
     assert margins.gain_low < gain_low and margins.gain_high > gain_high
     assert margins.phase > phase
     assert margins.longest_delay > PERIOD
 
 
+def test_commands_are_as_late_as_the_stage_says_unless_told():
+    described, told = loop_margins(law("linear"), STAGE), loop_margins(law("linear"), STAGE, DELAY)
+    assert described[1:] == told[1:] != loop_margins(law("linear"), STAGE, PERIOD)[1:]
+
+
 @pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
 def test_beyond_its_margins_the_loop_is_unstable(name):
-    margins = loop_margins(law(name), NOMINAL, **LOOP)
-    late = {**LOOP, "delay": margins.longest_delay * 1.01}
-    assert max(abs(loop_margins(law(name), NOMINAL, **late).poles)) > 1.0
-    in_time = {**LOOP, "delay": margins.longest_delay * 0.99}
-    assert max(abs(loop_margins(law(name), NOMINAL, **in_time).poles)) < 1.0
+    margins = loop_margins(law(name), STAGE)
+    late, in_time = margins.longest_delay * 1.01, margins.longest_delay * 0.99
+    assert max(abs(loop_margins(law(name), STAGE, late).poles)) > 1.0
+    assert max(abs(loop_margins(law(name), STAGE, in_time).poles)) < 1.0
 
 
 @pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
 def test_a_loop_turned_by_its_phase_margin_is_on_the_border_of_stability(name):
-    margins = loop_margins(law(name), NOMINAL, **LOOP)
-    plant, controller = sampled_plant(NOMINAL, **LOOP), linearised(law(name))
+    margins = loop_margins(law(name), STAGE)
+    plant, controller = sampled_plant(STAGE, DELAY), linearised(law(name))
 
     def largest(degrees):
         ways = (np.exp(1j * np.radians(sign * degrees)) for sign in (1.0, -1.0))
@@ -81,7 +87,7 @@ def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
 
 def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
     thin = law("smc", smc=SlidingDesign(boundary_layer=5e-4))
-    margins = loop_margins(thin, NOMINAL, **LOOP)
+    margins = loop_margins(thin, STAGE)
     assert max(abs(margins.poles)) > 1.0 and margins.longest_delay == 0.0
 
 
@@ -91,21 +97,20 @@ def test_a_law_that_switches_has_no_linearisation():
 
 
 def test_knowing_the_delay_makes_the_observer_tolerate_it():
-    late = {**LOOP, "delay": PERIOD}
-    ignorant = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=0.0)), NOMINAL, **late)
-    knowing = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=1.0)), NOMINAL, **late)
+    ignorant = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=0.0)), STAGE, PERIOD)
+    knowing = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=1.0)), STAGE, PERIOD)
     assert knowing.phase > ignorant.phase + 5.0
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.5e-4, 5e-4, 7.5e-4, 1e-3])
 def test_the_sampled_plant_answers_a_constant_current_after_its_delay_as_the_continuous_one(delay):
-    plant = sampled_plant(NOMINAL, period=PERIOD, delay=delay, amplifier_bandwidth=1e5)
+    plant = sampled_plant(dataclasses.replace(STAGE, drive=DriveParameters(bandwidth=1e5)), delay)
     x = np.zeros(len(plant.b))
     cycles = 40
     for _ in range(cycles):
         x = plant.a @ x + plant.b
-    pole = np.sqrt(NOMINAL.actuator.position_stiffness / NOMINAL.mass)
-    static = NOMINAL.actuator.current_stiffness / NOMINAL.actuator.position_stiffness
+    pole = np.sqrt(STAGE.actuator.position_stiffness / STAGE.platform.mass)
+    static = STAGE.actuator.current_stiffness / STAGE.actuator.position_stiffness
     acting = cycles * PERIOD - delay - 1.0 / (2 * np.pi * 1e5)
     assert plant.c @ x + plant.d == pytest.approx(static * (np.cosh(pole * acting) - 1.0), rel=1e-3)
 

@@ -21,10 +21,9 @@ from straightcomp_ros.model.plant import PlantParameters, advance, as_array
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
-
 PERIOD_NS, SAMPLES, SETTLED = 500_000, 600, 200
 ENCODER = 1e-7
-LIMIT = ControlParameters().current_limit
+LIMIT = STAGE.actuator.current_limit
 AMPLITUDE, ANGULAR = 10e-6, 2.0 * math.pi * 2.0
 ALLOWED = {"a whole path": 1.3, "one sign in the source": 1.02}
 """A law is rejected when its error is more than so many times that of the law as it is; all is deterministic."""

@@ -5,14 +5,14 @@ import pytest
 
 from straightcomp_ros.control.observer import Estimate, corrected, interval, observer_gains, predicted
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current
-from straightcomp_ros.model.lugre import FrictionParameters
+from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 
 ACTUATOR = ActuatorParameters().constants()
 RATE = 2 * math.pi * 500.0
 PERIOD = 5e-4
 FREE = PlantParameters(
-    friction=FrictionParameters(1e-12, 1e-12, 1.0, bristle_stiffness=1e-3, bristle_damping=0.0, viscous=0.0)
+    friction=LuGreParameters(1e-12, 1e-12, 1.0, bristle_stiffness=1e-3, bristle_damping=0.0, viscous=0.0)
 )
 
 
@@ -28,7 +28,7 @@ def test_the_prediction_is_the_plant_without_friction():
     estimate = Estimate(2e-4, -1e-3, 0.0, 0.02)
     state = np.array(PlantState(y=2e-4, velocity=-1e-3, control=0.02, bias=1.0))
     advance(as_array(FREE.constants()), state, 1.0, 0.05, 500_000)
-    ahead = predicted(ACTUATOR, FREE.mass, interval(RATE, PERIOD), estimate, 0.05)
+    ahead = predicted(ACTUATOR, FREE.platform.mass, interval(RATE, PERIOD), estimate, 0.05)
     assert ahead.current == pytest.approx(state[3], rel=1e-9)
     assert ahead.velocity - estimate.velocity == pytest.approx(state[1] - estimate.velocity, rel=0.02)
     # The current rises within the period, the prediction takes its mean: a fourteenth of a count.

@@ -10,21 +10,20 @@ from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
-
-T = 5e-4
 OBSERVER_LAWS = ("smc_observer",)
 
 
 def run(**controller):
     values = shipped_parameters()
     values["controller"].update({key.replace("__", "."): value for key, value in controller.items()})
-    delay = controller.get("control__smc_observer__delay")
-    if delay is not None:
-        values["stage"]["drive.delay"] = delay
-    values["stage"].update({"motion.stroke": 0.6, "motion.settle": 0.3, "motion.pause": 0.1})
+    delay = controller.get("control__smc_observer__delay", 0.5)
+    values["stage"].update(
+        {"drive.delay": delay, "motion.stroke": 0.6, "motion.settle": 0.3, "motion.pause": 0.1},
+    )
     simulation = Simulation(values)
     record = simulation.run()
     return record, evaluate(record, simulation.map)

@@ -2,13 +2,14 @@ import math
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import AMPLIFIER_OFF, Servo
+from straightcomp_ros.stage.description import StageParameters
 
 T = 500_000
 HELD = (1e-6, 0.0, 0.0)
 
 
 def servo() -> Servo:
-    return Servo(make_law(ControlParameters(law="linear"), T * 1e-9))
+    return Servo(make_law(ControlParameters(law="linear"), StageParameters()))
 
 
 def same(one, other):

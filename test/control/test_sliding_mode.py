@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -6,20 +7,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.control import sliding_mode
-from straightcomp_ros.control.design import NominalPlant, SlidingDesign, state_matrices
+from straightcomp_ros.control.design import SlidingDesign, state_matrices
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.control.sliding_mode import switching_function
+from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.stage.description import StageParameters
 
-STAGE = StageParameters()
-
 T = 5e-4
-DESIGN, NOMINAL = SlidingDesign(), NominalPlant()
+DESIGN, STAGE = SlidingDesign(), StageParameters()
+
+
+def limited(current: float, rate: int = STAGE.rate) -> StageParameters:
+    """The stage with another limit of the current in A."""
+    return dataclasses.replace(STAGE, rate=rate, actuator=ActuatorParameters(current_limit=current))
 
 
 def by_equation_9(x: np.ndarray, r: float, rho: float, boundary_layer: float) -> float:
     """i_c by (9), written with the matrices of the paper."""
-    a, b = state_matrices(NOMINAL)
+    a, b = state_matrices(STAGE)
     s = np.array([DESIGN.omega_n**2, 2 * DESIGN.zeta * DESIGN.omega_n, 1.0])
     b_r = np.array([-1.0, 0.0, 0.0])
     sigma = s @ x
@@ -33,10 +38,7 @@ def by_equation_9(x: np.ndarray, r: float, rho: float, boundary_layer: float) ->
 def test_a_step_is_equation_9(y0, y1, r):
     for law, rho in (("linear", 0.0), ("smc", DESIGN.rho)):
         servo = make_law(
-            ControlParameters(
-                law=law, current_limit=100.0, smc=SlidingDesign(velocity_bandwidth=1e5, feedforward=False)
-            ),
-            T,
+            ControlParameters(law=law, smc=SlidingDesign(velocity_bandwidth=1e5, feedforward=False)), limited(100.0)
         )
         servo.reset(y0)
         servo.step(y0, r, 0.0, 0.0)
@@ -97,7 +99,7 @@ def test_with_feedforward_the_surface_is_that_of_the_error():
     answer = servo.step(r, r, rate, acceleration)
     # On the reference and moving with it σ is zero, but for the velocity filter's last thousandth.
     assert abs(answer.sliding_variable) < 1e-3 * rate
-    a, b = state_matrices(NOMINAL)
+    a, b = state_matrices(STAGE)
     assert answer.current == pytest.approx((acceleration - a[2, 1] * r) / b[2], rel=1e-3)
 
 
@@ -105,11 +107,8 @@ def test_the_surface_is_reached_in_the_time_of_its_closed_form():
     """σ̇ = −φσ − ρ sgn σ: from σ0 the surface is reached at (1/φ) ln(1 + φ|σ0|/ρ)."""
     design = SlidingDesign(boundary_layer=0.0, velocity_bandwidth=1e6)
     period = 2e-6
-    servo = make_law(
-        ControlParameters(law="smc", smc=design),
-        from_mapping(StageParameters, {"rate": 20_000, "actuator.current_limit": 100.0}),
-    )
-    a, b = state_matrices(NOMINAL)
+    servo = make_law(ControlParameters(law="smc", smc=design), limited(100.0, rate=500_000))
+    a, b = state_matrices(STAGE)
     y0 = 2e-4
     servo.reset(y0)
     y, v, t = y0, 0.0, 0.0
@@ -124,14 +123,7 @@ def test_the_surface_is_reached_in_the_time_of_its_closed_form():
 
 
 def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it():
-    gains = sliding_mode.gains(
-        DESIGN,
-        NOMINAL,
-        switching=False,
-        feedforward=False,
-        period=T,
-        current_limit=0.05,
-    )
+    gains = sliding_mode.gains(DESIGN, limited(0.05), switching=False, feedforward=False)
     for sign in (1.0, -1.0):
         wound = sliding_mode.State(-1e-4 * sign, 0.0, 0.0)
         for error, held in ((1e-6, False), (-1e-6, True)):

@@ -13,18 +13,18 @@ from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
-
 T = 5e-4
 SETTLE = 0.5
 
 
-def stroke(delay=0.5, friction=1.0, plant=None, **design):
+def stroke(delay=0.5, friction=1.0, model="lugre", **design):
     """Record and metrics of a stroke whose plant has ``friction`` times the nominal friction."""
     values = shipped_parameters()
     values["controller"].update({f"control.smc_observer.{name}": value for name, value in design.items()})
-    for name in ("coulomb", "static"):
-        values["driver"][f"simulated.plant.friction.{name}"] *= friction
-    values["driver"].update({f"simulated.plant.{name}": value for name, value in (plant or {}).items()})
+    for name in ("friction.coulomb", "friction.static"):
+        # The machine's alone: the law believes the description.
+        values["driver"][f"stage.{name}"] = friction * values["stage"][name]
+    values["driver"]["simulated.truth.contact.model"] = model
     values["stage"]["drive.delay"] = delay
     values["stage"].update({"motion.stroke": 0.6, "motion.settle": SETTLE, "motion.pause": SETTLE})
     record, straightness = run_stroke(values)
@@ -55,7 +55,7 @@ def test_a_stroke_with_unknown_friction_leaves_little_error_at_small_steps_of_th
 @pytest.mark.no_cover
 def test_where_the_friction_model_explains_little_the_law_is_stiffer_and_leaves_less_error():
     def changed(stiffening):
-        return stroke(plant={"friction.model": "maxwell_slip"}, stiffening=stiffening)[1]
+        return stroke(model="maxwell_slip", stiffening=stiffening)[1]
 
     quiet, stiff = changed(1.0), changed(1.4)
     assert stiff.true_rms < 0.8 * quiet.true_rms

@@ -4,7 +4,6 @@ import math
 
 import pytest
 
-from straightcomp_ros.control.design import NominalPlant
 from straightcomp_ros.control.observer import (
     Estimate,
     current_for,
@@ -15,16 +14,15 @@ from straightcomp_ros.control.observer import (
     nominal_loop,
     with_measured_current,
 )
-from straightcomp_ros.model.actuator import ActuatorParameters, magnetic_force
+from straightcomp_ros.model.actuator import magnetic_force
+from straightcomp_ros.stage.description import StageParameters
 
 PERIOD = 5e-4
-ACTUATOR = ActuatorParameters()
-CONSTANTS = ACTUATOR.constants()
+CONSTANTS = StageParameters().actuator.constants()
 
 
-def believed(delay_samples=0.5, mass=3.0, amplifier_bandwidth=500.0):
-    nominal = NominalPlant(mass=mass, amplifier_bandwidth=amplifier_bandwidth, actuator=ACTUATOR)
-    return nominal_loop(nominal, period=PERIOD, delay_samples=delay_samples, current_limit=0.9)
+def believed(delay_samples=0.5):
+    return nominal_loop(StageParameters(), delay_samples=delay_samples)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])

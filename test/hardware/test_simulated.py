@@ -1,19 +1,24 @@
+import dataclasses
 import math
 
 import pytest
 
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, Waypoint, forward_and_back
+from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
-PERIOD = 500_000
+STAGE = StageParameters()
+PERIOD = STAGE.period_ns
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 START = 1_700_000_000_123_456_789
 
 
-def machine(**parameters) -> SimulatedHardware:
-    hardware = SimulatedHardware(SimulatedParameters(**parameters), GUIDE)
+def machine(delay=1.0, **parameters) -> SimulatedHardware:
+    stage = dataclasses.replace(STAGE, drive=DriveParameters(delay=delay))
+    hardware = SimulatedHardware(SimulatedParameters(**parameters), stage, GUIDE)
     hardware.start(START)
     return hardware
 
@@ -75,8 +80,8 @@ def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_
 
 
 def test_a_command_waits_for_its_fixed_time_after_the_sample_that_it_answers():
-    def applied(actuation_delay, arrival, sample):
-        hardware = machine(command_timeout=1.0, hold_after=10.0, actuation_delay=actuation_delay)
+    def applied(delay, arrival, sample):
+        hardware = machine(delay, command_timeout=1.0, hold_after=10.0)
         hardware.enable()
         hardware.read(START)
         hardware.write(0.1, START + arrival, sample)
@@ -203,7 +208,7 @@ def test_closing_switches_the_amplifier_off():
 
 def test_commands_that_wait_take_effect_in_their_order_however_many_they_are():
     def currents(count):
-        hardware = machine(command_timeout=1.0, hold_after=10.0, actuation_delay=0.0)
+        hardware = machine(0.0, command_timeout=1.0, hold_after=10.0)
         hardware.enable()
         for k in range(count):
             hardware.write(1e-3 * k, START + k * PERIOD)
@@ -211,7 +216,7 @@ def test_commands_that_wait_take_effect_in_their_order_however_many_they_are():
         hardware.write(-0.1, START)
         return [hardware.applied_current for k in range(count + 1) if hardware.read(START + k * PERIOD)]
 
-    step = SimulatedParameters().plant.drive.current_step
+    step = STAGE.drive.current_step
     for count in (3, 16, 17, 100):
         applied = currents(count)
         assert applied[: count - 1] == pytest.approx([1e-3 * k for k in range(count - 1)], abs=step)

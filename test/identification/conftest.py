@@ -12,26 +12,28 @@ from plants import SHORT, SOFT, STIFF
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.identification.excitation import excitation_survey
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.straightness.survey import write_survey
 
 
-def values(plant: Mapping[str, float], law: str = "linear", **feedforward: str) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes for a short run on this plant."""
+def values(plant: Mapping[str, float], law: str = "linear", **stage: str) -> dict[str, dict[str, Any]]:
+    """Parameters for a short run on a machine with this plant, of which the law knows nothing."""
     return {
-        "driver": {f"simulated.plant.{name}": value for name, value in plant.items()},
-        "feedforward": {name.replace("_", "."): value for name, value in feedforward.items()},
+        "driver": {f"stage.{name}": value for name, value in plant.items()},
+        "feedforward": {},
         "controller": {"control.law": law},
-        "cell": dict(SHORT),
+        "cell": {},
+        "stage": {"drive.delay": 0.5, **SHORT, **{name.replace("_", "."): value for name, value in stage.items()}},
     }
 
 
 def record(bag: Path, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
     """Simulate, and write the bag."""
     simulation = Simulation(parameters)
-    with SimulatedRun(bag, parameters, simulation.delay) as run:
+    with SimulatedRun(bag, by_node(parameters), simulation.delay) as run:
         simulation.run(observe=run.add)
     return bag
 
@@ -45,12 +47,12 @@ def excitation(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="session")
 def stiff_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path:
-    return record(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, map_file=excitation))
+    return record(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, guide_file=excitation))
 
 
 @pytest.fixture(scope="session")
 def soft_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path:
-    return record(tmp_path_factory.mktemp("soft") / "bag", values(SOFT, law="smc", map_file=excitation))
+    return record(tmp_path_factory.mktemp("soft") / "bag", values(SOFT, law="smc", guide_file=excitation))
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,7 @@
 
 SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
 STIFF = {
-    "mass": 3.4,
+    "platform.mass": 3.4,
     "friction.coulomb": 0.3,
     "friction.static": 0.5,
     "friction.stribeck_velocity": 30e-6,
@@ -10,7 +10,7 @@ STIFF = {
     "friction.viscous": 25.0,
 }
 SOFT = {
-    "mass": 4.2,
+    "platform.mass": 4.2,
     "actuator.air_gap": 1.6e-3,
     "friction.coulomb": 0.9,
     "friction.static": 1.1,

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.node_parameters import STAGE, node_parameters
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.identification import stretch as recording
@@ -48,22 +48,24 @@ def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
     assert answer["prediction_error_um"] == pytest.approx(0.1 / 12**0.5, rel=0.2)
 
 
-def test_the_file_holds_the_plant_under_the_drivers_names(stiff_answer) -> None:
+@pytest.mark.parametrize("node", ["driver", "controller"])
+def test_the_file_describes_the_plant_to_all_nodes(stiff_answer, node: str) -> None:
     answer, file = stiff_answer
     values = read_parameter_file(file)
-    assert {node for node, section in values.items() if section} == {"driver"}
-    plant = to_mapping(node_parameters("driver", values).simulated.plant)
+    assert {key for key, section in values.items() if section} == {STAGE}
+    described = to_mapping(node_parameters(node, values).stage)
     for name, found in answer["parameters"].items():
         if name not in DERIVED:
-            assert plant[name] == pytest.approx(found["value"], rel=1e-5), name
+            assert described[name] == pytest.approx(found["value"], rel=1e-5), name
 
 
+@pytest.mark.parametrize("option", ["--stage", "--params-file"])
 def test_simulate_takes_the_file_and_everything_else_from_the_declarations(
-    stiff_answer, capsys: pytest.CaptureFixture[str]
+    stiff_answer, capsys: pytest.CaptureFixture[str], option: str
 ) -> None:
     _, file = stiff_answer
     short = [word for assignment in SHORT_CYCLE for word in ("--set", assignment)]
-    assert main(["simulate", "--params-file", str(file), "--law", "linear", "--json", *short]) == 0
+    assert main(["simulate", option, str(file), "--law", "linear", "--json", *short]) == 0
     assert json.loads(capsys.readouterr().out)["law"] == "linear"
 
 
@@ -78,12 +80,12 @@ def test_the_truth_is_never_read(soft_bag: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("coulomb_is_poor", [False, True])
 def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor: bool) -> None:
     parameters = {name: Estimated(name, 1.0, 0.99, 1.01, False) for name in UNITS}
-    poor = {"mass", "friction.static"} | ({"friction.coulomb"} if coulomb_is_poor else set())
+    poor = {"platform.mass", "friction.static"} | ({"friction.coulomb"} if coulomb_is_poor else set())
     for name in poor:
         parameters[name] = Estimated(name, 1.0, 0.1, 10.0, False)
     lines = parameter_file(Estimate(parameters, None, None, None)).splitlines()  # type: ignore[arg-type]
-    assert "    # simulated.plant.mass: 1.0" in lines
+    assert "    # stage.platform.mass: 1.0" in lines
     assert "    # 0.1 to 10 kg, poorly determined" in lines
-    assert "    simulated.plant.friction.viscous: 1.0" in lines
+    assert "    stage.friction.viscous: 1.0" in lines
     # F_S stays beside F_C even so: its default may be below F_C, which is refused.
-    assert ("    simulated.plant.friction.static: 1.0" in lines) is not coulomb_is_poor
+    assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor

@@ -8,12 +8,12 @@ from plants import SOFT, STIFF
 
 from straightcomp_ros.identification.estimate import DERIVED, estimate_from_bag, parameter_file
 from straightcomp_ros.model.actuator import ActuatorParameters
-from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.settings.declaration import to_mapping
+from straightcomp_ros.stage.description import StageParameters
 
-START = PlantParameters()
+START = StageParameters()
 WITHIN = {
-    "mass": 0.01,
+    "platform.mass": 0.01,
     "actuator.air_gap": 0.002,
     "friction.coulomb": 0.005,
     "friction.static": 0.15,
@@ -53,7 +53,7 @@ def test_another_plant_under_another_law_is_found_too(soft_bag: Path) -> None:
             assert found.value == pytest.approx(truth[name], rel=WITHIN[name]), name
     assert estimate.advice == {}
     assert estimate.path.delay == pytest.approx(250e-6, abs=5e-6)
-    assert "simulated.plant.mass: 4." in parameter_file(estimate)
+    assert "stage.platform.mass: 4." in parameter_file(estimate)
 
 
 @pytest.mark.soak
@@ -65,5 +65,5 @@ def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag: Path) ->
         inside = found[name].low <= truth[name] * (1 + 1e-9) and truth[name] <= found[name].high * (1 + 1e-9)
         assert inside or (found[name].poor and name in estimate.advice), name
     assert not found["actuator.air_gap"].poor
-    assert {"mass", "friction.static", "friction.viscous"} <= set(estimate.advice)
-    assert "quick motion" in estimate.advice["mass"]
+    assert {"platform.mass", "friction.static", "friction.viscous"} <= set(estimate.advice)
+    assert "quick motion" in estimate.advice["platform.mass"]

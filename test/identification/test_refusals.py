@@ -13,7 +13,7 @@ from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.identification.stretch import read_recording
 from straightcomp_ros.identification.unknowns import unknowns
-from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.stage.description import StageParameters
 
 
 def written(bag: Path, y: np.ndarray, current: np.ndarray, streams=(ENCODER, COMMAND), lost: range = range(0)) -> Path:
@@ -71,10 +71,10 @@ def test_the_command_says_it_in_one_sentence_and_fails(tmp_path: Path, capsys: p
 
 
 def test_forces_need_a_scale_so_mass_or_turns_must_be_known() -> None:
-    with pytest.raises(IdentificationError, match=r"mass or actuator.turns .* common factor"):
-        unknowns(PlantParameters(), ["friction.coulomb"])
-    with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: mass,"):
-        unknowns(PlantParameters(), ["weight"])
+    with pytest.raises(IdentificationError, match=r"platform.mass or actuator.turns .* common factor"):
+        unknowns(StageParameters(), ["friction.coulomb"])
+    with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: platform.mass,"):
+        unknowns(StageParameters(), ["weight"])
 
 
 def test_only_a_bag_or_an_excitation_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,22 +13,27 @@ from straightcomp_ros.model.extended_friction import (
 from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.truth import TruthParameters, true_plant
 
 STEP = 25e-6
 CHANGES = {
-    "friction.bands.fraction": 0.3,
-    "friction.bands.seed": 7,
-    "friction.rest.growth": 0.2,
-    "friction.step.factor": 1.7,
-    "friction.step.time": 0.02,
+    "contact.bands.fraction": 0.3,
+    "contact.bands.seed": 7,
+    "contact.rest.growth": 0.2,
+    "contact.step.factor": 1.7,
+    "contact.step.time": 0.02,
 }
-SLIP = {"friction.model": "maxwell_slip"}
+SLIP = {"contact.model": "maxwell_slip"}
 UNDAMPED = {"friction.bristle_damping": 0.0, "friction.viscous": 0.0}
-KINDS = [SLIP, CHANGES, {**SLIP, **CHANGES}, {**SLIP, "friction.maxwell_slip.attraction": 1e9}]
+KINDS = [SLIP, CHANGES, {**SLIP, **CHANGES}, {**SLIP, "contact.maxwell_slip.attraction": 1e9}]
 
 
 def plant_with(values) -> PlantParameters:
-    return from_mapping(PlantParameters, values)
+    """The simulated machine with these values of ``contact.…``; all others are of its description."""
+    contact = {name: value for name, value in values.items() if name.startswith("contact.")}
+    described = {name: value for name, value in values.items() if name not in contact}
+    return true_plant(from_mapping(StageParameters, described), from_mapping(TruthParameters, contact))
 
 
 class Contact:
@@ -56,9 +61,9 @@ class Contact:
 
     def stored(self) -> float:
         """Energy in the springs, J."""
-        if self.parameters.friction.model == "lugre":
+        if self.parameters.contact.model == "lugre":
             return 0.5 * self.plant.lugre.bristle_stiffness * float(self.state[2]) ** 2
-        count = self.parameters.friction.maxwell_slip.blocks
+        count = self.parameters.contact.maxwell_slip.blocks
         blocks = self.state[BLOCK : BLOCK + count]
         springs = np.array(self.plant.extension[12 : 12 + count])
         return float(0.5 * np.sum(blocks**2 / springs))
@@ -75,6 +80,6 @@ def run(values, start: PlantState, command: float, samples: int, bias: float = 1
 
 
 def spring_force(contact: Contact) -> float:
-    if contact.parameters.friction.model == "lugre":
+    if contact.parameters.contact.model == "lugre":
         return contact.plant.lugre.bristle_stiffness * float(contact.state[2])
     return float(contact.state[BLOCK : BLOCK + MOST_BLOCKS].sum())

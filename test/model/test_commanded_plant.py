@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.model.commanded_plant import BIAS, COMMAND, READING, Hold, advance_to_sample, commanded_plant
+from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 
 PERIOD = 500_000
 HOLD = Hold(after_ns=625_000, weight=0.1, kept=0.6, braking=0.5, stiffness=7000.0)
-PLANT = PlantParameters()
+PLANT = PlantParameters(encoder=EncoderParameters(x_resolution=1e-6))
 STEP = PLANT.drive.current_step
 
 
@@ -32,7 +33,7 @@ def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice():
     advance(as_array(PLANT.constants()), state, bias, 0.0, 200_000, current, 300_000)
     np.testing.assert_array_equal(plant.state[: state.size], state)
     assert plant.state[COMMAND] == current
-    assert plant.state[READING] == PLANT.encoder.reading(float(state[0]))
+    assert plant.state[READING] == PLANT.encoder.y_reading(float(state[0]))
 
 
 def test_noise_moves_the_reading_and_not_the_platform():

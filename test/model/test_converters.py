@@ -4,15 +4,15 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 
-ENCODER = EncoderParameters()
+ENCODER = EncoderParameters(x_resolution=1e-6, y_resolution=1e-7)
 DRIVE = DriveParameters()
 
 
 @given(st.floats(-2.0, 2.0))
 def test_an_encoder_reading_is_a_whole_count_within_half_a_count(position):
-    reading = ENCODER.reading(position)
-    assert abs(reading - position) <= 0.5000001 * ENCODER.resolution
-    assert reading / ENCODER.resolution == pytest.approx(round(reading / ENCODER.resolution), abs=1e-6)
+    for reading, count in ((ENCODER.x_reading(position), 1e-6), (ENCODER.y_reading(position), 1e-7)):
+        assert abs(reading - position) <= 0.5000001 * count
+        assert reading / count == pytest.approx(round(reading / count), abs=1e-6)
 
 
 def test_twelve_bits_over_twenty_volts_are_half_a_milliampere():

@@ -18,7 +18,7 @@ from straightcomp_ros.model.extended_friction import (
     SLIPPING,
     TIME,
 )
-from straightcomp_ros.model.lugre import FrictionParameters, bristle_after, friction_force, stribeck_force
+from straightcomp_ros.model.lugre import LuGreParameters, bristle_after, friction_force, stribeck_force
 from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS, MaxwellSlipParameters, block_after
 from straightcomp_ros.model.plant import Plant, PlantParameters, PlantState, advance, as_array
 from straightcomp_ros.settings.declaration import ParameterError
@@ -42,10 +42,10 @@ def test_a_platform_that_slides_to_rest_only_loses_energy(values):
     plant = plant_with(values)
     states = run(values, PlantState(velocity=1e-2), 0.0, 400, bias=0.0)
     contact = Contact(values)
-    last = 0.5 * plant.mass * 1e-4
+    last = 0.5 * plant.platform.mass * 1e-4
     for state in states:
         contact.state = state
-        now = 0.5 * plant.mass * state[1] ** 2 + contact.stored()
+        now = 0.5 * plant.platform.mass * state[1] ** 2 + contact.stored()
         assert now <= last * (1 + 1e-9)
         last = now
     assert abs(states[-1, 1]) < 1e-4
@@ -60,7 +60,7 @@ def test_springs_never_store_more_than_the_motion_supplied(values, motion):
         before, stored = spring_force(contact), contact.stored()
         contact.move(velocity, 5e-5)
         work = 0.5 * (before + spring_force(contact)) * velocity * 5e-5
-        if contact.parameters.friction.model == "maxwell_slip":
+        if contact.parameters.contact.model == "maxwell_slip":
             assert contact.stored() - stored <= work + 1e-18 + 1e-12 * stored
         else:
             # An exact step of the bristle: the trapezium is not the integral, the largest force bounds it.
@@ -98,8 +98,8 @@ def test_one_stiff_block_of_infinite_attraction_is_coulomb_friction():
         **UNDAMPED,
         "friction.static": 0.43,
         "friction.bristle_stiffness": 1e10,
-        "friction.maxwell_slip.blocks": 1,
-        "friction.maxwell_slip.attraction": 1e12,
+        "contact.maxwell_slip.blocks": 1,
+        "contact.maxwell_slip.attraction": 1e12,
     }
     contact = Contact(values)
     for velocity in (1e-3, 2e-2, -1e-3, -1e-5, 1e-5):
@@ -109,7 +109,7 @@ def test_one_stiff_block_of_infinite_attraction_is_coulomb_friction():
 @pytest.mark.parametrize("velocity", [1e-6, 2e-5, 1e-2, -3e-5])
 @pytest.mark.parametrize("limit_spread", [0.2, 1.0, 5.0])
 def test_sliding_long_enough_gives_the_stribeck_curve_plus_viscous_friction(velocity, limit_spread):
-    contact = Contact({**SLIP, "friction.maxwell_slip.limit_spread": limit_spread})
+    contact = Contact({**SLIP, "contact.maxwell_slip.limit_spread": limit_spread})
     for _ in range(200):
         force = contact.move(velocity, 0.1)
     lugre = contact.plant.lugre
@@ -123,7 +123,7 @@ def test_before_sliding_the_blocks_are_a_spring_of_the_bristles_stiffness():
 
 def test_friction_lags_a_falling_speed():
     # At the same speed, friction is lower on the way down than on the way up: the frictional lag.
-    contact = Contact({**SLIP, **UNDAMPED, "friction.maxwell_slip.attraction": 20.0})
+    contact = Contact({**SLIP, **UNDAMPED, "contact.maxwell_slip.attraction": 20.0})
     contact.go(2e-5, 2e-5)
     speeds = np.linspace(5e-6, 6e-5, 300)
     up = [contact.move(v, 2e-4) for v in speeds]
@@ -133,7 +133,7 @@ def test_friction_lags_a_falling_speed():
 
 def test_an_inner_loop_closes_and_leaves_no_trace():
     # Return-point memory: after an excursion to and fro within presliding, the outer branch goes on as without it.
-    values = {**SLIP, **UNDAMPED, "friction.maxwell_slip.blocks": 8, "friction.static": 0.43}
+    values = {**SLIP, **UNDAMPED, "contact.maxwell_slip.blocks": 8, "friction.static": 0.43}
     plain, looped = Contact(values), Contact(values)
     for contact in (plain, looped):
         contact.go(4e-7)
@@ -158,7 +158,7 @@ def test_the_branch_after_a_reversal_is_the_virgin_curve_of_twice_the_size():
 
 def test_lugre_has_no_return_point_memory():
     # What the blocks are for: LuGre's bristle drifts in an inner loop, so that the test above is not empty.
-    bristle, lugre = 0.0, FrictionParameters(static=0.43).constants()
+    bristle, lugre = 0.0, LuGreParameters(static=0.43).constants()
     bristle = bristle_after(lugre, bristle, 1e-5, 0.04)
     turn = bristle
     bristle = bristle_after(lugre, bristle, -1e-5, 0.02)
@@ -167,7 +167,7 @@ def test_lugre_has_no_return_point_memory():
 
 
 def test_a_motion_cut_into_more_steps_gives_the_same_blocks():
-    coarse, fine = (Contact({**SLIP, "friction.maxwell_slip.attraction": 1e3}) for _ in range(2))
+    coarse, fine = (Contact({**SLIP, "contact.maxwell_slip.attraction": 1e3}) for _ in range(2))
     for distance in (1e-6, -4e-7, 9e-7, -3e-6):
         coarse.go(distance, steps=7)
         fine.go(distance, steps=70)
@@ -198,7 +198,7 @@ def test_the_same_parameters_give_the_same_bits():
     values = {**SLIP, **CHANGES}
     first, second = (run(values, PlantState(velocity=1e-4, bias=1.0), 0.03, 50) for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    other = run({**values, "friction.bands.seed": 8}, PlantState(velocity=1e-4, bias=1.0), 0.03, 50)
+    other = run({**values, "contact.bands.seed": 8}, PlantState(velocity=1e-4, bias=1.0), 0.03, 50)
     assert not np.array_equal(first, other)
 
 
@@ -225,14 +225,14 @@ def test_the_plant_with_blocks_sticks_and_breaks_away():
 
 
 def test_places_in_the_constants_are_those_of_the_parameters():
-    plant = plant_with({**SLIP, **CHANGES, "friction.maxwell_slip.blocks": 8})
-    friction = plant.friction
-    extension = friction.extension()
-    assert isinstance(plant.constants(), Plant) and len(extension) == 12 + 2 * MOST_BLOCKS
+    plant = plant_with({**SLIP, **CHANGES, "contact.maxwell_slip.blocks": 8, "friction.bristle_stiffness": 2e6})
+    constants = plant.constants()
+    extension = constants.extension
+    assert isinstance(constants, Plant) and len(extension) == 12 + 2 * MOST_BLOCKS
     expected = [2.0, 100.0, 8.0, 0.3, 2e-6, 7.0, 0.2, 1.0, 2.0, 5e-6, 1.7, 0.02]
     assert list(extension[:12]) == expected
-    assert sum(extension[12:20]) == pytest.approx(1e6) and sum(extension[20:]) == pytest.approx(1.0)
-    assert dataclasses.replace(friction, model="lugre").extension()[0] == 1.0
+    assert sum(extension[12:20]) == pytest.approx(2e6) and sum(extension[20:]) == pytest.approx(1.0)
+    assert dataclasses.replace(plant.contact, model="lugre").extension(2e6)[0] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -247,5 +247,5 @@ def test_places_in_the_constants_are_those_of_the_parameters():
     ],
 )
 def test_a_value_out_of_range_is_refused_by_name(name, value):
-    with pytest.raises(ParameterError, match=f"friction.{name}"):
-        plant_with({f"friction.{name}": value})
+    with pytest.raises(ParameterError, match=f"contact.{name}"):
+        plant_with({f"contact.{name}": value})

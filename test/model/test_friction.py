@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.lugre import FrictionParameters, bristle_after, friction_force, stribeck_force
+from straightcomp_ros.model.lugre import LuGreParameters, bristle_after, friction_force, stribeck_force
 from straightcomp_ros.settings.declaration import ParameterError
 
-PARAMETERS = FrictionParameters()
+PARAMETERS = LuGreParameters()
 LUGRE = PARAMETERS.constants()
 
 
@@ -50,4 +50,4 @@ def test_two_half_steps_of_the_bristle_are_one_whole_step(velocity, duration):
 
 def test_static_friction_below_coulomb_friction_is_refused():
     with pytest.raises(ParameterError, match=r"static.*0\.5.*>= 0\.6"):
-        FrictionParameters(coulomb=0.6, static=0.5)
+        LuGreParameters(coulomb=0.6, static=0.5)

@@ -13,9 +13,9 @@ from straightcomp_ros.model.plant import PlantState
 @pytest.mark.parametrize(
     "nothing",
     [
-        {"friction.bands.width": 1e-5, "friction.bands.seed": 3},
-        {"friction.step.time": 0.01, "friction.rest.time": 2.0},
-        {"friction.maxwell_slip.blocks": 8},
+        {"contact.bands.width": 1e-5, "contact.bands.seed": 3},
+        {"contact.step.time": 0.01, "contact.rest.time": 2.0},
+        {"contact.maxwell_slip.blocks": 8},
     ],
 )
 def test_changes_of_no_size_are_plain_lugre(nothing):
@@ -25,15 +25,15 @@ def test_changes_of_no_size_are_plain_lugre(nothing):
 
 def test_a_step_that_has_not_come_is_plain_lugre():
     start = PlantState(velocity=1e-4, bias=1.0)
-    late = run({"friction.step.factor": 3.0, "friction.step.time": 1.0}, start, 0.02, 20)
+    late = run({"contact.step.factor": 3.0, "contact.step.time": 1.0}, start, 0.02, 20)
     np.testing.assert_allclose(late[:, :7], run({}, start, 0.02, 20)[:, :7], rtol=1e-12)
 
 
 @pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
 def test_bands_too_small_to_matter_are_none(model):
     start = PlantState(velocity=1e-4, bias=1.0)
-    banded = run({"friction.model": model, "friction.bands.fraction": 1e-12}, start, 0.02, 20)
-    none = run({"friction.model": model}, start, 0.02, 20)
+    banded = run({"contact.model": model, "contact.bands.fraction": 1e-12}, start, 0.02, 20)
+    none = run({"contact.model": model}, start, 0.02, 20)
     np.testing.assert_allclose(banded[:, :7], none[:, :7], rtol=1e-6)
 
 
@@ -55,7 +55,7 @@ def test_values_of_the_bands_are_spread_evenly_and_are_the_same_on_every_machine
 
 
 def test_sliding_force_follows_the_bands():
-    contact = Contact({**SLIP, **UNDAMPED, "friction.bands.fraction": 0.3, "friction.maxwell_slip.attraction": 1e9})
+    contact = Contact({**SLIP, **UNDAMPED, "contact.bands.fraction": 0.3, "contact.maxwell_slip.attraction": 1e9})
     contact.go(1e-5, 1e-3)
     forces, factors = [], []
     for _ in range(500):
@@ -82,7 +82,7 @@ def test_static_friction_grows_with_the_logarithm_of_rest_up_to_its_bound():
 def test_the_longer_the_rest_the_higher_the_break_away_force(model):
     peaks = []
     for rest in (0.0, 1.0, 10.0, 1e9):
-        contact = Contact({**UNDAMPED, "friction.model": model, "friction.rest.growth": 0.2})
+        contact = Contact({**UNDAMPED, "contact.model": model, "contact.rest.growth": 0.2})
         contact.move(0.0, rest)
         peaks.append(max(contact.go(1e-5, 2e-6, 2000)))
     assert peaks == sorted(peaks) and len(set(peaks)) == 4
@@ -91,7 +91,7 @@ def test_the_longer_the_rest_the_higher_the_break_away_force(model):
 
 @pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
 def test_a_step_multiplies_the_sliding_force_from_its_time_on(model):
-    contact = Contact({**UNDAMPED, "friction.model": model, "friction.step.factor": 2.0, "friction.step.time": 0.1})
+    contact = Contact({**UNDAMPED, "contact.model": model, "contact.step.factor": 2.0, "contact.step.time": 0.1})
     forces = [contact.move(1e-2) for _ in range(8000)]
     assert forces[3900] == pytest.approx(0.43, rel=1e-3)
     assert forces[-1] == pytest.approx(0.86, rel=1e-3)

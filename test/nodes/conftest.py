@@ -4,6 +4,7 @@ import random
 import pytest
 
 from straightcomp_ros.cell.launcher import Graph, ros_available
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
 
 if not ros_available():
@@ -67,8 +68,8 @@ def short_cycle(request):
     values["controller"]["trigger"] = request.config.getoption("trigger")
     if request.node.get_closest_marker("live") is None:
         # Other tests run beside it: no node takes their CPU.
-        for section in values.values():
-            section["realtime.priority"] = 0
+        for node in NODE_PARAMETERS:
+            values[node]["realtime.priority"] = 0
         values["driver"]["realtime.exclusive"] = False
     return values
 
@@ -77,7 +78,8 @@ def short_cycle(request):
 def in_lockstep(short_cycle):
     """A short cycle of a graph that waits for each answer: nothing in it can be late, so other tests may run beside."""
     short_cycle["controller"]["trigger"] = "lockstep"
-    short_cycle["driver"].update({"lockstep": True, "lockstep_delay": 0.5})
+    short_cycle["driver"]["lockstep"] = True
+    short_cycle["stage"]["drive.delay"] = 0.5
     # Both directions and a turn: a difference of one bit would grow from the first sample on.
     short_cycle["stage"].update({"motion.stroke": 0.04, "motion.settle": 0.3})
     return short_cycle

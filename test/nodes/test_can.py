@@ -21,7 +21,7 @@ from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, recorded_frames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, amplifier_of, fault_of
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
-from straightcomp_ros.model.stage import MotionParameters, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 from straightcomp_ros.runtime.streams import subscribe
 
@@ -62,8 +62,8 @@ def operator():
 @pytest.fixture
 def values(short_cycle, tmp_path):
     """A graph whose machine is a board on a hub: slow, and patient with a busy computer."""
-    short_cycle["driver"]["simulated.rate"] = short_cycle["controller"]["rate"] = RATE
-    short_cycle["driver"].update(on_hub(short_cycle["driver"], str(tmp_path / "bus")))
+    short_cycle["stage"]["rate"] = RATE
+    short_cycle["driver"].update(on_hub(short_cycle, str(tmp_path / "bus")))
     for section in short_cycle.values():
         section["realtime.priority"] = 0
     return short_cycle

@@ -52,7 +52,7 @@ class Peer(Participant):
 
 
 # A test's own process is slow to answer at times; the timeout under test has a test of its own.
-PARAMETERS = {"simulated.rate": 200, "simulated.command_timeout": 0.5}
+PARAMETERS = {"stage.rate": 200, "simulated.command_timeout": 0.5}
 
 
 @pytest.fixture(scope="module")

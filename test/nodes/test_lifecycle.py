@@ -97,7 +97,7 @@ def loop(graph, manager, forgiving):
 
 
 def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_refused(graph, manager):
-    process = graph.start("driver", {"simulated.rate": 200, "autostart": False})
+    process = graph.start("driver", {"stage.rate": 200, "autostart": False})
     assert manager.state("driver") == "unconfigured"
     assert not manager.change("driver", "activate")
     assert manager.state("driver") == "unconfigured"
@@ -138,12 +138,12 @@ def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
     refused = loop.set("controller", control__law="linear", rate=100)
     assert not refused.successful and "'rate' is fixed while the node is configured" in refused.reason
     assert loop.switching()  # the law is 'smc' as before
-    assert loop.set("controller", control__law="linear", control__current_limit=0.5).successful
+    assert loop.set("controller", control__law="linear", stage__actuator__current_limit=0.5).successful
     loop.until(lambda: not loop.switching())
     refused = loop.set("feedforward", map__file="nowhere.csv")
     assert not refused.successful and "nowhere.csv" in refused.reason
     assert loop.trigger("feedforward/reload_map").success
-    assert loop.set("driver", current_limit=0.95).successful
+    assert loop.set("driver", stage__actuator__current_limit=0.95).successful
     loop.heard(ENCODER)
     assert loop.amplifier_on()
 

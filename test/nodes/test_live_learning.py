@@ -14,7 +14,8 @@ def test_the_graph_learns_while_it_runs_and_each_stroke_leaves_less_than_the_fir
     file = tmp_path / "learned.csv"
     # A law that lags: its error is large and repeats.
     short_cycle["controller"].update({"control.law": "linear", "learning.learn": True, "learning.file": str(file)})
-    short_cycle["cell"].update({"strokes": 4, "motion.settle": 0.3})
+    short_cycle["cell"]["strokes"] = 4
+    short_cycle["stage"]["motion.settle"] = 0.3
     result = demonstrate(short_cycle, tmp_path / "demo")
     record = result.evaluation.record
     strokes = find_motion(record).strokes

@@ -24,7 +24,7 @@ from straightcomp_ros.opcua.users import OPERATOR, add_user
 REPOSITORY = Path(__file__).resolve().parents[2]
 SLOW = {
     # Few samples and long timeouts: a machine that is busy with other things stalls.
-    "driver.simulated.rate": 200,
+    "driver.stage.rate": 200,
     "driver.simulated.command_timeout": 1.0,
     # At this rate no law holds the platform; what is tried here is the way of the commands.
     "driver.watch.y_limit": 0.1,
@@ -58,7 +58,7 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_where_the_stat
     nodes = ("driver", "feedforward", "controller")
     for node in nodes:
         own = {name.removeprefix(f"{node}."): value for name, value in SLOW.items() if name.startswith(f"{node}.")}
-        graph.start(node, own | ({"map.file": str(survey)} if node == "feedforward" else {}))
+        graph.start(node, own | ({"stage.guide.file": str(survey)} if node == "feedforward" else {}))
     graph.start("opcua", {"opcua.port": port, "opcua.users": str(users), "nodes": " ".join(nodes)})
     wait_for_line(graph, "opcua", "OPC UA at")
     probe = [sys.executable, str(REPOSITORY / "test" / "opcua" / "probes.py"), "orders"]

@@ -40,13 +40,13 @@ def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(single, tmp_p
 @pytest.mark.parametrize(
     ("node", "name", "value", "words"),
     [
-        ("driver", "simulated.plant.mass", -1.0, "-1.0 kg is too small; allowed: > 0"),
-        ("driver", "simulated.rate", "fast", "'fast' Hz is not an integer"),
+        ("driver", "stage.platform.mass", -1.0, "-1.0 kg is too small; allowed: > 0"),
+        ("driver", "stage.rate", "fast", "'fast' Hz is not an integer"),
         ("driver", "hardware", "none", "'none' is not known; allowed: one of simulated"),
-        ("feedforward", "map.file", "nowhere.csv", "nowhere.csv"),
+        ("feedforward", "stage.guide.file", "nowhere.csv", "nowhere.csv"),
         ("controller", "control.smc.rho", 0.1, "reaching condition (11)"),
         ("controller", "control.law", "pid", "allowed: one of linear, smc"),
-        ("cell", "motion.speed", 0, "0.0 m/s is too small"),
+        ("cell", "stage.motion.speed", 0, "0.0 m/s is too small"),
     ],
 )
 def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(single, tmp_path, node, name, value, words):

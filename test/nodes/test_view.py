@@ -14,7 +14,7 @@ pytestmark = pytest.mark.keeps_time
 
 @pytest.fixture
 def page(graph):
-    graph.start("driver", {"simulated.rate": 200})
+    graph.start("driver", {"stage.rate": 200})
     view = graph.start_program("view", verb_command("view", "--port", "0"), read_output=True)
     return urlsplit(view.stdout.readline().strip())
 

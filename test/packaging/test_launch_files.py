@@ -15,6 +15,9 @@ from typing import Any
 import pytest
 import yaml
 
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.settings.declaration import declarations
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 NODES = ("driver", "feedforward", "controller", "logger", "cell")
@@ -134,14 +137,14 @@ def test_the_cell_starts_each_node_once_in_the_same_namespace() -> None:
 def test_the_cell_takes_all_that_its_nodes_take() -> None:
     nodes = set().union(*(declared(path) for path in LAUNCH_FILES if path.name != "cell.launch.py"))
     assert declared(REPOSITORY / "launch" / "cell.launch.py") == nodes
-    common = {"namespace", "record", "rt_priority", "params_file", "output"}
+    common = {"namespace", "record", "rt_priority", "params_file", "stage", "output"}
     assert nodes == common | {"law", "map", "hardware", "use_opcua", "opcua_users"}
 
 
 def test_without_a_recording_there_is_no_logger_and_the_cell_does_not_wait_for_one() -> None:
     nodes = of_kind("Node", REPOSITORY / "launch" / "cell.launch.py", record="false")
     assert [node.kwargs["name"] for node in nodes] == ["driver", "feedforward", "controller", "cell"]
-    [_, chosen] = nodes[-1].kwargs["parameters"]
+    [_, _, chosen] = nodes[-1].kwargs["parameters"]
     assert chosen["nodes"].args == ("driver feedforward controller",)
 
 
@@ -152,8 +155,8 @@ def test_with_opcua_the_gateway_stands_in_the_place_of_the_cell(record: str, log
     assert [node.kwargs["name"] for node in nodes] == [*others, "opcua"]
     gateway = nodes[-1].kwargs
     assert configurations(gateway["namespace"]) == {"namespace"}
-    file, *chosen = gateway["parameters"]
-    assert configurations(file) == {"params_file"}
+    file, stage, *chosen = gateway["parameters"]
+    assert configurations(file) == {"params_file"} and configurations(stage) == {"stage"}
     assert [(list(given), given["nodes"].args) for given in chosen] == (
         [] if logger else [(["nodes"], (" ".join(others),))]
     )
@@ -169,7 +172,7 @@ def test_with_opcua_the_whole_launch_ends_when_the_gateway_has_ended() -> None:
 
 def test_the_gateway_takes_its_users_from_the_launch() -> None:
     path = REPOSITORY / "launch" / "cell.launch.py"
-    [_, chosen] = of_kind("Node", path, use_opcua="true", opcua_users="/tmp/users")[-1].kwargs["parameters"]
+    [_, _, chosen] = of_kind("Node", path, use_opcua="true", opcua_users="/tmp/users")[-1].kwargs["parameters"]
     assert (chosen["opcua.users"].args, chosen["opcua.users"].kwargs) == (("/tmp/users",), {"value_type": str})
     known = yaml.safe_load((REPOSITORY / "config" / "straightcomp.yaml").read_text(encoding="utf-8"))
     assert "opcua.users" in known["/**/opcua"]["ros__parameters"]
@@ -220,7 +223,7 @@ def test_an_argument_that_is_true_or_false_takes_nothing_else(path: Path) -> Non
         ("controller", "law", "control.law"),
         ("logger", "output", "output"),
         ("driver", "hardware", "hardware"),
-        ("feedforward", "map", "map.file"),
+        ("feedforward", "map", "stage.guide.file"),
     ],
 )
 def test_an_argument_overrides_its_parameter_only_when_it_is_given(node: str, argument: str, parameter: str) -> None:
@@ -228,14 +231,23 @@ def test_an_argument_overrides_its_parameter_only_when_it_is_given(node: str, ar
 
     def overrides(**arguments: str) -> list[Any]:
         [found] = [entity for entity in of_kind("Node", path, **arguments) if entity.kwargs["name"] == node]
-        return found.kwargs["parameters"][1:]
+        return found.kwargs["parameters"][2:]
 
     assert overrides() == []
     [given] = overrides(**{argument: "2024"})
     assert list(given) == [parameter]
     assert (given[parameter].args, given[parameter].kwargs) == (("2024",), {"value_type": str})
-    known = yaml.safe_load((REPOSITORY / "config" / "straightcomp.yaml").read_text(encoding="utf-8"))
-    assert parameter in known[f"/**/{node}"]["ros__parameters"]
+    assert parameter in {declaration.name for declaration in declarations(NODE_PARAMETERS[node])}
+
+
+def test_a_survey_beside_the_stage_file_is_found_wherever_the_launch_is_started(tmp_path: Path) -> None:
+    stage = tmp_path / "stage.yaml"
+    (tmp_path / "guide.csv").touch()
+    stage.write_text("/**: {ros__parameters: {stage: {guide: {file: guide.csv}}}}")
+    path = REPOSITORY / "launch" / "cell.launch.py"
+    for node in of_kind("Node", path, stage=str(stage)):
+        [_, _, given] = node.kwargs["parameters"]
+        assert given["stage.guide.file"].args == (str(tmp_path / "guide.csv"),)
 
 
 def test_every_launch_file_may_be_given_other_parameters() -> None:

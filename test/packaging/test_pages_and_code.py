@@ -11,13 +11,15 @@ from test_imports_point_inward import SOURCE
 
 from straightcomp_ros import contract
 from straightcomp_ros.cli.main import make_parser
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = SOURCE.parent
 PAGES = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
 DESIGN = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
-PARAMETERS = {node: {one.name for one in declarations(kind)} for node, kind in NODE_PARAMETERS.items()}
+SETS = {STAGE: StageParameters, **NODE_PARAMETERS}
+PARAMETERS = {node: {one.name for one in declarations(kind)} for node, kind in SETS.items()}
 OF_ANY_NODE = set().union(*PARAMETERS.values())
 
 

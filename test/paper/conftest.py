@@ -11,7 +11,7 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
-from straightcomp_ros.paper.ideal_machine import Machine, machine_from
+from straightcomp_ros.paper.ideal_machine import DELAY, Machine, machine_from
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,9 @@ class Output:
 
 @pytest.fixture(scope="session")
 def machine() -> Machine:
-    return machine_from(shipped_parameters())
+    values = shipped_parameters()
+    values["stage"]["drive.delay"] = DELAY
+    return machine_from(values)
 
 
 @pytest.fixture(scope="session")

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.control.design import NominalPlant, SlidingDesign, state_matrices
+from straightcomp_ros.control.design import SlidingDesign, state_matrices
 from straightcomp_ros.model.actuator import magnetic_force, stiffness_errors
+from straightcomp_ros.stage.description import StageParameters
 
-DESIGN, NOMINAL = SlidingDesign(), NominalPlant()
-ACTUATOR = NOMINAL.actuator
-A, B = state_matrices(NOMINAL)
+DESIGN, STAGE = SlidingDesign(), StageParameters()
+ACTUATOR, MASS = STAGE.actuator, STAGE.platform.mass
+A, B = state_matrices(STAGE)
 B_R = np.array([-1.0, 0.0, 0.0])
 S = np.array([DESIGN.omega_n**2, 2.0 * DESIGN.zeta * DESIGN.omega_n, 1.0])
 RHO = 1.0
@@ -26,7 +27,7 @@ references = st.floats(-25e-6, 25e-6)
 
 def state_rate(x: np.ndarray, r: float, current: float, force: float) -> np.ndarray:
     """ẋ of the plant by (1) and (2), without any linearisation."""
-    acceleration = (magnetic_force(ACTUATOR.constants(), x[1], ACTUATOR.bias_current, current) + force) / NOMINAL.mass
+    acceleration = (magnetic_force(ACTUATOR.constants(), x[1], ACTUATOR.bias_current, current) + force) / MASS
     return np.array([x[1] - r, x[2], acceleration])
 
 

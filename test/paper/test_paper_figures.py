@@ -82,7 +82,7 @@ def test_with_friction_the_platform_sticks_once_at_each_reversal(machine):
 
 def test_the_idealised_machine_is_not_limited(machine):
     ideal = machine.idealised()
-    assert ideal.control.current_limit == UNCLAMPED
+    assert ideal.stage.actuator.current_limit == UNCLAMPED
     assert ideal.plant.drive.converted(-5.0) == pytest.approx(-5.0, abs=1e-4)
 
 

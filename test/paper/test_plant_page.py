@@ -34,9 +34,9 @@ def test_a_row_of_the_result_is_what_the_script_finds(name, fit):
 
 def test_the_fitted_friction_is_the_shipped_one():
     (coulomb, static) = re.search(r"F_C = ([\d.]+) N, F_S = ([\d.]+) N, literal", PAGE).groups()
-    driver = shipped_parameters()["driver"]
-    assert driver["simulated.plant.friction.coulomb"] == float(coulomb)
-    assert driver["simulated.plant.friction.static"] == float(static)
+    stage = shipped_parameters()["stage"]
+    assert stage["friction.coulomb"] == float(coulomb)
+    assert stage["friction.static"] == float(static)
 
 
 @pytest.mark.parametrize("delay, bandwidth", [(0.5, 500.0), (1.0, 200.0)])

@@ -27,7 +27,8 @@ def test_the_physical_limit_is_what_full_current_does_in_a_machine_without_lag_a
     """The closed form is an integral of (2); the simulation knows nothing of it."""
     drive = dataclasses.replace(machine.plant.drive, bandwidth=1e6)
     plant = dataclasses.replace(machine.plant, drive=drive)
-    ideal = dataclasses.replace(machine, plant=plant, rate=100_000, delay=0.0).without_friction()
+    stage = dataclasses.replace(machine.stage, rate=100_000, drive=dataclasses.replace(drive, delay=0.0))
+    ideal = dataclasses.replace(machine, plant=plant, stage=stage).without_friction()
     y = a * ideal.plant.actuator.air_gap
     limit = recovery_region.fastest_outward(ideal, y)
     assert (

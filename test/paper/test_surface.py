@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from straightcomp_ros.control.design import NominalPlant, SlidingDesign
+from straightcomp_ros.control.design import SlidingDesign
+from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.paper.surface import (
     following_error_gain,
     free_motion,
@@ -18,8 +19,9 @@ from straightcomp_ros.paper.surface import (
     reaching_time,
     sliding_variable_over,
 )
+from straightcomp_ros.stage.description import StageParameters
 
-DESIGN = SlidingDesign()
+DESIGN, STAGE = SlidingDesign(), StageParameters()
 positive = st.floats(0.1, 100.0)
 
 
@@ -74,10 +76,10 @@ def test_a_slow_reference_is_followed_with_a_lag_of_two_zeta_over_omega_n():
 
 
 def test_the_reaching_condition_asks_for_nothing_at_the_centre_of_a_frictionless_guide():
-    nominal = dataclasses.replace(NominalPlant(), friction=0.0)
-    assert reaching_demand(DESIGN, nominal, 0.0, 0.5) == pytest.approx(DESIGN.gamma)
+    frictionless = dataclasses.replace(STAGE, friction=LuGreParameters(coulomb=0.0, static=0.0))
+    assert reaching_demand(DESIGN, frictionless, 0.0, 0.5) == pytest.approx(DESIGN.gamma)
 
 
 def test_the_reaching_condition_cannot_be_met_where_the_gain_error_exceeds_one():
-    nominal = NominalPlant()
-    assert math.isinf(reaching_demand(DESIGN, nominal, 0.6 * nominal.actuator.air_gap, nominal.actuator.bias_current))
+    actuator = STAGE.actuator
+    assert math.isinf(reaching_demand(DESIGN, STAGE, 0.6 * actuator.air_gap, actuator.bias_current))

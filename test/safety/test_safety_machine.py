@@ -8,13 +8,15 @@ from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.safety.faults import LABELLED, Fault, table
 from straightcomp_ros.safety.state_machine import TRANSITIONS, Condition, Event, SafetyMachine
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
 
 
 def machine():
-    hardware = SimulatedHardware(SimulatedParameters(), load_map(MapParameters(file="config/guide_synthetic.csv")))
+    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
+    hardware = SimulatedHardware(SimulatedParameters(), StageParameters(), guide)
     hardware.start(0)
     return SafetyMachine(hardware), hardware
 

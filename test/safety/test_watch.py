@@ -6,16 +6,19 @@ import random
 import pytest
 
 from straightcomp_ros.hardware.interface import Sample
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, SampleWatch, StageWatch, WatchParameters
+from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.stage.description import StageParameters
 
-T = 500_000
+STAGE = StageParameters()
+T = STAGE.period_ns
 COUNT = 1e-7
 
 
 def watch():
-    return SampleWatch(WatchParameters(), T)
+    return SampleWatch(WatchParameters(), STAGE)
 
 
 def fed(samples, currents=None):
@@ -51,12 +54,13 @@ def test_lost_samples_are_no_jump():
 
 
 def test_x_at_the_largest_speed_is_no_jump_over_lost_samples_either():
-    # Powers of two: no rounding between the step and its double.
-    found = SampleWatch(WatchParameters(max_speed=1.0), 2**20)
-    step = 2**20 * 1e-9
+    # A speed of one, and twice the step: no rounding.
+    stage = from_mapping(StageParameters, {"motion.highest_speed": 1.0})
+    found = SampleWatch(WatchParameters(), stage)
+    step = T * 1e-9
     assert found.check(Sample(0, 0.0, 0.0, 0.0), 0.0) is None
-    assert found.check(Sample(2 * 2**20, 2.0 * step, 0.0, 0.0), 0.0) is None
-    assert found.check(Sample(4 * 2**20, 4.001 * step, 0.0, 0.0), 0.0)[0] == Fault.X_JUMP
+    assert found.check(Sample(2 * T, 2.0 * step, 0.0, 0.0), 0.0) is None
+    assert found.check(Sample(4 * T, 4.001 * step, 0.0, 0.0), 0.0)[0] == Fault.X_JUMP
 
 
 def test_y_that_leaves_its_limit_is_found_and_y_that_comes_back_is_not():
@@ -159,7 +163,7 @@ def test_a_break_in_the_samples_starts_the_watch_anew():
 
 
 def test_y_is_called_frozen_only_after_the_frozen_time():
-    found = SampleWatch(WatchParameters(frozen_time=0.01, frozen_current=0.08), T)
+    found = SampleWatch(WatchParameters(frozen_time=0.01, frozen_current=0.08), STAGE)
     findings = [found.check(Sample(k * T, 0.0, COUNT, 0.0), 100.0) for k in range(30)]
     # The first sample changes y; twenty more of half a millisecond are ten milliseconds.
     assert [bool(finding) for finding in findings] == [k >= 20 for k in range(30)]
@@ -173,7 +177,7 @@ def test_the_finding_gives_y_in_micrometres_and_the_sign_of_the_change():
 
 def test_the_mean_current_follows_a_step_to_63_percent_in_five_milliseconds():
     # So long does the mean of a step of 1 A take to 1 − 1/e: with that threshold the fault comes there.
-    found = SampleWatch(WatchParameters(frozen_time=1e-9, frozen_current=1.0 - math.exp(-1.0)), T)
+    found = SampleWatch(WatchParameters(frozen_time=1e-9, frozen_current=1.0 - math.exp(-1.0)), STAGE)
     found.check(Sample(0, 0.0, COUNT, 0.0), 0.0)
     findings = [found.check(Sample(k * T, 0.0, COUNT, 0.0), 1.0) for k in range(1, 20)]
     assert [bool(finding) for finding in findings].index(True) in (9, 10)

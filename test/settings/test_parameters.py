@@ -5,7 +5,6 @@ from typing import get_type_hints
 
 import pytest
 import yaml
-from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
 
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.configuration.parameter_file import read_parameter_file
@@ -19,6 +18,8 @@ from straightcomp_ros.settings.declaration import (
     to_mapping,
 )
 from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 
 
 @dataclass(frozen=True)
@@ -92,12 +93,16 @@ def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script
     path = share_path("config/straightcomp.yaml")
     values = read_parameter_file(path)
     for node, parameter_set in NODE_PARAMETERS.items():
-        node_parameters(node, values[node])
-        assert list(values[node]) == [declaration.name for declaration in declarations(parameter_set)]
+        node_parameters(node, values)
+        own = [one.name for one in declarations(parameter_set) if not one.name.startswith("stage.")]
+        assert list(values[node]) == own
+    described = read_parameter_file(path.parent / "stage_synthetic.yaml")["stage"]
+    assert list(described) == [declaration.name for declaration in declarations(StageParameters)]
     source = (path.parent.parent / "scripts" / "make_parameter_file.py").read_text()
     made: dict = {"__name__": "made", "__file__": str(path.parent.parent / "scripts" / "x.py")}
     exec(compile(source, "make_parameter_file.py", "exec"), made)
     assert path.read_text() == made["parameter_file"]()
+    assert (path.parent / "stage_synthetic.yaml").read_text() == made["stage_file"]()
 
 
 @pytest.mark.parametrize(
@@ -124,24 +129,25 @@ def test_a_missing_parameter_file_is_refused_with_its_name(tmp_path):
 
 def test_a_parameter_file_with_namespaces_is_read_by_node(tmp_path):
     path = tmp_path / "p.yaml"
-    path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"rate": 4000}}}}))
-    assert read_parameter_file(path)["driver"] == {"simulated.rate": 4000}
+    path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"initial_y": 1e-6}}}}))
+    assert read_parameter_file(path)["driver"] == {"simulated.initial_y": 1e-6}
 
 
 CAN = {"hardware": "can"}
 ENCRYPTED = {"opcua.security": "encrypted", "opcua.users": "users", "opcua.certificates": "folder"}
 TOGETHER = [
     ("driver", {**CAN, "lockstep": True}, "lockstep", {"hardware"}),
-    ("driver", {**CAN, "current_limit": 50.0}, "current_limit", set()),
+    ("driver", {**CAN, "stage.actuator.current_limit": 50.0}, "stage.actuator.current_limit", set()),
     ("driver", {"can.log": "frames.txt"}, "can.log", set()),
     ("driver", {"can.options": "bitrate"}, "can.options", set()),
-    ("driver", {"simulated.plant.stop": 2e-3}, "simulated.plant.stop", {"simulated.plant.actuator.air_gap"}),
+    ("driver", {"stage.platform.stop": 2e-3}, "stage.platform.stop", {"stage.actuator.air_gap"}),
     (
         "driver",
-        {"simulated.plant.friction.static": 0.1},
-        "simulated.plant.friction.static",
-        {"simulated.plant.friction.coulomb"},
+        {"stage.friction.static": 0.1},
+        "stage.friction.static",
+        {"stage.friction.coulomb"},
     ),
+    ("cell", {"stage.motion.speed": 1.5}, "stage.motion.highest_speed", {"stage.motion.speed"}),
     (
         "controller",
         {"control.law": "smc", "control.smc.rho": 0.2},
@@ -171,7 +177,7 @@ def test_what_is_refused_beside_other_parameters_is_named_as_it_is_set(node, val
 
 def checking(parameter_set):
     """The set and its groups that judge parameters beside others."""
-    found = {parameter_set} if "__post_init__" in vars(parameter_set) else set()
+    found = {parameter_set} if {"__post_init__", "check"} & set(vars(parameter_set)) else set()
     kinds = get_type_hints(parameter_set)
     return found.union(
         *(checking(kinds[each.name]) for each in fields(parameter_set) if is_dataclass(kinds[each.name]))

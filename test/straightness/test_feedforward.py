@@ -134,7 +134,7 @@ def test_stamps_of_a_real_clock_lose_no_precision(straightness: StraightnessMap)
 
 
 def test_the_limits_are_parameters(straightness: StraightnessMap) -> None:
-    feedforward = Feedforward(straightness, FeedforwardParameters(restart_gap=1e-3, max_speed=0.1))
+    feedforward = Feedforward(straightness, FeedforwardParameters(restart_gap=1e-3), highest_speed=0.1)
     feedforward.step(0, 0.5)
     feedforward.step(1_000_000, 0.5 + 0.9e-4)
     assert feedforward._tracked.v == pytest.approx(0.09)

@@ -14,8 +14,7 @@ from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward, we
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 STAGE = StageParameters()
-
-T = 500_000
+T = STAGE.period_ns
 DT = T * 1e-9
 SPEED = 0.1
 BEFORE, AFTER = 600, 1400
@@ -80,7 +79,7 @@ def test_before_the_first_sample_a_map_is_changed_at_once(straightness):
 
 def test_the_command_does_not_step_further_during_a_change_of_map_than_without_one(straightness):
     def currents(change):
-        machine = SimulatedHardware(SimulatedParameters(), straightness)
+        machine = SimulatedHardware(SimulatedParameters(), STAGE, straightness)
         feedforward = Feedforward(straightness)
         servo = Servo(make_law(ControlParameters(law="smc_observer"), STAGE))
         machine.start(0)

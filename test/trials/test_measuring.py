@@ -13,7 +13,7 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
-from straightcomp_ros.model.stage import forward_and_back
+from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.trials.bench.graph_bench import bench_parameters
 from straightcomp_ros.trials.bench.processes import Usage, cores, usage

@@ -6,7 +6,7 @@ import pytest
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.model.stage import Trajectory, Waypoint, trapezoid
+from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.trials.bench.recorded_strokes import Commanded, Stroke, missing, readable, strokes_in
 
 START, SECOND = 1_700_000_000_000_000_000, 10**9

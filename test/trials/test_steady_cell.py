@@ -7,7 +7,7 @@ import pytest
 from straightcomp_ros.cell.launcher import ros_available
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, State
-from straightcomp_ros.model.stage import MotionParameters, cycles
+from straightcomp_ros.model.motion import MotionParameters, cycles
 
 if not ros_available():
     pytest.skip("rclpy is not there", allow_module_level=True)

@@ -11,7 +11,7 @@ from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
-from straightcomp_ros.model.stage import Trajectory
+from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.stage.description import StageParameters
 

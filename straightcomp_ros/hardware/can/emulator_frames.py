@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from straightcomp_ros.hardware.can.frames import FrameError, Identifiers
 from straightcomp_ros.hardware.interface import HardwareError, Truth
-from straightcomp_ros.model.stage import Trajectory, Waypoint
+from straightcomp_ros.model.motion import Trajectory, Waypoint
 
 _POSITION, _VELOCITY = 1e-8, 1e-5
 """m and m/s"""

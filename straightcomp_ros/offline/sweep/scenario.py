@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
 from straightcomp_ros.control.laws import ControlParameters
-from straightcomp_ros.model.stage import Trajectory, forward_and_back
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Values, node_set
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters

@@ -20,6 +20,7 @@ from straightcomp_ros.hardware.can.frames import (
 from straightcomp_ros.hardware.can.hub import Flag, Frame
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.stage.description import StageParameters
 
 _STATUS = status_bits(Amplifier.ON, BoardFault.NONE, True)
 _LEAD_IN = 4 * BLOCK
@@ -81,7 +82,7 @@ def run_trial(
     """
     # The error counter would end a real run; here every single fault must be seen.
     parameters = CanParameters(fd=fd, strike_limit=1000, sample_memory=100_000)
-    receiver, codec = Receiver(parameters), Codec(parameters.node, fd)
+    receiver, codec = Receiver(parameters, StageParameters()), Codec(parameters.node, fd)
     faults, chance = Faults(rates, seed), random.Random(seed)
     period_ns = 500_000 * (1.0 + drift)
     taken: dict[int, int] = {}

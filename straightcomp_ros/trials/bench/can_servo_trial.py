@@ -21,7 +21,7 @@ from straightcomp_ros.hardware.can.frames import POSITION_COUNT, Amplifier, Code
 from straightcomp_ros.hardware.can.hub import ERROR, Flag, Frame
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.model.stage import Trajectory, forward_and_back
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 

@@ -22,7 +22,7 @@ from straightcomp_ros.configuration.node_parameters import (
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.contract import DEFAULT_RATE, PACKAGE, STROKE
 from straightcomp_ros.hardware.simulated import SimulatedParameters
-from straightcomp_ros.model.stage import forward_and_back
+from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.timing.node_timing import NodeTiming, summarise
 from straightcomp_ros.trials.bench.processes import cores, usage
 from straightcomp_ros.trials.bench.recorded_window import Recording, read_window

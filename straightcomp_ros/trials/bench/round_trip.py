@@ -25,6 +25,7 @@ from straightcomp_ros.hardware.can.hub import Frame
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.trials.bench.processes import cores, usage
 
 _BURST, _BURSTS = 100, 20
@@ -82,7 +83,7 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
         "hub": verb_command("can", "hub", "--socket", parameters.channel, "--priority", priority, "--json"),
         "board": verb_command("dsp", "--params-file", str(file)),
     }
-    host = _Host(parameters)
+    host = _Host(parameters, driver.stage)
     try:
         with Graph(folder / "logs") as graph:
             hub = graph.start_program("hub", programs["hub"])
@@ -115,8 +116,8 @@ def measure_round_trip(values: Mapping[str, Mapping[str, Any]], folder: Path, se
 class _Host:
     """Answers each sample with "off" in a separate thread, like the driver's loop."""
 
-    def __init__(self, parameters: CanParameters) -> None:
-        self.receiver = Receiver(parameters)
+    def __init__(self, parameters: CanParameters, stage: StageParameters) -> None:
+        self.receiver = Receiver(parameters, stage)
         self.codec = self.receiver.codec
         self.link = Link(parameters, self.receiver.identifiers, self._receive, time.time_ns)
         self.answers = 0

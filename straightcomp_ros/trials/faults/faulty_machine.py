@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 from straightcomp_ros.hardware.interface import Hardware, Sample, State, Truth
-from straightcomp_ros.model.stage import Trajectory
+from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault
 
 _JUMP = 5e-3

@@ -22,7 +22,7 @@ from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.contract import COMMAND, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
-from straightcomp_ros.model.stage import Waypoint, trapezoid
+from straightcomp_ros.model.motion import Waypoint, trapezoid
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED

@@ -16,14 +16,13 @@ from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, REMOTE, Frame
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 STAGE = StageParameters()
-
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
-PERIOD = 500_000
+PERIOD = STAGE.period_ns
 START = 10**18
 TIMEOUT = 0.005
 
@@ -37,7 +36,7 @@ class World:
         self.to_board = self.to_host = True
         self.board = None
         parameters = CanParameters(fd=fd, simulated_stage=True)
-        self.host = CanHardware(parameters, lambda: self.now, self._link)
+        self.host = CanHardware(parameters, STAGE, lambda: self.now, self._link)
         self.host.start(self.now)
         self.power_up()
         self.commands = True
@@ -51,7 +50,7 @@ class World:
         )
 
     def power_up(self):
-        machine = SimulatedHardware(SimulatedParameters(command_timeout=TIMEOUT), GUIDE)
+        machine = SimulatedHardware(SimulatedParameters(command_timeout=TIMEOUT), STAGE, GUIDE)
         self.board = Board(machine, self.codec, 1.0, self._from_board, self.now)
 
     def _from_host(self, identifier, payload, *, fd):
@@ -408,7 +407,7 @@ def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason(world):
     world.host._link.problem = "CAN can0: no such device"
     with pytest.raises(HardwareError, match="not sent: CAN can0: no such device"):
         world.host.move(trajectory, world.now)
-    real = CanHardware(CanParameters(simulated_stage=False), lambda: world.now, world._link)
+    real = CanHardware(CanParameters(simulated_stage=False), STAGE, lambda: world.now, world._link)
     with pytest.raises(HardwareError, match=r"takes no orders over CAN; 'can\.simulated_stage' is for"):
         real.move(trajectory, world.now)
 

@@ -24,8 +24,9 @@ from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
@@ -95,7 +96,7 @@ def frames_of_a_moving_board(fd):
             )
         )
 
-    machine = SimulatedHardware(SimulatedParameters(), GUIDE)
+    machine = SimulatedHardware(SimulatedParameters(), StageParameters(), GUIDE)
     board = Board(machine, Codec(1, fd), 1.0, send, 0, tells_truth=True)
     machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
     for number in range(SAMPLES):
@@ -200,7 +201,7 @@ def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, endi
         return SimpleNamespace(start=lambda: None, send=lambda *_, **__: True, problem="")
 
     parameters = CanParameters(fd=fd, sample_memory=SAMPLES, simulated_stage=True)
-    driver = CanHardware(parameters, lambda: round(START_S * 1e9), link)
+    driver = CanHardware(parameters, StageParameters(), lambda: round(START_S * 1e9), link)
     for message in of_the_board(recorded_frames(file), 1):
         feeds[0](frame_of(message), round(message.timestamp * 1e9))
     read = driver.read(round(START_S * 1e9))
@@ -216,7 +217,7 @@ def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, endi
 def test_a_log_is_played_to_a_driver_on_a_bus(tmp_path, channel):
     file, recorded = recorded_board(tmp_path / "board.log", True)
     parameters = CanParameters(interface=INTERFACE, channel=channel, sample_memory=SAMPLES)
-    driver = CanHardware(parameters, time.time_ns)
+    driver = CanHardware(parameters, StageParameters(), time.time_ns)
     driver.start(time.time_ns())
     until(lambda: driver.counters()["can_openings"] == 1)
     with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus, reading(driver.wait, 50_000_000):

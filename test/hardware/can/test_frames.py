@@ -28,7 +28,7 @@ from straightcomp_ros.hardware.can.frames import (
     status_bits,
 )
 from straightcomp_ros.hardware.interface import HardwareError, Truth
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.settings.share import share_path
 
 DBC = cantools.database.load_file(share_path("config/straightcomp.dbc"))

@@ -15,11 +15,13 @@ from straightcomp_ros.hardware.can.frames import (
 )
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.trials.bench.can_fault_trial import position, run_trial
 
 KINDS = ("drop", "duplicate", "reorder", "corrupt", "garble", "truncate", "wrong_id", "error_frame", "flood")
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
-PERIOD = 500_000
+STAGE = StageParameters()
+PERIOD = STAGE.period_ns
 
 
 @BUSES
@@ -61,7 +63,7 @@ def feed(receiver, indices, start_ns=10**18, **options):
 
 @pytest.fixture(params=[False, True], ids=["classic", "fd"])
 def receiver(request):
-    return Receiver(CanParameters(fd=request.param, sample_memory=10_000))
+    return Receiver(CanParameters(fd=request.param, sample_memory=10_000), STAGE)
 
 
 @pytest.mark.parametrize("gap", [5, 14, 15, 16, 30, 31, 500])
@@ -98,7 +100,7 @@ def test_the_coil_current_is_a_number_only_while_the_amplifier_is_on(receiver):
 
 
 def test_a_silence_is_no_reason_to_believe_a_counter_from_another_time():
-    receiver = Receiver(CanParameters(fd=True))
+    receiver = Receiver(CanParameters(fd=True), STAGE)
     feed(receiver, range(500))
     identifier, payload = next(frames(receiver.codec, 900))
     receiver.receive(identifier, payload, 10**18 + 501 * PERIOD)
@@ -124,7 +126,7 @@ def test_a_boot_up_forgets_the_counter_of_the_board_before(receiver):
 
 
 def test_samples_that_nobody_fetches_are_dropped_and_counted_oldest_first():
-    receiver = Receiver(CanParameters(sample_memory=10))
+    receiver = Receiver(CanParameters(sample_memory=10), STAGE)
     feed(receiver, range(500))
     assert [index for index, *_ in receiver.samples] == list(range(490, 500))
     assert receiver.overflowed == 500 - BLOCK + 1 - 10

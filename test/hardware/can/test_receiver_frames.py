@@ -20,19 +20,22 @@ from straightcomp_ros.hardware.can.frames import (
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import Truth
+from straightcomp_ros.model.motion import MotionParameters
+from straightcomp_ros.stage.description import StageParameters
 
-PERIOD = 500_000
 START = 10**18
 ON = status_bits(Amplifier.ON, BoardFault.NONE, True)
 # A step of x by 1000 counts a sample, and of y by 100.
-SPEEDS = {"x_speed": 0.2, "y_speed": 0.02}
+STAGE = StageParameters(motion=MotionParameters(speed=0.1, highest_speed=0.2))
+Y_SPEED = 0.02
+PERIOD = STAGE.period_ns
 
 
 class Board:
     """A receiver on CAN FD, and samples for it that stand still and come in time if nothing else is said."""
 
     def __init__(self, **parameters):
-        self.receiver = Receiver(CanParameters(fd=True, sample_memory=10_000, **SPEEDS, **parameters))
+        self.receiver = Receiver(CanParameters(fd=True, sample_memory=10_000, y_speed=Y_SPEED, **parameters), STAGE)
         self.number = 0
 
     def sample(self, x=0, y=0, status=ON, current=0, late_ns=0, lost=0):
@@ -176,10 +179,10 @@ def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
 
 
 def test_a_classic_bus_has_the_coil_current_in_a_frame_of_its_own_and_no_truth():
-    receiver = Receiver(CanParameters(fd=False, simulated_stage=True))
+    receiver = Receiver(CanParameters(fd=False, simulated_stage=True), STAGE)
     ids = receiver.codec.ids
     assert set(receiver.identifiers) == {ids.encoder, ids.current, ids.heartbeat}
-    fd = Receiver(CanParameters(fd=True, simulated_stage=True))
+    fd = Receiver(CanParameters(fd=True, simulated_stage=True), STAGE)
     assert set(fd.identifiers) == {ids.encoder_fd, ids.truth, ids.heartbeat}
 
 

@@ -12,7 +12,7 @@ from straightcomp_ros.bags.recorded_parameters import recorded_parameters
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, node_parameters
+from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, by_node, node_parameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, STREAMS
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.pairing import Pairing
@@ -26,9 +26,9 @@ LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
 
 
 def simulated(path: Path, law: str = "smc") -> Path:
-    values = {"controller": {"control.law": law}, "cell": CYCLE}
+    values = {"controller": {"control.law": law}, "stage": CYCLE}
     simulation = Simulation(values)
-    with SimulatedRun(path, values, simulation.delay) as run:
+    with SimulatedRun(path, by_node(values), simulation.delay) as run:
         simulation.run(observe=run.add)
     return path
 
@@ -129,7 +129,7 @@ def live(path: Path, seed: int) -> Path:
     source = np.random.default_rng(seed)
     values = {"controller": {"control.law": "smc_observer"}}
     controller = node_parameters("controller", values)
-    servo = Servo(make_law(controller.control, 1.0 / controller.rate))
+    servo = Servo(make_law(controller.control, controller.stage))
     pairing = Pairing(8 * 500_000, wait=False)
     with BagWriter(path) as writer:
         writer.attach(
@@ -199,7 +199,7 @@ def test_the_map_is_taken_from_the_bag(bag):
 def test_the_command_audits_and_asks_what_if(bag, tmp_path, capsys):
     assert main(["replay", str(bag), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["different"] == 0
-    assert main(["replay", str(bag), "--set", "driver.simulated.plant.mass=4.0", "--json"]) == 0
+    assert main(["replay", str(bag), "--set", "driver.simulated.truth.mass=1.3", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["what_if"]["true_rms_um"] != found["simulated_as_recorded"]["true_rms_um"]
     assert main(["replay", str(bag), "--set", "controller.control.lwa=smc"]) == 2

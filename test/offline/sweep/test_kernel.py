@@ -17,6 +17,7 @@ from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.trial import laws_of
+from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
@@ -41,7 +42,8 @@ def steady(count: int, **changes) -> Conditions:
 @pytest.mark.parametrize("delay", [0.2, 0.5, 1.0, 1.5, 2.7])
 @pytest.mark.parametrize("law", LAWS)
 def test_a_cycle_is_the_simulation_to_the_last_bit(values, law, delay):
-    values["driver"] = {"lockstep_delay": delay, "simulated.initial_y": 2e-6, "simulated.plant.mass": 2.9}
+    values["stage"]["drive.delay"] = delay
+    values["driver"] = {"simulated.initial_y": 2e-6, "simulated.truth.mass": 0.97}
     values["controller"] = {"control.law": law}
     simulation = Simulation(values)
     record = simulation.run()
@@ -49,12 +51,14 @@ def test_a_cycle_is_the_simulation_to_the_last_bit(values, law, delay):
     stamps = np.arange(record.time.size) * PERIOD
     cycle = run_cycle(
         laws_of(scenario)[law],
-        scenario.driver.simulated.plant,
+        scenario.driver.plant,
         Conditions(
             stamps=stamps,
             delays=np.full(stamps.size, round(delay * PERIOD)),
             references=served(
-                references(simulation.map, scenario.feedforward, stamps, record.x), stamps, scenario.lead_ns
+                references(simulation.map, scenario.feedforward, STAGE.motion.highest_speed, stamps, record.x),
+                stamps,
+                scenario.lead_ns,
             ),
             noise=np.zeros(stamps.size),
         ),
@@ -75,16 +79,16 @@ def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(va
         "step.factor": 1.5,
         "step.time": 0.8,
     }
-    values["driver"] = {f"simulated.plant.friction.{name}": value for name, value in friction.items()}
+    values["driver"] = {f"simulated.truth.contact.{name}": value for name, value in friction.items()}
     values["stage"]["drive.delay"] = 0.5
     values["controller"] = {"control.law": "smc"}
     simulation = Simulation(values)
     record = simulation.run()
     scenario = make_scenario(values, ["smc"])
-    values["driver"] = {"lockstep_delay": 0.5}
+    values["driver"] = {}
     plain = Simulation(values).run()
     stamps = np.arange(record.time.size) * PERIOD
-    given = references(simulation.map, scenario.feedforward, stamps, record.x)
+    given = references(simulation.map, scenario.feedforward, STAGE.motion.highest_speed, stamps, record.x)
     conditions = Conditions(
         stamps=stamps,
         delays=np.full(stamps.size, PERIOD // 2),
@@ -92,7 +96,7 @@ def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(va
         noise=np.zeros(stamps.size),
     )
     initial = PlantState(y=scenario.driver.simulated.initial_y)
-    cycle = run_cycle(laws_of(scenario)["smc"], scenario.driver.simulated.plant, conditions, initial)
+    cycle = run_cycle(laws_of(scenario)["smc"], scenario.driver.plant, conditions, initial)
     np.testing.assert_array_equal(cycle.true_y, record.true_y)
     np.testing.assert_array_equal(cycle.current, record.current)
     assert not np.array_equal(record.true_y, plain.true_y)
@@ -100,7 +104,7 @@ def test_a_cycle_with_friction_beyond_lugre_is_the_simulation_to_the_last_bit(va
 
 def test_commands_with_a_delay_of_their_own_take_effect_as_on_the_simulated_board():
     delays = np.random.default_rng(5).integers(0, 4 * PERIOD, 400)
-    hardware = SimulatedHardware(SimulatedParameters(), MAP)
+    hardware = SimulatedHardware(SimulatedParameters(), from_mapping(StageParameters, {"drive.delay": 0.0}), MAP)
     servo = Servo(make_law(ControlParameters(), STAGE))
     hardware.enable()
     hardware.start(0)
@@ -122,14 +126,16 @@ def test_references_of_a_cycle_are_those_of_the_feedforward_to_the_last_bit():
     x[2000:] += 0.05  # a jump that no stage makes
     feedforward = Feedforward(MAP)
     expected = [feedforward.step(stamp, at) for stamp, at in zip(stamps.tolist(), x.tolist(), strict=True)]
-    np.testing.assert_array_equal(references(MAP, FeedforwardParameters(), stamps, x), expected)
+    np.testing.assert_array_equal(
+        references(MAP, FeedforwardParameters(), STAGE.motion.highest_speed, stamps, x), expected
+    )
 
 
 def test_readings_of_a_cycle_are_those_of_the_encoder_to_the_last_bit():
     encoder = PlantParameters().encoder
     positions = np.random.default_rng(7).uniform(-2.0, 2.0, 1000)
-    expected = [encoder.reading(position) for position in positions.tolist()]
-    np.testing.assert_array_equal(readings(encoder.resolution, positions), expected)
+    expected = [encoder.x_reading(position) for position in positions.tolist()]
+    np.testing.assert_array_equal(readings(encoder.x_resolution, positions), expected)
 
 
 def test_noise_reaches_the_encoder_and_not_the_platform():

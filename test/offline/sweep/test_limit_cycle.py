@@ -1,9 +1,10 @@
 """The detector finds what oscillates by itself, and nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from nominal import EXACT
-from straightcomp_ros.offline.sweep.uncertainty import UncertaintyParameters
+from nominal import EXACT, within
 
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.sweep.limit_cycle import LEAST_AMPLITUDE, sustained_oscillation
@@ -45,21 +46,16 @@ def test_what_is_no_held_line_is_no_oscillation(error):
 def test_a_law_that_switches_with_sgn_limit_cycles(values):
     values["stage"]["motion.stroke"] = 0.1
     values["controller"] = {"control.smc.boundary_layer": 0.0}
-    (result,) = run_trials(make_scenario(values, ["smc"], EXACT), 1, [0])
+    (result,) = run_trials(make_scenario(within(EXACT, values), ["smc"]), 1, [0])
     assert result.limit_cycle and result.frequency > 100.0
 
 
 def test_a_gain_too_high_for_the_delay_limit_cycles_where_half_the_delay_does_not(values):
     values["stage"]["motion.stroke"] = 0.1
     values["controller"] = {"control.smc.phi": 300.0, "control.smc.rho": 3.0}
-    exact = {"mass": 0.0, "force": 0.0, "air_gap": 0.0, "friction": 1.0, "sensor_noise": 0.0, "map_noise": 0.0}
     late, early = (
         run_trials(
-            make_scenario(
-                values, ["smc"], UncertaintyParameters(**exact, jitter=0.0, shortest_delay=delay, longest_delay=delay)
-            ),
-            1,
-            [0],
+            make_scenario(within(replace(EXACT, shortest_delay=delay, longest_delay=delay), values), ["smc"]), 1, [0]
         )[0]
         for delay in (1.5, 0.2)
     )
@@ -69,5 +65,5 @@ def test_a_gain_too_high_for_the_delay_limit_cycles_where_half_the_delay_does_no
 @pytest.mark.parametrize("law", LAWS)
 def test_no_law_limit_cycles_on_the_machine_that_it_was_designed_for(values, law):
     values["stage"]["motion.stroke"] = 0.1
-    (result,) = run_trials(make_scenario(values, [law], EXACT), 1, [0])
+    (result,) = run_trials(make_scenario(within(EXACT, values), [law]), 1, [0])
     assert not result.limit_cycle

@@ -29,7 +29,23 @@ def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_
 
 
 def test_the_table_names_the_laws_and_what_they_ran_under(capsys):
-    assert main(["robustness", *SHORT, "--law", "smc", "--trials", "2", "--jobs", "1", "--range", "mass=0.3"]) == 0
+    assert (
+        main(
+            [
+                "robustness",
+                *SHORT,
+                "--law",
+                "smc",
+                "--trials",
+                "2",
+                "--jobs",
+                "1",
+                "--set",
+                "stage.uncertainty.mass=0.3",
+            ]
+        )
+        == 0
+    )
     printed = " ".join(capsys.readouterr().out.split())
     assert "smc" in printed and "mass ±30%" in printed and "limit cycles" in printed
 
@@ -37,10 +53,12 @@ def test_the_table_names_the_laws_and_what_they_ran_under(capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["--range", "mess=0.1"], "'mess' is unknown; did you mean 'mass'"),
-        (["--range", "mass"], "NAME=VALUE"),
-        (["--range", "mass=heavy"], "'mass': 'heavy' is not a number"),
-        (["--set", "stage.motion.stroke=0.0"], "'motion.stroke'"),
+        (
+            ["--set", "stage.uncertainty.mess=0.1"],
+            "uncertainty.mess' is unknown; did you mean 'stage.uncertainty.mass'",
+        ),
+        (["--set", "stage.uncertainty.mass=heavy"], "uncertainty.mass': 'heavy' is not a number"),
+        (["--set", "stage.motion.stroke=0.0"], "parameter 'stage.motion.stroke': 0.0 m"),
     ],
 )
 def test_wrong_parameters_are_named(capsys, arguments, message):

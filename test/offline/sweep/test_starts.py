@@ -56,7 +56,7 @@ def test_what_the_compiled_loop_does_not_model_is_simulated_from_each_start():
 
 
 def test_simulate_tells_median_and_range_of_the_starts(capsys, tmp_path):
-    short = [f"--set=cell.{name}={value}" for name, value in SHORT["cell"].items()]
+    short = [f"--set=stage.{name}={value}" for name, value in SHORT["stage"].items()]
     assert main(["simulate", "--starts", "3", "--json", *short]) == 0
     told = json.loads(capsys.readouterr().out)
     starts = told["starts"]

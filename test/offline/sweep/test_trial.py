@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from nominal import EXACT
+from nominal import EXACT, within
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.laws import LAWS
@@ -12,9 +12,10 @@ from straightcomp_ros.offline.sweep.trial import laws_of, run_trial
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_trial_without_uncertainty_has_the_figures_of_the_simulation(values, law):
+    values = within(EXACT, values)
     simulation = Simulation({**values, "controller": {"control.law": law}})
     expected = evaluate(simulation.run(), simulation.map)
-    (result,) = run_trials(make_scenario(values, [law], EXACT), 1, [0])
+    (result,) = run_trials(make_scenario(values, [law]), 1, [0])
     assert (result.pp, result.rms) == (expected.true_pp, expected.true_rms)
     assert result.control_activity == expected.control_activity
     assert result.failure == "" and not result.limit_cycle
@@ -22,11 +23,12 @@ def test_a_trial_without_uncertainty_has_the_figures_of_the_simulation(values, l
 
 def test_a_trial_draws_its_machine_with_the_friction_beyond_lugre(values):
     friction = {"model": "maxwell_slip", "bands.fraction": 0.3, "rest.growth": 0.2}
-    driver = {f"simulated.plant.friction.{name}": value for name, value in friction.items()}
+    driver = {f"simulated.truth.contact.{name}": value for name, value in friction.items()}
+    values = within(EXACT, values)
     simulation = Simulation({**values, "driver": driver, "controller": {"control.law": "smc"}})
     expected = evaluate(simulation.run(), simulation.map)
-    (result,) = run_trials(make_scenario({**values, "driver": driver}, ["smc"], EXACT), 1, [0])
-    (plain,) = run_trials(make_scenario(values, ["smc"], EXACT), 1, [0])
+    (result,) = run_trials(make_scenario({**values, "driver": driver}, ["smc"]), 1, [0])
+    (plain,) = run_trials(make_scenario(values, ["smc"]), 1, [0])
     assert result.pp == expected.true_pp != plain.pp
 
 
@@ -49,16 +51,16 @@ def test_another_seed_is_another_machine(scenario):
 
 def test_a_platform_that_falls_onto_its_stop_has_failed(values):
     # A milliampere does not hold it against the magnets' pull a tenth of a millimetre off the centre.
-    values["controller"] = {"control.current_limit": 1e-3}
+    values["stage"]["actuator.current_limit"] = 1e-3
     values["driver"] = {"simulated.initial_y": 1e-4}
-    (result,) = run_trials(make_scenario(values, ["linear"], EXACT), 1, [0])
+    (result,) = run_trials(make_scenario(within(EXACT, values), ["linear"]), 1, [0])
     assert result.failure == "mechanical stop"
     assert result.pp < np.inf
 
 
 def test_a_platform_that_does_not_follow_has_failed(values):
     # A milliampere does not overcome friction, and the reference moves on by more than the limit.
-    values["controller"] = {"control.current_limit": 1e-3}
+    values["stage"]["actuator.current_limit"] = 1e-3
     values["stage"]["motion.stroke"] = 1.2
-    (result,) = run_trials(make_scenario(values, ["linear"], EXACT), 1, [0])
+    (result,) = run_trials(make_scenario(within(EXACT, values), ["linear"]), 1, [0])
     assert result.failure == "error beyond 10 µm"

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.stage import MotionParameters, Trajectory, Waypoint, cycles, forward_and_back, trapezoid
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles, forward_and_back, trapezoid
 
 MOTION = MotionParameters()
 CYCLE = Trajectory(forward_and_back(MOTION))

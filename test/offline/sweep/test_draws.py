@@ -4,18 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nominal import EXACT
 from numpy.random import SeedSequence, default_rng
-from straightcomp_ros.offline.sweep.uncertainty import (
-    UncertaintyParameters,
-    deviating,
-    draw,
-    mismeasured,
-    sample_times,
-    streams,
-)
 
 from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.offline.sweep.draws import draw, mismeasured, sample_times, streams
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.settings.declaration import ParameterError, from_mapping
+from straightcomp_ros.stage.truth import deviating
+from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
 
@@ -36,7 +31,7 @@ def test_every_machine_lies_within_the_ranges(seed, trial):
     assert 0.9 <= machine.air_gap <= 1.1
     assert 0.5 <= machine.friction <= 2.0
     assert 0.0 <= machine.sensor_noise <= 0.05e-6
-    assert 0.2 <= machine.stage.drive.delay <= 1.5
+    assert 0.2 <= machine.delay <= 1.5
 
 
 def test_half_of_the_machines_have_less_than_nominal_friction():
@@ -46,7 +41,7 @@ def test_half_of_the_machines_have_less_than_nominal_friction():
 
 def test_without_uncertainty_machine_clock_and_survey_are_nominal():
     random = streams(1, 1)
-    assert deviating(PlantParameters(), draw(EXACT, random.machine)) == PlantParameters()
+    assert deviating(PlantParameters(), draw(EXACT, random.machine).factors) == PlantParameters()
     assert sample_times(EXACT.jitter, 500_000, 4, random.clock).tolist() == [0, 500_000, 1_000_000, 1_500_000]
     survey = read_survey(find_survey(MapParameters().file))
     for run, same in zip(survey.runs, mismeasured(survey, EXACT.map_noise, random.survey).runs, strict=True):
@@ -56,7 +51,7 @@ def test_without_uncertainty_machine_clock_and_survey_are_nominal():
 def test_force_and_gap_change_the_stiffness_as_equation_3_says():
     nominal = PlantParameters().actuator
     machine = draw(EXACT, default_rng(1))._replace(force=1.2, air_gap=0.9)
-    changed = deviating(PlantParameters(), machine).actuator
+    changed = deviating(PlantParameters(), machine.factors).actuator
     assert changed.current_stiffness / nominal.current_stiffness == pytest.approx(1.2 / 0.9**2)
     assert changed.position_stiffness / nominal.position_stiffness == pytest.approx(1.2 / 0.9**3)
 
@@ -85,23 +80,23 @@ def test_each_point_of_the_survey_errs_on_its_own():
 @pytest.mark.parametrize(
     "ranges, message",
     [
-        ({"mass": 1.5}, "'mass'.*<= 0.9"),
-        ({"friction": 0.5}, "'friction'.*>= 1"),
-        ({"shortest_delay": 2.0}, "'longest_delay'.*>= 2.0 samples"),
-        ({"air_gap": 0.5}, "'stop'"),
-        ({"jitter": 0.3e-3}, "'jitter'.*<= 0.0002 s"),
+        ({"mass": 1.5}, "mass'.*<= 0.9"),
+        ({"friction": 0.5}, "friction'.*>= 1"),
+        ({"shortest_delay": 2.0}, "longest_delay'.*>= 2.0 samples"),
+        ({"air_gap": 0.5}, "air gap × 0.5: 0.00075 m does not hold the stop"),
+        ({"jitter": 0.3e-3}, "jitter'.*<= 0.0002 s"),
     ],
 )
 def test_ranges_that_no_machine_can_have_are_refused(ranges, message):
     with pytest.raises(ParameterError, match=message):
-        make_scenario({}, ["linear"], from_mapping(UncertaintyParameters, ranges))
+        make_scenario({"stage": {f"uncertainty.{name}": value for name, value in ranges.items()}}, ["linear"])
 
 
 @pytest.mark.parametrize(
     "values, message",
     [
-        ({"stage": {"rate": 1000}}, "1000 Hz; allowed: 2000 Hz"),
-        ({"driver": {"simulated.rate": 50}}, "50 Hz; allowed in a sweep: >= 100"),
+        ({"controller": {"stage.rate": 1000}}, "1000 Hz; allowed: 2000 Hz"),
+        ({"stage": {"rate": 50}}, "50 Hz; allowed in a sweep: >= 100"),
         ({"driver": {"simulated.command_timeout": 0.5e-3}}, "command_timeout.*>= 0.00054 s"),
     ],
 )

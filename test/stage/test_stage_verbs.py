@@ -1,0 +1,143 @@
+"""`straightcomp stage`: a description is written, checked, and tells what follows from it."""
+
+import json
+
+import pytest
+import yaml
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration.parameter_file import read_stage_file
+from straightcomp_ros.settings.declaration import declarations, from_mapping
+from straightcomp_ros.stage.description import StageParameters
+
+SHORT = ["--set", "motion.speed=0.1", "--set", "motion.acceleration=0.5"]
+
+
+@pytest.fixture
+def survey(tmp_path):
+    path = tmp_path / "measured.csv"
+    path.write_text("x_mm,deviation_um\n" + "\n".join(f"{x},{(x / 100) ** 2 / 4}" for x in range(100, 701, 20)))
+    return path
+
+
+def new(folder, *options):
+    return main(["stage", "new", str(folder), "--yes", *map(str, options)])
+
+
+def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, survey):
+    folder = tmp_path / "gantry"
+    assert new(folder, "--survey", survey, "--set", "platform.mass=8", "--set", "friction.bristle_stiffness=2e6") == 0
+    stage = from_mapping(StageParameters, read_stage_file(folder / "stage.yaml")["stage"])
+    assert (stage.name, stage.platform.mass, stage.friction.bristle_stiffness) == ("gantry", 8.0, 2e6)
+    assert (stage.motion.start, stage.motion.stroke) == pytest.approx((0.1, 0.6))
+    assert stage.guide.file == str(folder / "survey.csv")
+    assert (folder / "survey.csv").read_bytes() == survey.read_bytes()
+
+
+def test_a_new_stage_has_each_fact_once_with_its_meaning(tmp_path):
+    assert new(tmp_path / "one") == 0
+    text = (tmp_path / "one" / "stage.yaml").read_text()
+    names = [declaration.name for declaration in declarations(StageParameters, "stage.")]
+    assert list(yaml.safe_load(text)["/**"]["ros__parameters"]) == names
+    for declaration in declarations(StageParameters):
+        assert declaration.description in text
+
+
+def test_a_description_that_is_there_is_kept(tmp_path, capsys):
+    assert new(tmp_path / "one") == 0
+    before = (tmp_path / "one" / "stage.yaml").read_bytes()
+    assert new(tmp_path / "one", "--set", "platform.mass=8") == 2
+    assert "--force" in capsys.readouterr().err
+    assert (tmp_path / "one" / "stage.yaml").read_bytes() == before
+    assert new(tmp_path / "one", "--set", "platform.mass=8", "--force") == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("platform.mass=-1", "'platform.mass': -1.0 kg is too small; allowed: > 0"),
+        ("platform.mas=1", "did you mean 'platform.mass'"),
+        ("platform.mass", "NAME=VALUE"),
+        ("motion.speed=1.9", "'motion.highest_speed': 2.0 m/s is too near the cruising speed; allowed: >= 2.85 m/s"),
+        ("actuator.air_gap=0.001", "'platform.stop': 0.0012 m is not inside the air gap"),
+    ],
+)
+def test_what_no_stage_has_is_refused_before_anything_is_written(tmp_path, capsys, given, words):
+    assert new(tmp_path / "one", "--set", given) == 2
+    assert words in capsys.readouterr().err
+    assert not list((tmp_path / "one").iterdir())
+
+
+def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path, monkeypatch, capsys):
+    answers = iter(["fast", "4000"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: next(answers, ""))
+    assert main(["stage", "new", str(tmp_path / "one")]) == 0
+    assert "'fast' Hz is not an integer" in capsys.readouterr().out
+    stage = from_mapping(StageParameters, read_stage_file(tmp_path / "one" / "stage.yaml")["stage"])
+    assert stage.rate == 4000 and stage.platform == StageParameters().platform
+
+
+def checked(capsys, folder, *options):
+    assert new(folder, "--force", *options) == 0
+    capsys.readouterr()
+    code = main(["stage", "check", str(folder / "stage.yaml"), "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert code == (1 if told["fail"] else 0)
+    return {check["name"]: check for check in told["checks"]}
+
+
+def test_the_shipped_stage_is_in_order(tmp_path, capsys):
+    assert {check["state"] for check in checked(capsys, tmp_path / "one").values()} == {"ok"}
+
+
+@pytest.mark.parametrize(
+    ("name", "state", "given", "words"),
+    [
+        ("survey", "fail", {"motion.stroke": 2.0}, "strokes from 0.0 to 2000.0 mm"),
+        ("survey", "warn", {"motion.stroke": 1.77}, "1770.0 mm"),
+        ("survey", "fail", {"guide.travel": 5e-6}, "the correction reaches 11.2 µm to each side"),
+        ("travel", "fail", {"guide.travel": 2e-3}, "travel 2000 µm"),
+        ("travel", "warn", {"uncertainty.air_gap": 0.3}, "the air gap may be 1050 µm"),
+        ("reference", "warn", {"motion.acceleration": 200.0}, "within the dead time"),
+        ("instability", "fail", {"drive.bandwidth": 20.0}, "product 0.87"),
+        ("instability", "warn", {"drive.bandwidth": 35.0}, "product 0.53"),
+        ("loop", "fail", {"drive.delay": 4.0}, "unstable with its gains"),
+        ("force", "fail", {"friction.coulomb": 60.0, "friction.static": 90.0}, "need up to 2"),
+        ("force", "warn", {"actuator.current_limit": 1.5}, "limit 1.5 A"),
+        ("quanta", "warn", {"encoder.y_resolution": 1e-8}, "21.8 nm against the bristles"),
+        ("bus", "warn", {"rate": 8000}, "at 8000 Hz"),
+    ],
+)
+def test_what_does_not_fit_together_is_found_with_a_remedy(tmp_path, capsys, name, state, given, words):
+    options = [f"--set={key}={value}" for key, value in given.items()]
+    found = checked(capsys, tmp_path / "one", *options)[name]
+    assert found["state"] == state and words in found["detail"]
+    assert found["remedy"] or name == "survey"
+
+
+def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, capsys):
+    assert new(tmp_path / "one") == 0
+    capsys.readouterr()
+    assert main(["stage", "show", str(tmp_path / "one" / "stage.yaml"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0; two significant digits of docs/plant.md.
+    assert told["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
+    assert told["position_stiffness_N_per_m"] == pytest.approx(44.68 / 1.5e-3, rel=1e-3)
+    assert told["dead_time_ms"] == pytest.approx(0.75 + 1e3 / (2 * 3.14159 * 500), rel=1e-4)
+    assert told["dac_force_mN"] == pytest.approx(44.68 * 2.0 / 4.096, rel=1e-3)
+    assert told["correction_um"] == pytest.approx(11.2, abs=0.1)
+    assert main(["stage", "show", str(tmp_path / "one" / "stage.yaml")]) == 0
+    assert "dead time" in capsys.readouterr().out
+
+
+def test_a_verb_takes_the_stage_and_finds_its_survey_beside_it(tmp_path, survey, capsys, monkeypatch):
+    folder = tmp_path / "gantry"
+    assert new(folder, "--survey", survey, *SHORT) == 0
+    capsys.readouterr()
+    monkeypatch.chdir("/")
+    assert main(["simulate", "--stage", str(folder / "stage.yaml"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["duration_s"] == pytest.approx(2 * (0.6 / 0.1 + 0.1 / 0.5) + 0.5, abs=0.1)
+    # In a simulation of one's own stage the guide is the surveyed one, not that of the shipped stage.
+    assert told["residual_pp_um"] < 0.5 < told["uncompensated_pp_um"]
