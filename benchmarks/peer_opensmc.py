@@ -28,20 +28,20 @@ from rich.table import Table
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, node_parameters
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
-from straightcomp_ros.control.design import NominalPlant
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
 from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, with_values
 from straightcomp_ros.offline.sweep.starts import Spread
+from straightcomp_ros.stage.description import StageParameters
 
 INSTALL = (
     "opensmc is not installed: run 'pip install opensmc' in the environment of straightcomp_ros (it needs numpy only)"
 )
 MACHINES: Mapping[str, tuple[str, dict[str, Any]]] = {
-    "nominal": ("driver", {}),
-    "delay of one sample": ("driver", {"lockstep_delay": 1.0}),
-    "mass −20 %": ("driver", {"simulated.plant.mass": 2.4}),
+    "nominal": ("driver", {"stage.drive.delay": 0.5}),
+    "delay of one sample": ("driver", {"stage.drive.delay": 1.0}),
+    "mass −20 %": ("driver", {"stage.drive.delay": 0.5, "simulated.truth.mass": 0.8}),
 }
 """What the peer and our laws run on: node and parameters that differ from the shipped file. No law is told of it."""
 SHORT = {"motion.stroke": 0.3, "motion.settle": 0.3, "motion.pause": 0.2}
@@ -80,30 +80,28 @@ class Peer:
     Args:
         name: of `DESIGNS`; says which observer.
         design: its gains.
-        nominal: mass and magnets.
-        limit: of |i_c| in A.
-        period: s.
+        stage: as described.
         y: position in m at which everything starts, at rest.
     """
 
-    def __init__(self, name: str, design: Design, nominal: NominalPlant, limit: float, period: float, y: float) -> None:
+    def __init__(self, name: str, design: Design, stage: StageParameters, y: float) -> None:
         from opensmc.controllers import ClassicalSMC
         from opensmc.estimators import ExtendedStateObserver, LevantDifferentiator
         from opensmc.reaching import SuperTwisting
 
-        rate = design.disturbance_rate
+        rate, period, mass = design.disturbance_rate, stage.period, stage.platform.mass
         reaching = SuperTwisting(k1=1.5 * math.sqrt(rate), k2=1.1 * rate, dt=period)
-        self._controller = ClassicalSMC(reaching=reaching, c=design.surface, J=nominal.mass)
+        self._controller = ClassicalSMC(reaching=reaching, c=design.surface, J=mass)
         self._observer: Any
         self._velocity: Callable[[], float]
         if name == "opensmc, ESO":
-            self._observer = ExtendedStateObserver(epsilon=1.0 / design.observer, b_input=1.0 / nominal.mass, dt=period)
+            self._observer = ExtendedStateObserver(epsilon=1.0 / design.observer, b_input=1.0 / mass, dt=period)
             self._velocity = lambda: self._observer.state_estimates[1]
         else:
             self._observer = LevantDifferentiator(order=1, L=design.observer, dt=period)
             self._velocity = lambda: self._observer.derivatives[1]
-        self._actuator: Actuator = nominal.actuator.constants()
-        self._limit = limit
+        self._actuator: Actuator = stage.actuator.constants()
+        self._limit = stage.actuator.current_limit
         self._start = y
         self._force = 0.0
 
@@ -122,10 +120,9 @@ class Peer:
 def peer_law(name: str, design: Design, values: Values) -> Law:
     """The peer as a law: its state is the peer itself, made anew at each start."""
     controller: ControllerNodeParameters = node_parameters("controller", values)
-    control = controller.control
 
     def start(y: float) -> Peer:
-        return Peer(name, design, control.nominal, control.current_limit, 1.0 / controller.rate, y)
+        return Peer(name, design, controller.stage, y)
 
     def step(gains: tuple[()], peer: Peer, y: float, r: float, r_dot: float, r_ddot: float, current: float) -> Any:
         return peer, peer.step(y, r, r_dot, r_ddot)
@@ -137,7 +134,7 @@ def peer_law(name: str, design: Design, values: Values) -> Law:
 def search(name: str, values: Values, draws: int) -> tuple[Design, float]:
     """The best of ``draws`` designs, and its largest error in m over the machines on the short stroke."""
     random = np.random.default_rng(1)
-    short = with_values(values, "cell", SHORT)
+    short = with_values(values, "stage", SHORT)
     best, least = DESIGNS[name], math.inf
     tried = [Design(*(math.exp(random.uniform(*np.log(ends))) for ends in RANGES[name])) for _ in range(draws)]
     for design in track([best, *tried], f"searching {name}", console=Console(stderr=True)):

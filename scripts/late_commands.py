@@ -1,7 +1,7 @@
 """Prints what irregular commands cost, on the shipped stroke:
 
 jitter      a few commands in a thousand come late by part of a period, for several times of action after the sample
-            (the simulated board's `actuation_delay`); delays as recorded in a bag of a live run can be given instead
+            (`stage.drive.delay`); delays as recorded in a bag of a live run can be given instead
 stalls      the host is gone for some milliseconds, again and again, and the board holds the platform
 """
 

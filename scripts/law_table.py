@@ -75,24 +75,17 @@ def read_robustness(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def margins_of(values: Values) -> dict[str, float | None]:
-    """Margins of the law that ``values`` name, on its nominal plant; None where it has no linearisation."""
-    machine = machine_from(values)
-    period = 1.0 / machine.stage.rate
+    """Margins of the law that ``values`` name, on the stage as described; None where it has no linearisation."""
+    stage = machine_from(values).stage
     try:
-        margins = loop_margins(
-            law_of(values),
-            machine.stage,
-            period=period,
-            delay=machine.stage.drive.delay * period,
-            amplifier_bandwidth=machine.plant.drive.bandwidth,
-        )
+        margins = loop_margins(law_of(values), stage)
     except ValueError:
         return dict.fromkeys(MARGINS)
     return {
         "gain_low": margins.gain_low,
         "gain_high": margins.gain_high,
         "phase_deg": margins.phase,
-        "longest_delay_samples": margins.longest_delay / period,
+        "longest_delay_samples": margins.longest_delay / stage.period,
     }
 
 
@@ -109,9 +102,10 @@ def row(law: str, figures: LawFigures) -> dict[str, Any]:
 
 
 def chosen_laws(values: Values) -> dict[str, dict[str, dict[str, Any]]]:
-    """Parameters of each row: all laws, then the one with sgn σ."""
-    chosen = {law: with_values(values, "controller", {"control.law": law}) for law in LAWS}
-    chosen[SGN] = with_values(values, "controller", {"control.law": "smc", "control.smc.boundary_layer": 0.0})
+    """Parameters of each row: all laws, then the one with sgn σ; commands act half a sample late."""
+    late = with_values(values, "stage", {"drive.delay": 0.5})
+    chosen = {law: with_values(late, "controller", {"control.law": law}) for law in LAWS}
+    chosen[SGN] = with_values(late, "controller", {"control.law": "smc", "control.smc.boundary_layer": 0.0})
     return chosen
 
 

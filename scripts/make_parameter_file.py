@@ -33,7 +33,8 @@ HEAD = """\
 """
 STAGE_HEAD = """\
 # The synthetic stage that is shipped: a machine as it might stand in a shop. Each fact is here once; every node takes
-# what it needs. Made by scripts/make_parameter_file.py; SI units.
+# what it needs. Made by scripts/make_parameter_file.py; SI units. Sections of single nodes come first: to ROS the last
+# value counts, and a parameter on a command line joins those of all nodes.
 """
 TRUTH = {"simulated.truth.guide": "config/guide_synthetic.csv"}
 """The survey of the shipped stage was measured with errors: its guide is another file."""
@@ -53,7 +54,7 @@ def stage_file() -> str:
     """Text of the shipped stage."""
     described = commented(ALL_NODES, declarations(StageParameters, f"{STAGE}."))
     truth = [one for one in declarations(NODE_PARAMETERS["driver"]) if one.name in TRUTH]
-    return "\n".join([STAGE_HEAD, described, commented(f"{ALL_NODES}/driver", truth, TRUTH)])
+    return "\n".join([STAGE_HEAD, commented(f"{ALL_NODES}/driver", truth, TRUTH), described])
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STROKE
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
@@ -30,7 +31,7 @@ from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 SEED = 1760
 START_NS = 1_700_000_000_000_000_000
 LAW = "smc_observer"
-SHORT = {"motion.stroke": 0.2, "motion.settle": 0.2, "motion.pause": 0.1}
+SHORT = {"motion.stroke": 0.2, "motion.settle": 0.2, "motion.pause": 0.1, "drive.delay": 0.5}
 """Part of the stroke: what a run of the whole one takes would be more than a repository should hold."""
 CUT_AT = 0.6
 """Part of the file that is left of the recording that was cut off."""
@@ -80,12 +81,12 @@ def survey(folder: Path) -> None:
 def simulated(folder: Path, map_file: str | None = None) -> None:
     """A short stroke forward and back at the full rate; with ``map_file`` in the place of the survey."""
     values = shipped_parameters()
-    values["cell"].update(SHORT)
+    values["stage"].update(SHORT)
     values["controller"]["control.law"] = LAW
     if map_file:
         values["stage"]["guide.file"] = map_file
     simulation = Simulation(values)
-    with SimulatedRun(folder, values, simulation.delay) as bag:
+    with SimulatedRun(folder, by_node(values), simulation.delay) as bag:
         simulation.run(observe=bag.add)
 
 

@@ -8,7 +8,7 @@ source is as likely as any other. Left out are:
 - cosmic-ray's numbers: it adds 1 to each, which nobody can notice in 1e9 and everybody does in 1e-9. Here a small
   integer changes by 1, and any other number is doubled or halved.
 - Annotations, decorators, ``if TYPE_CHECKING``, texts for people (f-strings) and the look of a picture (``LOOK``).
-- Defaults and ranges of parameters: config/straightcomp.yaml and docs/reference.md repeat them, and
+- Defaults and ranges of parameters: the files in config/ and docs/reference.md repeat them, and
   test/settings/test_parameters.py compares.
 - How long something is waited for that answers at once, and the line that a warning names (``UNSEEN``).
 - Renamed exceptions and variables: mypy and ruff find them.

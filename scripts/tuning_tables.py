@@ -47,7 +47,7 @@ TABLES = (
           (0.0, 0.5, 0.88, 1.0)),
     Table("share m", "smc_observer", 1.0, "controller", "control.smc_observer.velocity_share", _BOTH,
           (0.0, 0.15, 0.3, 0.5, 1.0)),
-    Table("true delay [samples]", "smc_observer", 0.5, "driver", "lockstep_delay", _BOTH, (0.05, 0.5, 1.0, 1.25, 2.0)),
+    Table("true delay [samples]", "smc_observer", 0.5, "stage", "drive.delay", _BOTH, (0.05, 0.5, 1.0, 1.25, 2.0)),
 )  # fmt: skip
 
 
@@ -59,7 +59,7 @@ def over_starts(values: Values, count: int = STARTS) -> dict[str, Spread]:
 
 def values_of(shipped: Values, law: str, delay: float, changes: Mapping[str, Mapping[str, Any]]) -> Values:
     """Parameters of one cell: the shipped ones under ``law`` with a command delay in samples, and ``changes``."""
-    values = with_values(with_values(shipped, "controller", {"control.law": law}), "driver", {"lockstep_delay": delay})
+    values = with_values(with_values(shipped, "controller", {"control.law": law}), "stage", {"drive.delay": delay})
     for node, changed in changes.items():
         values = with_values(values, node, changed)
     return values
@@ -102,8 +102,8 @@ def main() -> None:
     for law in ("smc", "smc_observer"):
         for coulomb in (0.2, 0.43, 1.0):
             friction = {
-                "simulated.plant.friction.coulomb": coulomb,
-                "simulated.plant.friction.static": round(1.5 * coulomb, 3),
+                "stage.friction.coulomb": coulomb,
+                "stage.friction.static": round(1.5 * coulomb, 3),
             }
             print(line(f"`{law}`, F_C = {coulomb:g} N", values_of(shipped, law, 0.5, {"driver": friction})), flush=True)
     for table in TABLES:

@@ -9,7 +9,11 @@ import pytest
 from straightcomp_ros.offline.comparison import LawFigures, figures_of, law_of, with_values
 from straightcomp_ros.offline.sweep.starts import Spread, spread
 
-SHORT = {"controller": {}, "stage": {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1}}
+SHORT = {
+    "driver": {"simulated.truth.guide": "config/guide_synthetic.csv"},
+    "controller": {},
+    "stage": {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.1, "drive.delay": 0.5},
+}
 LAW = LawFigures(
     pp=Spread(0.5e-6, 0.45e-6, 0.55e-6),
     rms=Spread(5e-8, 4.99e-8, 5.01e-8),

@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, by_node
 from straightcomp_ros.settings.declaration import ParameterError, flatten
 from straightcomp_ros.settings.share import share_path
 
@@ -101,11 +101,16 @@ def shipped_parameters(params_file: str | None = None, stage: str | None = None)
 
 def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     """Text of a ROS 2 parameter file with these values, by node and dotted name."""
-    tree: dict[str, Any] = {}
-    # What a node has of its own must come after what holds for all. rcl refuses an empty section.
-    for node in sorted((node for node, section in values.items() if section), key=lambda node: node != STAGE):
-        if node == STAGE:
-            tree[ALL_NODES] = {_PARAMETERS: {STAGE: dict(values[node])}}
-        else:
-            tree[f"{ALL_NODES}/{node}"] = {_PARAMETERS: dict(values[node])}
+    # What is given for all nodes comes last: a parameter on a node's command line joins it, and rcl takes the last.
+    own = {
+        name for node, section in values.items() if node != STAGE for name in section if name.startswith(f"{STAGE}.")
+    }
+    sections = {}
+    for node, section in by_node(values).items():
+        kept = {k: v for k, v in section.items() if k in own or not k.startswith(f"{STAGE}.")}
+        sections[f"{ALL_NODES}/{node}"] = kept
+    described = {f"{STAGE}.{name}": value for name, value in values.get(STAGE, {}).items()}
+    sections[ALL_NODES] = {name: value for name, value in described.items() if name not in own}
+    # rcl refuses an empty section.
+    tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
     return yaml.safe_dump(tree, sort_keys=False)

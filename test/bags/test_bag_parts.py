@@ -195,7 +195,7 @@ def test_a_bag_from_before_the_groups_of_laws_had_their_names_is_read_by_the_nam
         "control.velocity_bandwidth": "control.smc.velocity_bandwidth",
         "control.smc_feedforward": "control.smc.feedforward",
         "control.design.rho": "control.smc.rho",
-        "control.observer.amplifier_bandwidth": "control.nominal.amplifier_bandwidth",
+        "control.observer.amplifier_bandwidth": "stage.drive.bandwidth",
         "control.observer.delay": "control.smc_observer.delay",
     }
     lines = "".join(f"    {name}: {number}\n" for number, name in enumerate(names))

@@ -11,7 +11,7 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
-OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"cell.{name}={value}")]
+OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
 
 
 @pytest.fixture(scope="module")

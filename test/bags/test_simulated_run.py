@@ -10,16 +10,17 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.offline.simulation import Simulation
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
-VALUES = {"controller": {"control.law": "linear"}, "cell": CYCLE}
+VALUES = {"controller": {"control.law": "linear"}, "stage": {**CYCLE, "drive.delay": 0.5}}
 
 
 def test_the_bag_of_a_simulated_run_evaluates_to_the_same_record(tmp_path: Path) -> None:
     simulation = Simulation(VALUES)
-    with SimulatedRun(tmp_path / "bag", VALUES, simulation.delay) as run:
+    with SimulatedRun(tmp_path / "bag", by_node(VALUES), simulation.delay) as run:
         record = simulation.run(observe=run.add)
     evaluation = evaluate_bag(tmp_path / "bag")
     assert evaluation.record.law == "linear"
@@ -31,7 +32,7 @@ def test_the_bag_of_a_simulated_run_evaluates_to_the_same_record(tmp_path: Path)
 
 def test_every_stream_is_there_with_one_message_for_each_sample(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
-    options = [word for name, value in CYCLE.items() for word in ("--set", f"cell.{name}={value}")]
+    options = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
     assert main(["simulate", "--bag", str(bag), *options]) == 0
     streams = read_streams(bag, {stream.topic: stream.layout for stream in STREAMS})
     assert len({len(streams[stream.topic]) for stream in STREAMS}) == 1
@@ -44,7 +45,7 @@ def test_a_folder_that_is_not_empty_is_refused(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_writing_the_bag_does_not_change_the_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = [word for name, value in CYCLE.items() for word in ("--set", f"cell.{name}={value}")]
+    options = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
     figures = []
     for extra in ([], ["--bag", str(tmp_path / "bag")]):
         assert main(["simulate", "--json", *options, *extra]) == 0

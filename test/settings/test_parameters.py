@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
-from straightcomp_ros.configuration.parameter_file import read_parameter_file
+from straightcomp_ros.configuration.parameter_file import as_parameter_file, read_parameter_file
 from straightcomp_ros.settings.declaration import (
     ParameterError,
     declarations,
@@ -189,3 +189,20 @@ def test_each_refusal_beside_other_parameters_is_among_those():
     written = sum(len(re.findall(r"\braise \w+\(", inspect.getsource(judge))) for judge in judges)
     assert written == len(TOGETHER)
     assert not any("raise ParameterError" in inspect.getsource(judge) for judge in judges)
+
+
+def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_last(tmp_path):
+    values = {
+        "stage": {"rate": 4000, "platform.mass": 5.0},
+        "driver": {"hardware": "can", "stage.platform.mass": 6.0},
+        "controller": {},
+        "logger": {"output": "bag"},
+    }
+    path = tmp_path / "p.yaml"
+    path.write_text(as_parameter_file(values))
+    # A parameter on a node's command line joins those of all nodes, and must win over the node's section.
+    assert list(yaml.safe_load(path.read_text()))[-1] == "/**"
+    read = read_parameter_file(path)
+    for node in ("driver", "controller"):
+        assert node_parameters(node, read) == node_parameters(node, values)
+    assert read["logger"] == {"output": "bag"} and read["stage"] == {"rate": 4000}

@@ -8,6 +8,7 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.contract import COMMAND, DEFAULT_RATE
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.trials.bench import bag_costs as bags
@@ -22,7 +23,7 @@ def bag(tmp_path_factory):
         "stage": {"motion.stroke": 0.03, "motion.settle": 0.05, "motion.pause": 0.05},
     }
     simulation = Simulation(values)
-    with SimulatedRun(path, values, simulation.delay) as run:
+    with SimulatedRun(path, by_node(values), simulation.delay) as run:
         simulation.run(observe=run.add)
     return path
 

@@ -45,7 +45,7 @@ def test_the_cost_of_a_call_is_that_of_all_divided_by_their_number():
         (["step", "--repeats", "0"], "--repeats 0; allowed: 1 to 10000"),
         (["graph", "--seconds", "0.1"], "--seconds 0.1; allowed: 2 to 86400"),
         (["graph", "--soak", "nan"], "--soak nan; allowed: 0.03333 to 1440"),
-        (["graph", "--rate", "5"], "parameter 'simulated.rate': 5 Hz is too small"),
+        (["graph", "--rate", "5"], "parameter 'stage.rate': 5 Hz is too small"),
         (["graph", "--priority", "99"], "parameter 'realtime.priority': 99 is too large"),
     ],
 )

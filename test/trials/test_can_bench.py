@@ -35,7 +35,7 @@ def test_costs_round_trip_and_faults_are_measured_and_each_fault_is_found(capsys
         (["--frames", "10"], "--frames 10; allowed: 1000 to 1e+07"),
         (["--seconds", "nan"], "--seconds nan; allowed: 0.5 to 3600"),
         (["--cuts", "0"], "--cuts 0; allowed: 1 to 1000"),
-        (["--set", "driver.guide.file=nowhere.csv"], "nowhere.csv"),
+        (["--set", "driver.simulated.truth.guide=nowhere.csv"], "nowhere.csv"),
     ],
 )
 def test_a_refused_option_of_bench_can_ends_with_code_2_and_what_is_allowed(capsys, arguments, words):

@@ -10,7 +10,7 @@ import pytest
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
 from straightcomp_ros.model.motion import forward_and_back
@@ -109,23 +109,22 @@ def test_a_window_without_samples_is_an_error(bag):
 def test_at_every_rate_the_reference_leads_by_the_same_time_and_the_stage_moves_all_the_while(rate, seconds):
     shipped = shipped_parameters()
     values = bench_parameters(shipped, rate=rate, seconds=seconds, priority=0)
-    controller = node_parameters("controller", values)
-    driver = node_parameters("driver", values)
-    assert controller.rate == driver.simulated.rate == rate
+    controller, driver, cell = (node_parameters(node, values) for node in ("controller", "driver", "cell"))
+    assert controller.stage.rate == driver.stage.rate == rate
     assert controller.reference_lead / rate == pytest.approx(0.006)
     assert driver.simulated.sample_memory / rate == pytest.approx(0.128)
-    duration = forward_and_back(node_parameters("cell", values).motion)[-1].time_ns * 1e-9
+    duration = forward_and_back(cell.stage.motion)[-1].time_ns * 1e-9
     assert duration == pytest.approx(seconds + 2.5)
-    assert all(section["realtime.priority"] == 0 for section in values.values())
+    assert all(values[node]["realtime.priority"] == 0 for node in NODE_PARAMETERS)
     assert not driver.realtime.keep_awake
 
 
 def test_a_priority_is_that_of_all_nodes_and_is_checked():
     shipped = shipped_parameters()
     values = bench_parameters(shipped, rate=2000, seconds=5.0, priority=30)
-    assert {section["realtime.priority"] for section in values.values()} == {30}
+    assert {values[node]["realtime.priority"] for node in NODE_PARAMETERS} == {30}
     assert values["driver"]["realtime.keep_awake"] is True
     with pytest.raises(ParameterError, match=r"realtime\.priority"):
         bench_parameters(shipped, rate=2000, seconds=5.0, priority=99)
-    with pytest.raises(ParameterError, match=r"simulated\.rate"):
+    with pytest.raises(ParameterError, match=r"stage\.rate"):
         bench_parameters(shipped, rate=1, seconds=5.0, priority=0)
