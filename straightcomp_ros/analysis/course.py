@@ -78,7 +78,7 @@ class Course:
 
 
 def course_of(record: StrokeRecord, reference: ReferenceMap, stalls: Sequence[Stall] = ()) -> Course:
-    """The motion in ``record``, whose reference was made from ``reference``; MetricsError if the stage does not move."""
+    """The motion in ``record``, its reference made from ``reference``; MetricsError if the stage does not move."""
     motion = find_motion(record)
     window = motion.window
     truth = true_error(record, reference)

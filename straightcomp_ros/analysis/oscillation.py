@@ -90,14 +90,15 @@ def _held_line(error: NDArray[np.float64], reference: NDArray[np.float64], perio
     power[:, frequencies < scale.lowest] = 0.0
     peaks = power.argmax(axis=1)
     near = np.abs(np.arange(frequencies.size) - peaks[:, np.newaxis]) <= _LOBE
-    line, there = (np.where(near, values, 0.0).sum(axis=1) for values in (power, asked))
+    own = np.where(near, power, 0.0)
+    line, there = own.sum(axis=1), np.where(near, asked, 0.0).sum(axis=1)
     found = (line > _MOST * power.sum(axis=1)) & (line > _ASKED**2 * there)
     amplitudes = np.where(found, np.sqrt(line / _HANN_BANDWIDTH), 0.0)
     held = sliding_window_view(amplitudes, min(_HELD, amplitudes.size)).min(axis=1)
     at = int(held.argmax())
     if held[at] == 0.0:
         return Oscillation(0.0, 0.0)
-    return Oscillation(float(held[at]), float(frequencies[peaks[at]]))
+    return Oscillation(float(held[at]), float(own[at] @ frequencies / line[at]))
 
 
 def _power(values: NDArray[np.float64], length: int) -> NDArray[np.float64]:

@@ -52,8 +52,9 @@ stroke, where the guide hardly deviates from a line."""
 _OSCILLATION = 0.004
 """Least amplitude of an oscillation relative to the uncompensated deviation, however fine the encoder: 0.09 µm on the
 shipped guide, where noise and quantisation ring with less."""
-_SHARE = 0.5
-"""Least amplitude of an oscillation relative to the RMS of the whole error: a line alone has √2."""
+_SHARE = 0.7
+"""Least amplitude of an oscillation relative to the RMS of the error, a quarter of its power; a line alone has √2.
+The law's usual error hides what is less."""
 _ACCURATE = 0.5
 """Largest error relative to the uncompensated deviation, both p-p."""
 _FEW_COUNTS = 3.0
@@ -109,18 +110,18 @@ def _starved(course: Course, later: Verdict | None) -> Verdict | None:
         return None
     mask = disturbed(course, course.stalls)
     longest = max(end - start for start, end in course.stalls)
-    stalls = f"{len(course.stalls)} stalls of the host, the longest of {longest * 1e3:.1f} ms"
+    stalls = f"stalls of the host ({len(course.stalls)}, the longest {longest * 1e3:.1f} ms)"
     remedy = "straightcomp doctor says what delays this computer"
     if np.count_nonzero(~mask) < _UNDISTURBED * mask.size:
-        share = f"{stalls}, disturbed {mask.mean():.0%} of the motion; allowed: {1.0 - _UNDISTURBED:.0%}"
-        return Verdict(STARVED, f"{share}; {remedy}") if later is not None else None
+        share = f"{stalls} disturbed {mask.mean():.0%} of the motion; allowed: {1.0 - _UNDISTURBED:.0%}"
+        return None if later is None else Verdict(STARVED, f"{share}; {remedy}; {later.reason}")
     calm = peak_to_peak(course.error[~mask])
     if not _harmed(course, mask):
         return None
     return Verdict(
         STARVED,
-        f"{stalls}, made an error of {_um(course.pp)} p-p; without them it was {_um(calm)}, allowed: "
-        f"{HARM:g} times that; {remedy}",
+        f"{stalls} made an error of {_um(course.pp)} p-p; otherwise it was {_um(calm)}, and {HARM:g} times that is "
+        f"allowed; {remedy}",
     )
 
 
@@ -131,8 +132,8 @@ def _at_stop(course: Course, bounds: Bounds) -> Verdict | None:
         return None
     return Verdict(
         AT_STOP,
-        f"|y| reached {_um(farthest)}; allowed: inside the mechanical stop at {_um(bounds.stop)}; check where the platform "
-        "starts, the current limit, and with straightcomp robustness whether the law is stable on this machine",
+        f"|y| reached {_um(farthest)}; allowed: inside the mechanical stop at {_um(bounds.stop)}; check where the "
+        "platform starts, the current limit, and by straightcomp robustness whether the law is stable on this machine",
     )
 
 
@@ -174,9 +175,9 @@ def _wrong_guide(course: Course, bounds: Bounds) -> Verdict | None:
         return None
     return Verdict(
         WRONG_GUIDE,
-        f"the platform followed the map within {_um(course.pp)} p-p, but of the guide's {_um(fit.guide_pp)} the map leaves "
-        f"{_um(fit.left_pp)}, RMS {fit.left_rms / fit.guide_rms:.0%}; allowed: {_LEFT:.0%}; use a survey of this guide, and "
-        "check its sign, unit and zero of x",
+        f"the platform followed the map within {_um(course.pp)} p-p, but of the guide's {_um(fit.guide_pp)} the map "
+        f"leaves {_um(fit.left_pp)}, RMS {fit.left_rms / fit.guide_rms:.0%}; allowed: {_LEFT:.0%}; use a survey of "
+        "this guide, and check its sign, unit and zero of x",
     )
 
 
@@ -203,8 +204,9 @@ def _inaccurate(course: Course, bounds: Bounds) -> Verdict | None:
         return None
     return Verdict(
         INACCURATE,
-        f"the error is {_um(course.pp)} p-p where a platform that stands still would leave {_um(course.uncompensated)}; "
-        f"allowed: {_um(allowed)}; compare the machine with the law's nominal plant, and look for a fault or a load",
+        f"the error is {_um(course.pp)} p-p where a platform that stands still would leave "
+        f"{_um(course.uncompensated)}; allowed: {_um(allowed)}; compare the machine with the law's nominal plant, and "
+        "look for a fault or a load",
     )
 
 
@@ -222,7 +224,7 @@ def _in_order(course: Course) -> Verdict:
         return Verdict(IN_ORDER, f"uncompensated, the reference moved by {travel} only; error {_um(course.pp)} p-p")
     mask = disturbed(course, course.stalls)
     calm = course.pp if mask.all() else peak_to_peak(course.error[~mask])
-    raised = f", {_um(calm)} without {len(course.stalls)} stalls of the host" if calm < course.pp else ""
+    raised = f", {_um(calm)} beside the stalls of the host ({len(course.stalls)})" if calm < course.pp else ""
     return Verdict(
         IN_ORDER,
         f"error {_um(course.pp)} p-p{raised}; a platform that stands still would leave {_um(course.uncompensated)}",
