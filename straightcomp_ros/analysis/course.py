@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.host_stalls import Stall
 from straightcomp_ros.analysis.metrics import residual_over, true_error
 from straightcomp_ros.analysis.record import Motion, ReferenceMap, StrokeRecord, find_motion
-from straightcomp_ros.analysis.stalls import Stall
 from straightcomp_ros.straightness.residual import peak_to_peak
 
 RECOVERY = 0.1

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.attached_map import attached_map
+from straightcomp_ros.analysis.host_stalls import Stall, stalls_of
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.stalls import Stall, stalls_of
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters

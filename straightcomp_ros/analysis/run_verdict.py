@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.bounds import Bounds, bounds_of
 from straightcomp_ros.analysis.course import Course, course_of, disturbed
+from straightcomp_ros.analysis.host_stalls import Stall
 from straightcomp_ros.analysis.judgement import (
     AT_STOP,
     IN_ORDER,
@@ -28,7 +29,6 @@ from straightcomp_ros.analysis.judgement import (
 )
 from straightcomp_ros.analysis.oscillation import irregular_oscillation, sustained_oscillation
 from straightcomp_ros.analysis.record import ReferenceMap, StrokeRecord
-from straightcomp_ros.analysis.stalls import Stall
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 

@@ -7,9 +7,9 @@ import pytest
 
 from straightcomp_ros.analysis.bounds import Bounds, bounds_of
 from straightcomp_ros.analysis.course import Course, GuideFit, encoder_count
+from straightcomp_ros.analysis.host_stalls import Stall
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
 from straightcomp_ros.analysis.run_verdict import verdict_of
-from straightcomp_ros.analysis.stalls import Stall
 
 T = 5e-4
 TIME = np.arange(16_000) * T
