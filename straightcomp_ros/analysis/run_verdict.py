@@ -116,7 +116,8 @@ def _starved(course: Course, later: Verdict | None) -> Verdict | None:
         share = f"{stalls} disturbed {mask.mean():.0%} of the motion; allowed: {1.0 - _UNDISTURBED:.0%}"
         return None if later is None else Verdict(STARVED, f"{share}; {remedy}; {later.reason}")
     calm = peak_to_peak(course.error[~mask])
-    if not _harmed(course, mask):
+    # A loop that fails without a stall too has another reason.
+    if not _harmed(course, mask) or calm > _largest(course):
         return None
     return Verdict(
         STARVED,

@@ -118,9 +118,11 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
     strokes = titled_table("Strokes: error and straightness (ISO 230-1) in µm", "stroke", *headings)
     names = ("encoder_pp", "true_pp", "encoder_rms", "before_least_squares", "before_end_points")
     for stroke in assessment.strokes:
-        numbers = stroke.to_display()
-        columns = [numbers[f"{name}_um"] for name in (*names, "after_least_squares", "after_end_points")]
-        strokes.add_row(stroke.direction, f"{stroke.start:.2f}", *("" if v is None else f"{v:.3f}" for v in columns))
+        numbers = {name.removesuffix("_um"): value for name, value in stroke.to_display().items()}
+        shown_names = (*names, "after_least_squares", "after_end_points")
+        texts = ((name, "" if numbers[name] is None else f"{numbers[name]:.3f}") for name in shown_names)
+        cells = (marked(f"{name}_um", text, words) for name, text in texts)
+        strokes.add_row(stroke.direction, f"{stroke.start:.2f}", *cells)
     console.print(strokes)
     print_verdict(assessment.verdict)
     if other is not None:

@@ -33,7 +33,7 @@ _ROWS = (
 )
 
 
-_ERROR = re.compile(r"(encoder|true|residual|residual_encoder)_(pp|rms)(_\w+)?_um")
+_ERROR = re.compile(r"((encoder|true|residual|residual_encoder)_(pp|rms)|(straightness_)?after)(_\w+)?_um")
 """Names of the figures that say nothing of the machine when a run is not in order."""
 
 

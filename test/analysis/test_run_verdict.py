@@ -68,6 +68,13 @@ def test_a_doubled_error_within_a_count_of_the_encoder_is_no_harm():
     assert word(course(error, stalls=stalls, count=1e-6)) == "in_order"
 
 
+def test_a_loop_that_fails_without_its_stalls_too_has_another_reason():
+    error = 3e-6 * np.sin(2.0 * np.pi * 30.0 * TIME) + bump(4.0, 30e-6)
+    stalls = (Stall(3.95, 4.02),)
+    assert word(course(error, 0.2 * R, fit=None, stalls=stalls)) == "oscillates"
+    assert word(course(0.01 * error, 0.2 * R, fit=None, stalls=stalls)) == "starved"
+
+
 def test_a_run_of_stalls_is_starved_only_if_its_figures_are_bad():
     stalls = tuple(Stall(t, t + 0.01) for t in np.arange(0.0, 8.0, 0.1).tolist())
     bad = verdict_of(course(R, stalls=stalls), Bounds())

@@ -9,9 +9,12 @@ import pytest
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judgement import Verdict
+from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import RecordedReference
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.cell.demonstration import Demonstration
+from straightcomp_ros.cli import demo
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.replay.what_if import what_if
@@ -245,3 +248,24 @@ def test_replay_fails_if_the_run_that_would_have_been_is_not_in_order(capsys):
     assert found["what_if"]["verdict"] == found["verdict"] == "oscillates"
     assert main(["replay", bag, "--law", "linear"]) == 0
     assert capsys.readouterr().out.count("in order: error") == 3
+
+
+def test_a_demonstration_that_is_not_in_order_prints_its_figures_and_fails(tmp_path, capsys, monkeypatch):
+    map_ = load_map(MapParameters())
+    bags = {code: recorded(tmp_path / str(code), (1.0, 1.2), kick) for code, kick in ((0, 0.0), (1, 3e-6))}
+    for code, bag in bags.items():
+        found = evaluate_bag(bag)
+        result = Demonstration(bag, found, map_, evaluate(found.record, map_), {}, judged(bag))
+        monkeypatch.setattr(demo, "demonstrate", lambda *_, result=result: result)
+        assert main(["demo", "-o", str(tmp_path / "out"), "--json"]) == code
+        assert (json.loads(capsys.readouterr().out)["verdict"] == "in_order") == (code == 0)
+        assert main(["demo", "-o", str(tmp_path / "out")]) == code
+        printed = capsys.readouterr().out
+        assert (" ! " in printed) == (code == 1) and f"Verdict: {result.verdict.verdict.replace('_', ' ')}" in printed
+
+
+def test_a_report_begins_with_the_verdict_on_its_run(tmp_path):
+    bag = recorded(tmp_path / "spoilt", (1.0, 1.2), 3e-6)
+    report = tmp_path / "report.html"
+    assert main(["evaluate", str(bag), "--report", str(report)]) == 1
+    assert "<p class=fail>Verdict: starved: stalls of the host (" in report.read_text(encoding="utf-8")
