@@ -32,7 +32,7 @@ from straightcomp_ros.analysis.record import ReferenceMap, StrokeRecord
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 
-HARM = 2.0
+_HARM = 2.0
 """A disturbance did harm if the error is larger by this factor, p-p, than without the samples that it disturbed."""
 _UNDISTURBED = 0.2
 """Fraction of a run that must be undisturbed so that its error can be compared with the rest's."""
@@ -121,7 +121,7 @@ def _starved(course: Course, later: Verdict | None) -> Verdict | None:
         return None
     return Verdict(
         STARVED,
-        f"{stalls} made an error of {_um(course.pp)} p-p; otherwise it was {_um(calm)}, and {HARM:g} times that is "
+        f"{stalls} made an error of {_um(course.pp)} p-p; otherwise it was {_um(calm)}, and {_HARM:g} times that is "
         f"allowed; {remedy}",
     )
 
@@ -238,12 +238,12 @@ def _still(course: Course) -> bool:
 
 
 def _harmed(course: Course, mask: NDArray[np.bool_]) -> bool:
-    """Whether the error p-p was made in the samples ``mask`` (n,), and was `HARM` times less, and more than a count
+    """Whether the error p-p was made in the samples ``mask`` (n,), and was `_HARM` times less, and more than a count
     less, in the others, as far as there are some."""
     if mask.all():
         return False
     calm = peak_to_peak(course.error[~mask])
-    return course.pp > HARM * calm and course.pp - calm > course.count
+    return course.pp > _HARM * calm and course.pp - calm > course.count
 
 
 def _with_recovery(course: Course, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -62,9 +62,10 @@ def run(options: argparse.Namespace) -> None:
         verdict = worst(verdicts, "cycle")
         if options.starts > 1:
             with working("simulating the starts") as advance:
-                runs = list(runs_of_starts(values, options.starts, advance))
-            over_starts = spreads(evaluate(*one).to_display() for one in runs)
-            verdict = worst([judged_run(*one, values, one[1]) for one in runs], "start")
+                runs = runs_of_starts(values, options.starts, advance)
+                found = [(evaluate(*one).to_display(), _verdict(*one, values)) for one in runs]
+            over_starts = spreads(figures for figures, _ in found)
+            verdict = worst([one for _, one in found], "start")
     except (ParameterError, SurveyError):
         raise
     except ValueError as error:
@@ -98,12 +99,7 @@ def _run_cycles(
     """The last cycle, the map, and the figures and verdicts of all cycles."""
     if options.strokes == 1 and not options.bag and can_run(values):
         record, straightness = run_stroke(values)
-        return (
-            record,
-            straightness,
-            [evaluate(record, straightness)],
-            [judged_run(record, straightness, values, straightness)],
-        )
+        return record, straightness, [evaluate(record, straightness)], [_verdict(record, straightness, values)]
     simulation = Simulation(values)
     cycles: list[Metrics] = []
     verdicts: list[Verdict] = []
@@ -114,6 +110,10 @@ def _run_cycles(
                 lambda fraction: advance((len(cycles) + fraction) / options.strokes), bag.add if bag else None
             )
             cycles.append(evaluate(record, simulation.map))
-            verdicts.append(judged_run(record, simulation.map, values, simulation.map))
+            verdicts.append(_verdict(record, simulation.map, values))
     simulation.save_learning()
     return record, simulation.map, cycles, verdicts
+
+
+def _verdict(record: StrokeRecord, straightness: StraightnessMap, values: Mapping[str, Mapping[str, Any]]) -> Verdict:
+    return judged_run(record, straightness, values, straightness)
