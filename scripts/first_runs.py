@@ -5,8 +5,8 @@
 For each interpreter and user: a fresh clone of this checkout's last commit is set up once by `make setup`. Before each
 run all caches are emptied (machine code, bytecode of the package, fonts, and, as root, the files that Linux keeps in
 memory), and a busy process of nice 19 in a session of its own, as another program's is, takes each CPU. Then the user
-runs `make demo`. A line is printed for each run; the exit code is 0 if all ended with 0. `--quick` runs `make quick` in
-each clone too, before the runs.
+runs `make demo`. A line is printed for each run; the exit code is 0 if all ended with 0 or were starved. `--quick` runs
+`make quick` in each clone too, before the runs.
 
 It needs root only for other users than who calls it, and to empty Linux's caches.
 """
@@ -71,13 +71,14 @@ def _first_run(stand: Stand, busy: int) -> str:
     with load(busy):
         code, text = stand.run("make --silent demo ARGS=--json", _LONGEST_S)
     seconds = time.monotonic() - begin
-    if code:
+    # A demonstration that busy processes starve tells its figures too; whether it ran is what counts here.
+    if code and '"verdict": "starved"' not in text:
         stand.failed += 1
         shutil.copytree(stand.clone / "demo_output", stand.clone / f"failed_{stand.failed}", dirs_exist_ok=True)
         return f"exit {code}, {seconds:.0f} s: {' '.join(text.split())}"
     figures = json.loads(text[text.index("{") : text.rindex("}") + 1])
     stand.peak_to_peak.append(figures["true_pp_um"])
-    return f"exit 0, {seconds:.0f} s, {figures['true_pp_um']:.2f} µm. {figures['held_up']}"
+    return f"exit {code}, {seconds:.0f} s, {figures['true_pp_um']:.2f} µm. {figures['held_up']}"
 
 
 class Stand:

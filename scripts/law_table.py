@@ -36,7 +36,7 @@ HEADS = (
     "RMS [µm]",
     "RMS Δi_c [mA]",
     "p50 / p95 / worst of uncertain machines [µm]",
-    "failed, limit cycles",
+    "not in order",
     "µs per step",
 )
 MARGINS = {
@@ -63,8 +63,7 @@ def read_robustness(path: Path) -> dict[str, dict[str, Any]]:
         return {
             law: {
                 "robust_pp_um": {name: told["pp_um"][name] for name in ("p50", "p95", "max")},
-                "failures": told["failures"],
-                "limit_cycles": told["limit_cycles"],
+                "not_in_order": told["not_in_order"],
             }
             for law, told in laws.items()
         }
@@ -128,7 +127,7 @@ def cells(told: Mapping[str, Any]) -> list[str]:
     if "robust_pp_um" in told:
         percentiles = told["robust_pp_um"]
         uncertain = f"{percentiles['p50']:.2f} / {percentiles['p95']:.2f} / {percentiles['max']:.2f}"
-        failed = f"{told['failures']}, {told['limit_cycles']}"
+        failed = str(told["not_in_order"])
     return [NAMES.get(law, law), paper, *errors, uncertain, failed, f"{told['step_us']:.1f}"]
 
 

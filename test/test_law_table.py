@@ -36,24 +36,22 @@ def test_a_row_has_the_readers_units(script):
 
 def test_markdown_shows_median_and_range_and_has_as_many_cells_in_every_line(script):
     margins = {"gain_low": 0.22, "gain_high": 3.0, "phase_deg": 15.2, "longest_delay_samples": 1.5}
-    swept = {"robust_pp_um": {"p50": 0.4, "p95": 0.7, "max": 1.1}, "failures": 2, "limit_cycles": 3}
+    swept = {"robust_pp_um": {"p50": 0.4, "p95": 0.7, "max": 1.1}, "not_in_order": 3}
     table, below = script.markdown([{**script.row("smc", LAW), **swept, **margins}, script.row("sgn", LAW)]).split(
         "\n\n"
     )
     head, rule, first, second = table.splitlines()
     assert len({line.count("|") for line in (head, rule, first, second)}) == 1
-    assert "| 0.40 | 0.50 (0.45 to 0.55) | 0.050 | 4.0 | 0.40 / 0.70 / 1.10 | 2, 3 | 2.0 |" in first
+    assert "| 0.40 | 0.50 (0.45 to 0.55) | 0.050 | 4.0 | 0.40 / 0.70 / 1.10 | 3 | 2.0 |" in first
     assert second.endswith("|  |  | 2.0 |")
     assert below.splitlines()[-1].endswith("| 0.22 | 3.00 | 15 | 1.50 |")
 
 
 def test_figures_of_a_sweep_are_taken_from_its_file(script, tmp_path):
-    told = {
-        "laws": {"smc": {"pp_um": {"p5": 0.1, "p50": 0.4, "p95": 0.7, "max": 1.1}, "failures": 2, "limit_cycles": 3}}
-    }
+    told = {"laws": {"smc": {"pp_um": {"p5": 0.1, "p50": 0.4, "p95": 0.7, "max": 1.1}, "not_in_order": 3}}}
     (tmp_path / "sweep.json").write_text(json.dumps(told))
     taken = script.read_robustness(tmp_path / "sweep.json")
-    assert taken == {"smc": {"robust_pp_um": {"p50": 0.4, "p95": 0.7, "max": 1.1}, "failures": 2, "limit_cycles": 3}}
+    assert taken == {"smc": {"robust_pp_um": {"p50": 0.4, "p95": 0.7, "max": 1.1}, "not_in_order": 3}}
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"laws": {"smc": {}}}', '{"laws": []}', None])

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
+from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, StrokeFigures, evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion
+from straightcomp_ros.analysis.run_verdict import judged_run
 
 _AT_LIMIT = 1.0 - 1e-9
 """Fraction of the current limit from which the command counts as limited."""
@@ -41,6 +43,7 @@ class Assessment:
         saturated: where the command was at the law's current limit.
         amplifier_off: where the amplifier was off between the run's first motion and its last: a fault, or a stop.
         stick_slips: events of all strokes.
+        verdict: on the run.
         warnings: the reader's warnings about the bag.
     """
 
@@ -55,6 +58,7 @@ class Assessment:
     saturated: list[Interval]
     amplifier_off: list[Interval]
     stick_slips: list[StickSlip]
+    verdict: Verdict
     warnings: tuple[str, ...] = ()
 
     def figures(self) -> dict[str, Any]:
@@ -91,6 +95,7 @@ class Assessment:
         return {
             "bag": str(self.bag),
             "law": self.evaluation.record.law,
+            **self.verdict._asdict(),
             **self.figures(),
             "strokes": [stroke.to_display() for stroke in self.strokes],
             "spectrum_peaks": [
@@ -129,6 +134,7 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
         saturated=_intervals(record.time, np.abs(record.current) >= _AT_LIMIT * float(limit)),
         amplifier_off=[interval for interval in off if first <= interval.end <= last],
         stick_slips=[event for stroke in motion.strokes for event in stick_slips(*columns[:, stroke.samples])],
+        verdict=judged_run(record, reference, evaluation.parameters, evaluation.map, evaluation.stalls),
         warnings=warnings,
     )
 
@@ -162,7 +168,7 @@ class Limit(NamedTuple):
     maximum: float
 
 
-class Verdict(NamedTuple):
+class LimitCheck(NamedTuple):
     """A limit, the figure's value, and whether it is within the limit. A figure that was not recorded fails."""
 
     limit: Limit
@@ -199,14 +205,14 @@ def read_limits(path: str | Path, known: Mapping[str, Any]) -> list[Limit]:
     return [_limit(where, str(name), value, known) for name, value in tree.items()]
 
 
-def judged(limits: list[Limit], figures: Mapping[str, Any]) -> list[Verdict]:
-    """A verdict for each limit, in its order."""
-    verdicts = []
+def judged(limits: list[Limit], figures: Mapping[str, Any]) -> list[LimitCheck]:
+    """A check of each limit, in its order."""
+    checks = []
     for limit in limits:
         value = figures[limit.name]
         known = value is not None and math.isfinite(value)
-        verdicts.append(Verdict(limit, value if known else None, known and limit.minimum <= value <= limit.maximum))
-    return verdicts
+        checks.append(LimitCheck(limit, value if known else None, known and limit.minimum <= value <= limit.maximum))
+    return checks
 
 
 def _limit(where: str, name: str, value: Any, known: Mapping[str, Any]) -> Limit:

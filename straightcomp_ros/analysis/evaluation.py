@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.attached_map import attached_map
+from straightcomp_ros.analysis.host_stalls import Stall, stalls_of
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH, Stream
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class BagEvaluation:
         stamps: (n,) ns, the run's different samples in the bag, in order; those of ``record`` are among them.
         amplifier_on: (n,) for the same samples.
         parameters: of the recorded nodes, by node and dotted name; empty when none are attached.
+        map: of the attached survey; None without one.
+        stalls: when the host failed the loop, on the clock of ``record``.
     """
 
     record: StrokeRecord
@@ -43,6 +48,8 @@ class BagEvaluation:
     stamps: NDArray[np.int64]
     amplifier_on: NDArray[np.bool_]
     parameters: Mapping[str, Mapping[str, Any]]
+    map: StraightnessMap | None = None
+    stalls: tuple[Stall, ...] = ()
 
     @property
     def lost_samples(self) -> int:
@@ -69,7 +76,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     """
     wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
     streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted}, remap)
-    parameters = recorded_parameters(bag, read_attachments(bag))
+    attachments = read_attachments(bag)
+    parameters = recorded_parameters(bag, attachments)
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
@@ -104,19 +112,25 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         guide=truth.get("guide_deviation"),
         law=str(parameters.get("controller", {}).get("control.law", "unknown")),
     )
-    driver = streams[DRIVER_STATE.topic].columns if DRIVER_STATE.topic in streams else {}
-    latency, lateness = (driver.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
+    driver = streams.get(DRIVER_STATE.topic)
+    columns = driver.columns if driver else {}
+    latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
+    answered = unique[COMMAND.topic][0]
+    state = driver.stamp if driver else answered[:0]
+    stalls = stalls_of(encoder - common[0], answered - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
         expected_samples=_taken(encoder),
         received_samples=len(encoder),
         lost_references=_missing(encoder, unique[REFERENCE.topic][0]),
-        lost_commands=_missing(encoder, unique[COMMAND.topic][0]),
+        lost_commands=_missing(encoder, answered),
         latency=latency[np.isfinite(latency)],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
         amplifier_on=on,
         parameters=parameters,
+        map=attached_map(attachments, parameters),
+        stalls=tuple(stalls),
     )
 
 

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
-from straightcomp_ros.analysis.assessment import Assessment, Interval, Verdict, displayed_error
+from straightcomp_ros.analysis.assessment import Assessment, Interval, LimitCheck, displayed_error
 from straightcomp_ros.analysis.metrics import residual_over
 from straightcomp_ros.straightness.survey import Direction
 
@@ -43,8 +43,8 @@ addEventListener('afterprint',()=>plots().forEach(plot=>Plotly.relayout(plot,{wi
 """
 
 
-def report_html(assessment: Assessment, other: Assessment | None = None, verdicts: Sequence[Verdict] = ()) -> str:
-    """The document for ``assessment``, compared with the run ``other``, and with the ``verdicts`` on its limits."""
+def report_html(assessment: Assessment, other: Assessment | None = None, checks: Sequence[LimitCheck] = ()) -> str:
+    """The document for ``assessment``, compared with the run ``other``, and with the ``checks`` of its limits."""
     law = assessment.evaluation.record.law
     plots = (
         ("Straightness over the stroke, beside the least squares line", _straightness(assessment)),
@@ -62,9 +62,12 @@ def report_html(assessment: Assessment, other: Assessment | None = None, verdict
     )
     warnings = "".join(f"<p class=fail>{escape(text)}</p>" for text in assessment.warnings)
     bag = escape(str(assessment.bag))
+    verdict = (
+        f"<p class={'note' if assessment.verdict.in_order else 'fail'}>Verdict: {escape(str(assessment.verdict))}</p>"
+    )
     return f"""<!DOCTYPE html><html lang=en><head><meta charset=utf-8><title>{bag}</title>
 <style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>
-<h1>Straightness compensation, law “{escape(law)}”</h1><p class=note>{bag}</p>{warnings}{_limits(verdicts)}
+<h1>Straightness compensation, law “{escape(law)}”</h1><p class=note>{bag}</p>{verdict}{warnings}{_limits(checks)}
 {sections}<h2>Strokes</h2>{_table([stroke.to_display() for stroke in assessment.strokes])}
 {_events(assessment)}<h2>Figures</h2>{_figures(assessment, other)}<script>{_SCRIPT}</script></body></html>"""
 
@@ -188,8 +191,8 @@ def _mark(figure: go.Figure, intervals: Sequence[Interval], name: str, colour: s
         figure.add_vrect(interval.start, interval.end, fillcolor=colour, opacity=0.3, line=line, **text)
 
 
-def _limits(verdicts: Sequence[Verdict]) -> str:
-    rows = [{"verdict": "passed" if one.passed else "FAILED", "limit": str(one)} for one in verdicts]
+def _limits(checks: Sequence[LimitCheck]) -> str:
+    rows = [{"verdict": "passed" if one.passed else "FAILED", "limit": str(one)} for one in checks]
     return "<h2>Limits</h2>" + _table(rows).replace("<td>FAILED", "<td class=fail>FAILED") if rows else ""
 
 

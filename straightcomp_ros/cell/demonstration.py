@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
+from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, run_cycle
 from straightcomp_ros.cell.launcher import LaunchError, executable_command, verb_command
-from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
@@ -28,8 +30,6 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, blamed, summarise
 
 _USER, _PASSWORD = "demo", "STRAIGHTCOMP_OPCUA_PASSWORD"
-Values = Mapping[str, Mapping[str, Any]]
-"""Parameter values by node and dotted name."""
 
 
 class DemonstrationFailed(RuntimeError):
@@ -38,13 +38,14 @@ class DemonstrationFailed(RuntimeError):
 
 @dataclass(frozen=True)
 class Demonstration:
-    """A finished run: bag, evaluation, map, figures, and each node's timing while the amplifier was on."""
+    """A finished run: bag, evaluation, map, figures, each node's timing while the amplifier was on, and the verdict."""
 
     bag: Path
     evaluation: BagEvaluation
     map: StraightnessMap
     metrics: Metrics
     timing: Mapping[str, NodeTiming]
+    verdict: Verdict
 
     def figures(self) -> dict[str, Any]:
         """Display values by name, as printed by `straightcomp demo --json`."""
@@ -61,6 +62,7 @@ class Demonstration:
             "bag": str(self.bag),
             "timing": {node: timing.to_display() for node, timing in self.timing.items()},
             "held_up": self.held_up,
+            **self.verdict._asdict(),
         }
 
     @property
@@ -112,7 +114,8 @@ def demonstrate(
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
-    return Demonstration(bag, evaluation, straightness, metrics, timing)
+    verdict = judged_run(evaluation.record, straightness, by_node(values), straightness, evaluation.stalls)
+    return Demonstration(bag, evaluation, straightness, metrics, timing, verdict)
 
 
 @contextmanager

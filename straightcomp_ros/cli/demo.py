@@ -1,7 +1,8 @@
 """Run the real node graph for one stroke forward and back on the simulated stage, record it, and judge the bag.
 
 Starts driver, feedforward, controller, logger and cell as processes, as `ros2 launch straightcomp_ros
-cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the output folder."""
+cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the output folder. The exit
+code is 1 for a run that is not in order."""
 
 import argparse
 import importlib.util
@@ -15,6 +16,7 @@ from straightcomp_ros.cli.law_tables import results_table, timing_table
 from straightcomp_ros.cli.options import output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
 
 SUMMARY = "run the node graph for one stroke, record and evaluate it"
 
@@ -65,9 +67,11 @@ def run(options: argparse.Namespace) -> None:
     plot_run(result.evaluation.record, result.map, result.metrics, picture, title=title)
     if options.json:
         print_json(figures)
-        return
-    console.print(results_table(figures))
-    console.print(timing_table(figures["timing"]))
-    if result.held_up:
-        console.print(f"Less accurate than it could be: {result.held_up}", soft_wrap=True)
-    notes.print(f"bag: {result.bag}\nplot: {picture}")
+    else:
+        console.print(results_table(figures))
+        console.print(timing_table(figures["timing"]))
+        if result.held_up:
+            console.print(f"Less accurate than it could be: {result.held_up}", soft_wrap=True)
+        print_verdict(result.verdict)
+        notes.print(f"bag: {result.bag}\nplot: {picture}")
+    fail_unless_in_order(result.verdict)

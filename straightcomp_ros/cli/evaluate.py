@@ -1,6 +1,7 @@
 """Judge a recorded run: error, straightness by ISO 230-1, spectrum, timing, stick-slip, saturation, faults.
 
-The bag may be unfinished. With --limits the exit code is 1 when a figure is outside its limit, for use in CI."""
+The bag may be unfinished. The exit code is 1 for a run that is not in order. With --limits the limits alone
+decide: it is 1 when a figure is outside its limit, for use in CI."""
 
 from __future__ import annotations
 
@@ -9,9 +10,10 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from straightcomp_ros.cli.law_tables import shown, titled_table
+from straightcomp_ros.cli.law_tables import marked, shown, titled_table
 from straightcomp_ros.cli.options import add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, working
+from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.assessment import Assessment
@@ -38,12 +40,12 @@ def run(options: argparse.Namespace) -> None:
     assessment = _assessed(Path(options.bag), remap)
     other = _assessed(Path(options.compare), remap) if options.compare else None
     figures = assessment.figures()
-    verdicts = judged(read_limits(options.limits, figures), figures) if options.limits else []
-    failed = [str(verdict) for verdict in verdicts if not verdict.passed]
+    checks = judged(read_limits(options.limits, figures), figures) if options.limits else []
+    failed = [str(check) for check in checks if not check.passed]
     if report is not None:
         from straightcomp_ros.analysis.html_report import report_html
 
-        report.write_text(report_html(assessment, other, verdicts), encoding="utf-8")
+        report.write_text(report_html(assessment, other, checks), encoding="utf-8")
         notes.print(f"report: {report}")
     if options.json:
         found = assessment.as_json()
@@ -54,10 +56,12 @@ def run(options: argparse.Namespace) -> None:
         print_json(found)
     else:
         _print(assessment, other)
-        if verdicts and not failed:
-            notes.print(f"all {len(verdicts)} limits are kept")
+        if checks and not failed:
+            notes.print(f"all {len(checks)} limits are kept")
     if failed:
         raise CommandFailed("; ".join(failed))
+    if not options.limits:
+        fail_unless_in_order(assessment.verdict)
 
 
 def add_remap_option(parser: argparse.ArgumentParser) -> None:
@@ -98,11 +102,15 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
     title = f"{assessment.bag}, law '{assessment.evaluation.record.law}'"
     table = titled_table(title, "figure", "value", *((str(other.bag), "difference") if other is not None else ()))
     theirs = other.figures() if other is not None else {}
+    words, other_words = assessment.verdict._asdict(), other.verdict._asdict() if other is not None else {}
     for name, value in assessment.figures().items():
-        cells = [shown(value)]
+        cells = [marked(name, shown(value), words)]
         if other is not None:
             beside = theirs[name]
-            cells += [shown(beside), "" if value is None or beside is None else shown(beside - value)]
+            cells += [
+                marked(name, shown(beside), other_words),
+                "" if value is None or beside is None else shown(beside - value),
+            ]
         if any(cells[:2]):
             table.add_row(name, *cells)
     console.print(table)
@@ -110,7 +118,12 @@ def _print(assessment: Assessment, other: Assessment | None) -> None:
     strokes = titled_table("Strokes: error and straightness (ISO 230-1) in µm", "stroke", *headings)
     names = ("encoder_pp", "true_pp", "encoder_rms", "before_least_squares", "before_end_points")
     for stroke in assessment.strokes:
-        numbers = stroke.to_display()
-        columns = [numbers[f"{name}_um"] for name in (*names, "after_least_squares", "after_end_points")]
-        strokes.add_row(stroke.direction, f"{stroke.start:.2f}", *("" if v is None else f"{v:.3f}" for v in columns))
+        numbers = {name.removesuffix("_um"): value for name, value in stroke.to_display().items()}
+        shown_names = (*names, "after_least_squares", "after_end_points")
+        texts = ((name, "" if numbers[name] is None else f"{numbers[name]:.3f}") for name in shown_names)
+        cells = (marked(f"{name}_um", text, words) for name, text in texts)
+        strokes.add_row(stroke.direction, f"{stroke.start:.2f}", *cells)
     console.print(strokes)
+    print_verdict(assessment.verdict)
+    if other is not None:
+        print_verdict(other.verdict, str(other.bag))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 from rich.table import Table
 
+from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
 
 if TYPE_CHECKING:
@@ -29,6 +31,10 @@ _ROWS = (
     ("latency_p50_us", "loop latency p50", "µs", 0),
     ("latency_p99_us", "loop latency p99", "µs", 0),
 )
+
+
+_ERROR = re.compile(r"((encoder|true|residual|residual_encoder)_(pp|rms)|(straightness_)?after)(_\w+)?_um")
+"""Names of the figures that say nothing of the machine when a run is not in order."""
 
 
 def titled_table(
@@ -57,6 +63,16 @@ def shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def marked(name: str, text: str, figures: Mapping[str, Any]) -> str:
+    """``text`` of the figure ``name`` in a table, marked if the verdict in ``figures`` makes it doubtful."""
+    return doubtful(text) if _ERROR.fullmatch(name) and figures.get("verdict", IN_ORDER) != IN_ORDER else text
+
+
+def doubtful(text: str) -> str:
+    """The text of a figure that is not the machine's: in another style, with a mark."""
+    return f"[red]{text} ![/red]" if text else text
+
+
 def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] | None = None) -> Table:
     """Those figures that are there, and the paper's beside the true p-p error.
 
@@ -69,7 +85,7 @@ def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] 
         if figures.get(key) is not None:
             paper = f"{PEAK_TO_PEAK_UM[law]:.2f}" if key == "true_pp_um" and law in PEAK_TO_PEAK_UM else ""
             value = over_starts[key].text(digits) if key in over_starts else f"{figures[key]:.{digits}f}"
-            table.add_row(words, value, unit, paper)
+            table.add_row(words, marked(key, value, figures), unit, paper)
     return table
 
 
@@ -92,8 +108,11 @@ def rounded(value: float | None, digits: int = 0) -> str:
 def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
     """True error of each cycle, figures as of :func:`results_table`."""
     title = f"True compensation error from cycle to cycle, law '{law}'"
-    rows = ((n, f"{each['true_pp_um']:.3f}", f"{each['true_rms_um']:.4f}") for n, each in enumerate(cycles, 1))
-    return titled_table(title, "cycle", "p-p / µm", "RMS / µm", rows=rows)
+    table = titled_table(title, "cycle", "p-p / µm", "RMS / µm")
+    for number, each in enumerate(cycles, 1):
+        cells = (marked(key, f"{each[key]:.{n}f}", each) for key, n in (("true_pp_um", 3), ("true_rms_um", 4)))
+        table.add_row(str(number), *cells)
+    return table
 
 
 def can_tables(figures: Mapping[str, Any]) -> list[Table]:

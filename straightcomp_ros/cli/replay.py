@@ -2,16 +2,18 @@
 
 Without options an audit: every command is computed again from the recorded samples and references, and must come out
 the same to the last bit. With --law or --set, what would have been: the loop is simulated on the recorded motion and
-map. With --graph the real nodes get the recorded samples, without a driver, and a new bag records what they answer."""
+map; the exit code is 1 unless that run is in order. With --graph the real nodes get the recorded samples, without a
+driver, and a new bag records what they answer."""
 
 import argparse
 import dataclasses
 from pathlib import Path
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
-from straightcomp_ros.cli.law_tables import shown, titled_table
+from straightcomp_ros.cli.law_tables import marked, shown, titled_table
 from straightcomp_ros.cli.options import add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
+from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
 
@@ -68,15 +70,21 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> N
 
     with working("simulating"):
         result = what_if(bag, chosen_changes(options), remap)
-    columns = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
+    figures = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
+    columns = [{**one, **in_json(verdict)} for one, verdict in zip(figures, result.verdicts, strict=True)]
+    verdict = result.verdicts[-1]
     if options.json:
         names = ("recorded", "simulated_as_recorded", "what_if")
-        print_json({name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)})
-        return
-    words = ("recorded", "simulated\nas recorded", "what if")
-    headings = [f"{word}\n{law}" for word, law in zip(words, result.laws, strict=False)]
-    rows = ([name, *(shown(one[name]) for one in columns)] for name in columns[0])
-    console.print(titled_table(f"What if: {bag}", "figure", *headings, rows=rows))
+        found = {name: {"law": law, **one} for name, law, one in zip(names, result.laws, columns, strict=False)}
+        print_json({**found, **in_json(verdict)})
+    else:
+        words = ("recorded", "simulated\nas recorded", "what if")
+        headings = [f"{word}\n{law}" for word, law in zip(words, result.laws, strict=False)]
+        rows = ([name, *(marked(name, shown(one[name]), one) for one in columns)] for name in figures[0])
+        console.print(titled_table(f"What if: {bag}", "figure", *headings, rows=rows))
+        for word, one in zip(words, result.verdicts, strict=False):
+            print_verdict(one, f"'{' '.join(word.split())}'")
+    fail_unless_in_order(verdict)
 
 
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:

@@ -2,7 +2,8 @@
 
 For each trial mass, magnetic force, air gap, friction, sensor noise, command delay, sample times and the survey are
 drawn anew within `stage.uncertainty`, and every law runs on the very same machines. The controller keeps its
-description. Trial k of a seed is always the same machine, on any number of cores, here or on Dask workers.
+description. Trial k of a seed is always the same machine, on any number of cores, here or on Dask workers. The exit
+code is 1 if a law is not in order on a machine.
 """
 
 import argparse
@@ -10,10 +11,12 @@ import re
 import time
 from collections.abc import Callable
 
-from straightcomp_ros.cli.law_tables import titled_table
+from straightcomp_ros.analysis.judgement import Verdict
+from straightcomp_ros.cli.law_tables import doubtful, titled_table
 from straightcomp_ros.cli.options import PICTURES, add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, summarise, sweep
 from straightcomp_ros.offline.sweep.scenario import make_scenario
@@ -63,12 +66,14 @@ def run(options: argparse.Namespace) -> None:
     summaries = summarise(results)
     if plot is not None:
         plot_sweep(results, summaries, plot, f"{machines}, seed {options.seed}")
+    verdict = _verdict(summaries)
     if options.json:
         shown = {summary.law: summary.to_display() for summary in summaries}
-        print_json({"trials": len(trials), "seed": options.seed, "laws": shown, "seconds": seconds})
+        told = {"trials": len(trials), "seed": options.seed, "laws": shown, "seconds": seconds}
+        print_json({**told, **in_json(verdict)})
     else:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
-        columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "failures", "limit cycles")
+        columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "not in order")
         table = titled_table(title, *columns, rows=map(_row, summaries))
         table.caption, table.caption_justify = (
             f"{_conditions(scenario.description.uncertainty)}\n{seconds:.0f} s",
@@ -80,17 +85,27 @@ def run(options: argparse.Namespace) -> None:
                 worst = ", ".join(f"{trial} ({pp * 1e6:.2f} µm)" for trial, pp in summary.outliers.items())
                 console.print(f"{summary.law}, worse than {OUTLIER:g} times its median: machine {worst}")
                 console.print("Run one alone with --trial K.")
+            print_verdict(summary.verdict, summary.law)
+    fail_unless_in_order(verdict)
 
 
 def _row(summary: LawSummary) -> list[object]:
-    pp = [f"{value * 1e6:.3f}" for value in summary.pp.values()]
+    texts = {name: f"{value * 1e6:.3f}" for name, value in summary.pp.items()}
+    pp = [doubtful(text) if name in summary.doubtful else text for name, text in texts.items()]
     return [
         summary.law,
         *pp,
         f"{summary.control_rms_step['p50'] * 1e3:.1f}",
-        sum(summary.failures.values()),
-        summary.limit_cycles,
+        len(summary.not_in_order),
     ]
+
+
+def _verdict(summaries: list[LawSummary]) -> Verdict:
+    """That on the first law with a machine that is not in order, or on all."""
+    for summary in summaries:
+        if not summary.verdict.in_order:
+            return Verdict(summary.verdict.verdict, f"law '{summary.law}': {summary.verdict.reason}")
+    return summaries[0].verdict
 
 
 def _conditions(ranges: UncertaintyParameters) -> str:

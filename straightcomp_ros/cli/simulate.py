@@ -6,17 +6,20 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.analysis.judgement import Verdict, worst
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.law_tables import cycles_table, results_table
 from straightcomp_ros.cli.options import PICTURES, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict
 from straightcomp_ros.configuration.node_parameters import by_node, node_parameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
-from straightcomp_ros.offline.sweep.starts import Spread, metrics_of_starts, spreads
+from straightcomp_ros.offline.sweep.starts import Spread, runs_of_starts, spreads
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import SurveyError
@@ -55,10 +58,14 @@ def run(options: argparse.Namespace) -> None:
         values["controller"]["learning.file"] = str(output_file("--learned", options.learned))
     over_starts: dict[str, Spread] = {}
     try:
-        record, straightness, cycles = _run_cycles(options, values)
+        record, straightness, cycles, verdicts = _run_cycles(options, values)
+        verdict = worst(verdicts, "cycle")
         if options.starts > 1:
             with working("simulating the starts") as advance:
-                over_starts = spreads(one.to_display() for one in metrics_of_starts(values, options.starts, advance))
+                runs = runs_of_starts(values, options.starts, advance)
+                found = [(evaluate(*one).to_display(), _verdict(*one, values)) for one in runs]
+            over_starts = spreads(figures for figures, _ in found)
+            verdict = worst([one for _, one in found], "start")
     except (ParameterError, SurveyError):
         raise
     except ValueError as error:
@@ -69,29 +76,33 @@ def run(options: argparse.Namespace) -> None:
         from straightcomp_ros.analysis.pictures import plot_run
 
         plot_run(record, straightness, cycles[-1], plot, title=f"Simulated stroke, law '{record.law}'")
-    shown = [cycle.to_display() for cycle in cycles]
+    shown = [{**cycle.to_display(), **in_json(one)} for cycle, one in zip(cycles, verdicts, strict=True)]
     delay = node_parameters("driver", values).stage.drive.delay
-    figures = {"law": record.law, "delay_samples": delay, **shown[-1]}
+    figures = {"law": record.law, "delay_samples": delay, **shown[-1], **in_json(verdict)}
     if options.json:
         if over_starts:
             figures["starts"] = {"count": options.starts, **{k: one._asdict() for k, one in over_starts.items()}}
-        listed = [{"true_pp_um": c["true_pp_um"], "true_rms_um": c["true_rms_um"]} for c in shown]
+        names = ("true_pp_um", "true_rms_um", "verdict", "reason")
+        listed = [{name: one[name] for name in names} for one in shown]
         print_json({**figures, "cycles": listed} if options.strokes > 1 else figures)
-        return
-    if options.strokes > 1:
-        console.print(cycles_table(figures["law"], shown))
-    console.print(results_table(figures, over_starts))
+    else:
+        if options.strokes > 1:
+            console.print(cycles_table(figures["law"], shown))
+        console.print(results_table(figures, over_starts))
+        print_verdict(verdict)
+    fail_unless_in_order(verdict)
 
 
 def _run_cycles(
     options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]]
-) -> tuple[StrokeRecord, StraightnessMap, list[Metrics]]:
-    """The last cycle, the map, and the figures of all cycles."""
+) -> tuple[StrokeRecord, StraightnessMap, list[Metrics], list[Verdict]]:
+    """The last cycle, the map, and the figures and verdicts of all cycles."""
     if options.strokes == 1 and not options.bag and can_run(values):
         record, straightness = run_stroke(values)
-        return record, straightness, [evaluate(record, straightness)]
+        return record, straightness, [evaluate(record, straightness)], [_verdict(record, straightness, values)]
     simulation = Simulation(values)
     cycles: list[Metrics] = []
+    verdicts: list[Verdict] = []
     opened = SimulatedRun(Path(options.bag), by_node(values), simulation.delay) if options.bag else nullcontext()
     with working("simulating") as advance, opened as bag:
         for _ in range(options.strokes):
@@ -99,5 +110,10 @@ def _run_cycles(
                 lambda fraction: advance((len(cycles) + fraction) / options.strokes), bag.add if bag else None
             )
             cycles.append(evaluate(record, simulation.map))
+            verdicts.append(_verdict(record, simulation.map, values))
     simulation.save_learning()
-    return record, simulation.map, cycles
+    return record, simulation.map, cycles, verdicts
+
+
+def _verdict(record: StrokeRecord, straightness: StraightnessMap, values: Mapping[str, Mapping[str, Any]]) -> Verdict:
+    return judged_run(record, straightness, by_node(values), straightness)

@@ -60,6 +60,11 @@ class DriveParameters:
         return self.dac_range * self.gain
 
     @property
+    def largest_current(self) -> float:
+        """Control current in A of the highest code, one step below :attr:`current_range`."""
+        return (self.half_codes - 1) * self.current_step
+
+    @property
     def half_codes(self) -> int:
         """Codes of the D/A converter below zero."""
         return 1 << (self.dac_bits - 1)

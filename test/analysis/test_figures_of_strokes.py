@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis import pictures as plot
-from straightcomp_ros.analysis.assessment import Interval, Limit, Verdict, assess, judged, read_limits
+from straightcomp_ros.analysis.assessment import Interval, Limit, LimitCheck, assess, judged, read_limits
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.html_report import (
@@ -171,8 +171,8 @@ def test_a_limit_is_kept_at_both_of_its_ends_and_not_beyond():
     for value, passed in ((1.0, True), (2.0, True), (0.999, False), (2.001, False), (math.inf, False)):
         (verdict,) = judged([Limit("a", 1.0, 2.0)], {"a": value})
         assert verdict.passed is passed
-    assert str(Verdict(Limit("a", 1.0, 2.0), 3.0, False)) == "a is 3; allowed: >= 1 and <= 2"
-    assert str(Verdict(Limit("a", -math.inf, 2.0), None, False)) == "a was not recorded; allowed: <= 2"
+    assert str(LimitCheck(Limit("a", 1.0, 2.0), 3.0, False)) == "a is 3; allowed: >= 1 and <= 2"
+    assert str(LimitCheck(Limit("a", -math.inf, 2.0), None, False)) == "a was not recorded; allowed: <= 2"
 
 
 def test_a_limit_may_be_a_number_in_exponential_form_and_a_single_value(tmp_path):

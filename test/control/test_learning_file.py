@@ -95,7 +95,7 @@ def test_the_command_runs_strokes_keeps_what_it_learned_and_goes_on_from_there(t
     command = ["simulate", "--law", "linear", "--learned", str(path), "--json", *SHORT]
     assert main([*command, "--strokes", "4"]) == 0
     first = json.loads(capsys.readouterr().out)
-    assert [set(cycle) for cycle in first["cycles"]] == [{"true_pp_um", "true_rms_um"}] * 4
+    assert [set(cycle) for cycle in first["cycles"]] == [{"true_pp_um", "true_rms_um", "verdict", "reason"}] * 4
     assert first["cycles"][-1]["true_rms_um"] == first["true_rms_um"] < 0.75 * first["cycles"][0]["true_rms_um"]
     assert main(command) == 0
     second = json.loads(capsys.readouterr().out)

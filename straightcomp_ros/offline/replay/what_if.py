@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
+from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
+from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
@@ -35,12 +37,14 @@ class WhatIf:
         again: with the recorded parameters: its difference from ``recorded`` is the error of the simulation.
         changed: with the changes; None without any.
         laws: names of the laws of the three, in this order.
+        verdicts: on those that there are, in this order.
     """
 
     recorded: Metrics
     again: Metrics
     changed: Metrics | None
     laws: tuple[str, str, str | None]
+    verdicts: tuple[Verdict, ...]
 
 
 def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[str, str] | None = None) -> WhatIf:
@@ -66,8 +70,11 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
         survey = unpacked_map(attachments, Path(folder))
         values = _recorded_values(recorded_parameters(bag, attachments), evaluation, survey)
         motion = _recorded_motion(record)
-        again, law = _simulated(values, motion)
+        again, law, verdict = _simulated(values, motion)
         changed, changed_law = None, None
+        reference = RecordedReference(record)
+        found = judged_run(record, reference, evaluation.parameters, evaluation.map, evaluation.stalls)
+        verdicts = [found, verdict]
         if any(changes.values()):
             for node, section in changes.items():
                 if node == STAGE:
@@ -76,9 +83,9 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
                         of_node.update({f"{STAGE}.{name}": value for name, value in section.items()})
                 else:
                     values.setdefault(node, {}).update(section)
-            changed, changed_law = _simulated(values, motion)
-    recorded = evaluate(record, RecordedReference(record))
-    return WhatIf(recorded, again, changed, (record.law, law, changed_law))
+            changed, changed_law, verdict = _simulated(values, motion)
+            verdicts.append(verdict)
+    return WhatIf(evaluate(record, reference), again, changed, (record.law, law, changed_law), tuple(verdicts))
 
 
 def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path | None) -> dict[str, dict[str, Any]]:
@@ -114,7 +121,8 @@ def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
     return Trajectory([Waypoint(0, 0.0, 0.0), *waypoints]), -_APPROACH_NS
 
 
-def _simulated(values: Values, motion: tuple[Trajectory, int]) -> tuple[Metrics, str]:
+def _simulated(values: Values, motion: tuple[Trajectory, int]) -> tuple[Metrics, str, Verdict]:
     simulation = Simulation(values, motion=motion)
     record = simulation.run()
-    return evaluate(record, simulation.map), record.law
+    verdict = judged_run(record, simulation.map, values, simulation.map)
+    return evaluate(record, simulation.map), record.law, verdict

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
+from straightcomp_ros.analysis.judgement import IN_ORDER, Verdict
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.offline.sweep.trial import TrialResult, laws_of, run_trial
 
@@ -109,7 +110,7 @@ def _on_dask(
 
 @dataclass(frozen=True)
 class LawSummary:
-    """The figures of one law over a sweep, failed trials included.
+    """The figures of one law over a sweep, trials that are not in order included.
 
     Attributes:
         law: its name.
@@ -117,8 +118,9 @@ class LawSummary:
         pp, rms: percentiles of the true compensation error by name, m; infinite where cycles broke off.
         control_activity: percentiles of Σ |Δ i_c|, A.
         control_rms_step: percentiles of the root mean square of Δ i_c, A.
-        failures: failed trials, by reason.
-        limit_cycles: trials with a limit cycle, failed ones included.
+        verdicts: number of trials by the verdict's word, the most frequent first; only those that are not in order.
+        not_in_order: those trials, in their order.
+        doubtful: names of the percentiles of ``pp`` that are the error of such a trial.
         worst_trial: number of the trial with the largest peak-to-peak error.
         outliers: peak-to-peak error in m of each trial in which it is above `OUTLIER` medians, by trial, worst first.
     """
@@ -129,21 +131,36 @@ class LawSummary:
     rms: dict[str, float]
     control_activity: dict[str, float]
     control_rms_step: dict[str, float]
-    failures: dict[str, int]
-    limit_cycles: int
+    verdicts: dict[str, int]
+    not_in_order: tuple[TrialResult, ...]
+    doubtful: frozenset[str]
     worst_trial: int
     outliers: dict[int, float]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The most frequent verdict that is not in order, with a machine as its example; in order if all are."""
+        if not self.verdicts:
+            return Verdict(IN_ORDER, f"all {self.trials} machines")
+        word = next(iter(self.verdicts))
+        example = next(one for one in self.not_in_order if one.verdict.verdict == word)
+        counts = ", ".join(f"{name} {count}" for name, count in self.verdicts.items())
+        return Verdict(word, f"{counts} of {self.trials} machines; machine {example.trial}: {example.verdict.reason}")
 
     def to_display(self) -> dict[str, Any]:
         """The figures with lengths in µm; None where they are infinite."""
         return {
+            **self.verdict._asdict(),
             "pp_um": _shown(self.pp, 1e6),
             "rms_um": _shown(self.rms, 1e6),
             "control_activity_A": _shown(self.control_activity, 1.0),
             "control_rms_step_A": _shown(self.control_rms_step, 1.0),
-            "failures": sum(self.failures.values()),
-            "failures_by_reason": self.failures,
-            "limit_cycles": self.limit_cycles,
+            "not_in_order": len(self.not_in_order),
+            "verdicts": self.verdicts,
+            "machines_not_in_order": [
+                {"trial": one.trial, "pp_um": one.pp * 1e6 if math.isfinite(one.pp) else None, **one.verdict._asdict()}
+                for one in self.not_in_order
+            ],
             "worst_trial": self.worst_trial,
             "outliers": [
                 {"trial": trial, "pp_um": pp * 1e6 if math.isfinite(pp) else None}
@@ -157,21 +174,27 @@ def summarise(results: Iterable[TrialResult]) -> list[LawSummary]:
     by_law: dict[str, list[TrialResult]] = {}
     for result in results:
         by_law.setdefault(result.law, []).append(result)
-    return [
-        LawSummary(
-            law=law,
-            trials=len(trials),
-            pp=_percentiles([trial.pp for trial in trials]),
-            rms=_percentiles([trial.rms for trial in trials]),
-            control_activity=_percentiles([trial.control_activity for trial in trials]),
-            failures=dict(Counter(trial.failure for trial in trials if trial.failure)),
-            limit_cycles=sum(trial.limit_cycle for trial in trials),
-            control_rms_step=_percentiles([trial.control_rms_step for trial in trials]),
-            outliers=_outliers(trials),
-            worst_trial=max(trials, key=lambda trial: trial.pp).trial,
-        )
-        for law, trials in by_law.items()
-    ]
+    return [_summary(law, trials) for law, trials in by_law.items()]
+
+
+def _summary(law: str, trials: Sequence[TrialResult]) -> LawSummary:
+    pp = _percentiles([trial.pp for trial in trials])
+    bad = tuple(trial for trial in trials if not trial.verdict.in_order)
+    errors = {trial.pp for trial in bad}
+    return LawSummary(
+        law=law,
+        trials=len(trials),
+        pp=pp,
+        rms=_percentiles([trial.rms for trial in trials]),
+        control_activity=_percentiles([trial.control_activity for trial in trials]),
+        control_rms_step=_percentiles([trial.control_rms_step for trial in trials]),
+        verdicts=dict(Counter(trial.verdict.verdict for trial in bad).most_common()),
+        not_in_order=bad,
+        # Each percentile is the value of a trial.
+        doubtful=frozenset(name for name, value in pp.items() if value in errors),
+        worst_trial=max(trials, key=lambda trial: trial.pp).trial,
+        outliers=_outliers(trials),
+    )
 
 
 def _outliers(trials: Sequence[TrialResult]) -> dict[int, float]:

@@ -7,7 +7,7 @@ the position of the platform when the amplifier is switched on; nothing else dif
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,6 +80,15 @@ def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, S
     return simulation.run(), simulation.map
 
 
+def runs_of_starts(
+    values: Values, count: int = STARTS, progress: Callable[[float], None] = lambda fraction: None
+) -> Iterator[tuple[StrokeRecord, StraightnessMap]]:
+    """:func:`first_cycle` from each start; arguments and errors as of :func:`metrics_of_starts`."""
+    for number, one in enumerate(values_of_starts(values, count), 1):
+        yield first_cycle(one)
+        progress(number / count)
+
+
 def metrics_of_starts(
     values: Values, count: int = STARTS, progress: Callable[[float], None] = lambda fraction: None
 ) -> list[Metrics]:
@@ -94,8 +103,4 @@ def metrics_of_starts(
         MetricsError: the stage does not move.
         ParameterError, SurveyError, ValueError: as of :func:`first_cycle`.
     """
-    found = []
-    for number, one in enumerate(values_of_starts(values, count), 1):
-        found.append(evaluate(*first_cycle(one)))
-        progress(number / count)
-    return found
+    return [evaluate(*run) for run in runs_of_starts(values, count, progress)]

@@ -41,7 +41,7 @@ def plot_sweep(results: Sequence[TrialResult], summaries: Sequence[LawSummary], 
         x = np.concatenate([errors_um[:1], errors_um])
         fraction = np.arange(x.size) / summary.trials
         p50, p95 = summary.pp["p50"] * 1e6, summary.pp["p95"] * 1e6
-        label = f"{summary.law}: p50 {p50:.2f} µm, p95 {p95:.2f} µm, {summary.limit_cycles} limit cycles"
+        label = f"{summary.law}: p50 {p50:.2f} µm, p95 {p95:.2f} µm, {len(summary.not_in_order)} not in order"
         axes.step(x, fraction, where="post", color=colour, linestyle=style, linewidth=1.6, label=label)
     if finite.size and finite[-1] > _WIDE * finite[0] > 0.0:
         axes.set_xscale("log")

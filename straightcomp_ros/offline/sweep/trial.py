@@ -8,21 +8,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import StrokeRecord, find_motion
+from straightcomp_ros.analysis.bounds import Bounds
+from straightcomp_ros.analysis.course import Course
+from straightcomp_ros.analysis.judgement import INACCURATE, Verdict
+from straightcomp_ros.analysis.record import motion_of
+from straightcomp_ros.analysis.run_verdict import verdict_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.plant import PlantState
 from straightcomp_ros.offline.sweep.draws import Streams, draw, mismeasured, sample_times, streams
 from straightcomp_ros.offline.sweep.kernel import Conditions, Cycle, run_cycle
-from straightcomp_ros.offline.sweep.limit_cycle import LEAST_AMPLITUDE, LOWEST_FREQUENCY, sustained_oscillation
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.stage.truth import deviating
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.residual import peak_to_peak
-
-LARGEST_PP = 10e-6
-"""True peak-to-peak error in m beyond which a trial has failed: half of what the guide does uncompensated."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +35,7 @@ class TrialResult:
         rms: the same, root mean square about zero.
         control_activity: Σ |Δ i_c| over the motion, A; infinite if the cycle broke off.
         control_rms_step: root mean square of Δ i_c from sample to sample, A; likewise.
-        oscillation: amplitude in m of the strongest held line in the true error, 0 without one.
-        frequency: of that line, Hz.
-        limit_cycle: whether the line is one, see :mod:`straightcomp_ros.offline.sweep.limit_cycle`.
-        failure: why the trial failed, empty if it did not.
+        verdict: on the cycle, see :mod:`straightcomp_ros.analysis.run_verdict`.
     """
 
     trial: int
@@ -48,18 +44,18 @@ class TrialResult:
     rms: float
     control_activity: float
     control_rms_step: float
-    oscillation: float
-    frequency: float
-    limit_cycle: bool
-    failure: str
+    verdict: Verdict
 
 
 class _Course(NamedTuple):
-    """The same for all laws of a trial: samples of the motion, r(true x) in m, and frequency in Hz above the map's."""
+    """The same for all laws of a trial: time of the samples in s, true x and r(true x) in m, (n,) each; samples of the
+    motion; and x in m from which and up to which the map has a reference."""
 
-    window: slice
+    time: NDArray[np.float64]
+    true_x: NDArray[np.float64]
     target: NDArray[np.float64]
-    lowest: float
+    window: slice
+    bounds: Bounds
 
 
 def laws_of(scenario: Scenario) -> dict[str, Law]:
@@ -100,38 +96,38 @@ def _follow(scenario: Scenario, stamps: NDArray[np.int64], random: Streams) -> t
     true_x = scenario.positions(stamps)
     x = readings(scenario.description.encoder.x_resolution, true_x)
     given = references(straightness, scenario.feedforward, scenario.description.motion.highest_speed, stamps, x)
-    r, time = given[:, 0], np.asarray(stamps * 1e-9, dtype=np.float64)
-    # The motion depends on x alone.
-    motion = find_motion(StrokeRecord(time=time, x=x, y=r, r=r, current=np.zeros_like(r), law=""))
-    top_speed = float(np.abs(np.diff(true_x) / np.diff(time)).max())
-    pitch = float(np.median(np.diff(survey.runs[0].x)))
-    lowest = max(LOWEST_FREQUENCY, top_speed / pitch)
-    return given, _Course(motion.window, straightness.evaluate(true_x)[0], lowest)
+    time = np.asarray(stamps * 1e-9, dtype=np.float64)
+    window, target = motion_of(time, x).window, straightness.evaluate(true_x)[0]
+    return given, _Course(
+        time, true_x, target, window, Bounds().within(straightness, scenario.description.guide.runout)
+    )
 
 
 def _judged(scenario: Scenario, trial: int, law: str, course: _Course, cycle: Cycle) -> TrialResult:
     if cycle.current.size < scenario.samples:
         broken = (math.inf,) * 4
-        return TrialResult(trial, law, *broken, 0.0, 0.0, False, "position or current not finite")
+        return TrialResult(trial, law, *broken, Verdict(INACCURATE, "position or current not finite"))
     plant = scenario.driver.plant
-    error = (course.target - cycle.true_y)[course.window]
-    pp = peak_to_peak(error)
-    failure = ""
-    if np.abs(cycle.true_y).max() >= plant.platform.stop:
-        failure = "mechanical stop"
-    elif pp > LARGEST_PP:
-        failure = f"error beyond {LARGEST_PP * 1e6:g} µm"
-    steps = np.diff(cycle.current[course.window])
-    oscillation = sustained_oscillation(error, scenario.period_ns * 1e-9, course.lowest)
+    window = course.window
+    y, r = cycle.true_y[window], course.target[window]
+    judged = Course(
+        time=course.time[window],
+        x=course.true_x[window],
+        y=y,
+        r=r,
+        current=cycle.current[window],
+        error=r - y,
+        true=True,
+        count=plant.encoder.y_resolution,
+    )
+    current = min(scenario.description.actuator.current_limit, plant.drive.largest_current)
+    steps = np.diff(judged.current)
     return TrialResult(
         trial=trial,
         law=law,
-        pp=pp,
-        rms=float(np.sqrt(np.mean(error * error))),
+        pp=judged.pp,
+        rms=float(np.sqrt(np.mean(judged.error * judged.error))),
         control_activity=float(np.abs(steps).sum()),
         control_rms_step=float(np.sqrt(np.mean(steps * steps))),
-        oscillation=oscillation.amplitude,
-        frequency=oscillation.frequency,
-        limit_cycle=oscillation.amplitude > max(LEAST_AMPLITUDE, plant.encoder.y_resolution),
-        failure=failure,
+        verdict=verdict_of(judged, course.bounds._replace(current=current, stop=plant.platform.stop)),
     )

@@ -3,6 +3,7 @@ import math
 
 import pytest
 
+from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.sweep.many_trials import summarise
 from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
@@ -11,8 +12,8 @@ from straightcomp_ros.offline.sweep.trial import TrialResult
 SHORT = ["--set", "stage.motion.stroke=0.02", "--set", "stage.motion.settle=0.1", "--set", "stage.motion.pause=0.1"]
 
 
-def result(trial: int, pp: float, failure: str = "", law: str = "linear") -> TrialResult:
-    return TrialResult(trial, law, pp, pp / 6.0, 1.0, 1e-3, 0.0, 0.0, False, failure)
+def result(trial: int, pp: float, word: str = "in_order", law: str = "linear") -> TrialResult:
+    return TrialResult(trial, law, pp, pp / 6.0, 1.0, 1e-3, Verdict(word, f"error of machine {trial}"))
 
 
 def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_path):
@@ -20,10 +21,11 @@ def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_
     laws = ["--law", "linear", "--law", "smc"]
     assert main(["robustness", *SHORT, *laws, "--trials", "3", "--jobs", "1", "--json", "--plot", str(plot)]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert set(printed) == {"trials", "seed", "laws", "seconds"}
+    assert set(printed) == {"trials", "seed", "laws", "seconds", "verdict", "reason"}
+    assert printed["verdict"] == "in_order"
     assert printed["trials"] == 3 and list(printed["laws"]) == ["linear", "smc"]
     for figures in printed["laws"].values():
-        assert {"pp_um", "rms_um", "failures", "limit_cycles", "worst_trial"} <= set(figures)
+        assert {"pp_um", "rms_um", "not_in_order", "verdicts", "worst_trial", "verdict", "reason"} <= set(figures)
         assert 0.0 < figures["pp_um"]["p5"] <= figures["pp_um"]["p50"] <= figures["pp_um"]["max"] < 10.0
     assert plot.read_bytes().startswith(b"\x89PNG")
 
@@ -47,7 +49,7 @@ def test_the_table_names_the_laws_and_what_they_ran_under(capsys):
         == 0
     )
     printed = " ".join(capsys.readouterr().out.split())
-    assert "smc" in printed and "mass ±30%" in printed and "limit cycles" in printed
+    assert "smc" in printed and "mass ±30%" in printed and "not in order" in printed
 
 
 @pytest.mark.parametrize(
@@ -104,14 +106,47 @@ def test_the_table_tells_how_to_run_an_outlier_alone(capsys, monkeypatch):
 
 
 def test_a_cycle_that_broke_off_counts_and_is_null_in_json(tmp_path):
-    results = [result(0, 1e-6), result(1, math.inf, "position or current not finite")]
+    results = [result(0, 1e-6), result(1, math.inf, "inaccurate")]
     (summary,) = summarise(results)
     shown = summary.to_display()
     assert shown["pp_um"]["p50"] == pytest.approx(1.0) and shown["pp_um"]["max"] is None
-    assert shown["failures"] == 1
+    assert shown["not_in_order"] == 1 and shown["verdicts"] == {"inaccurate": 1}
+    assert shown["machines_not_in_order"][0]["pp_um"] is None
     assert plot_sweep(results, [summary], tmp_path / "a.png", "broken off").is_file()
 
 
 def test_a_sweep_in_which_all_cycles_broke_off_can_be_drawn(tmp_path):
-    results = [result(0, math.inf, "position or current not finite")]
+    results = [result(0, math.inf, "inaccurate")]
     assert plot_sweep(results, summarise(results), tmp_path / "a.png", "none ended").is_file()
+
+
+def test_the_verdict_on_a_law_is_its_most_frequent_one_and_names_a_machine():
+    words = ["in_order", "at_stop", "oscillates", "oscillates"]
+    (summary,) = summarise(result(trial, 1e-6 * (trial + 1), word) for trial, word in enumerate(words))
+    assert summary.verdict.verdict == "oscillates"
+    assert summary.verdict.reason == "oscillates 2, at_stop 1 of 4 machines; machine 2: error of machine 2"
+    assert [one.trial for one in summary.not_in_order] == [1, 2, 3]
+    (good,) = summarise([result(0, 1e-6)])
+    assert good.verdict.in_order and "1 machines" in good.verdict.reason and good.doubtful == frozenset()
+
+
+def test_a_percentile_of_a_machine_that_is_not_in_order_is_doubtful():
+    words = ["in_order"] * 9 + ["oscillates"]
+    (summary,) = summarise(result(trial, 1e-6 * (trial + 1), word) for trial, word in enumerate(words))
+    assert summary.doubtful == {"p95", "max"}
+
+
+def test_a_machine_that_is_not_in_order_fails_the_command_and_is_marked_and_named(capsys):
+    # The paper's switching law with sgn σ: it oscillates by itself.
+    sgn = ["--set", "controller.control.smc.boundary_layer=0.0", "--set", "stage.motion.stroke=0.1"]
+    assert main(["robustness", *SHORT, *sgn, "--law", "smc", "--trials", "2", "--jobs", "1", "--json"]) == 1
+    captured = capsys.readouterr()
+    printed = json.loads(captured.out)
+    assert printed["verdict"] == "oscillates" and "law 'smc'" in printed["reason"]
+    figures = printed["laws"]["smc"]
+    assert figures["not_in_order"] == figures["verdicts"]["oscillates"] == 2
+    assert [one["trial"] for one in figures["machines_not_in_order"]] == [0, 1]
+    assert "not in order: oscillates" in captured.err
+    assert main(["robustness", *SHORT, *sgn, "--law", "smc", "--trials", "1", "--jobs", "1"]) == 1
+    printed = " ".join(capsys.readouterr().out.split())
+    assert " ! " in printed and "Verdict on smc: oscillates: oscillates 1 of 1 machines; machine 0:" in printed

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from nominal import EXACT, within
@@ -18,7 +20,7 @@ def test_a_trial_without_uncertainty_has_the_figures_of_the_simulation(values, l
     (result,) = run_trials(make_scenario(values, [law]), 1, [0])
     assert (result.pp, result.rms) == (expected.true_pp, expected.true_rms)
     assert result.control_activity == expected.control_activity
-    assert result.failure == "" and not result.limit_cycle
+    assert result.verdict.in_order
 
 
 def test_a_trial_draws_its_machine_with_the_friction_beyond_lugre(values):
@@ -49,18 +51,53 @@ def test_another_seed_is_another_machine(scenario):
     assert first.pp != second.pp
 
 
-def test_a_platform_that_falls_onto_its_stop_has_failed(values):
+def test_a_platform_that_falls_onto_its_stop_is_at_the_stop(values):
     # A milliampere does not hold it against the magnets' pull a tenth of a millimetre off the centre.
     values["stage"]["actuator.current_limit"] = 1e-3
     values["driver"] = {"simulated.initial_y": 1e-4}
     (result,) = run_trials(make_scenario(within(EXACT, values), ["linear"]), 1, [0])
-    assert result.failure == "mechanical stop"
+    assert result.verdict.verdict == "at_stop"
     assert result.pp < np.inf
 
 
-def test_a_platform_that_does_not_follow_has_failed(values):
-    # A milliampere does not overcome friction, and the reference moves on by more than the limit.
+def test_a_platform_that_a_weak_law_cannot_move_is_saturated(values):
+    # A milliampere does not overcome friction.
     values["stage"]["actuator.current_limit"] = 1e-3
     values["stage"]["motion.stroke"] = 1.2
     (result,) = run_trials(make_scenario(within(EXACT, values), ["linear"]), 1, [0])
-    assert result.failure == "error beyond 10 µm"
+    assert result.verdict.verdict == "saturated"
+
+
+def test_a_law_that_switches_with_sgn_limit_cycles(values):
+    values["stage"]["motion.stroke"] = 0.1
+    values["controller"] = {"control.smc.boundary_layer": 0.0}
+    (result,) = run_trials(make_scenario(within(EXACT, values), ["smc"]), 1, [0])
+    assert result.verdict.verdict == "oscillates"
+
+
+def test_a_gain_too_high_for_the_delay_limit_cycles_where_half_the_delay_does_not(values):
+    values["stage"]["motion.stroke"] = 0.1
+    values["controller"] = {"control.smc.phi": 300.0, "control.smc.rho": 3.0}
+    late, early = (
+        run_trials(
+            make_scenario(within(replace(EXACT, shortest_delay=delay, longest_delay=delay), values), ["smc"]), 1, [0]
+        )[0]
+        for delay in (1.5, 0.2)
+    )
+    assert late.verdict.verdict == "oscillates" and early.verdict.in_order
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_each_law_is_in_order_on_the_machine_that_it_was_designed_for(values, law):
+    values["stage"]["motion.stroke"] = 0.1
+    (result,) = run_trials(make_scenario(within(EXACT, values), [law]), 1, [0])
+    assert result.verdict.in_order
+
+
+def test_a_stage_that_leaves_the_survey_left_the_map(values):
+    values["stage"]["motion.stroke"] = 1.8
+    (result,) = run_trials(make_scenario(within(EXACT, values), ["smc"]), 1, [0])
+    assert result.verdict.verdict == "left_map"
+    values["stage"]["motion.stroke"] = 1.77
+    (result,) = run_trials(make_scenario(within(EXACT, values), ["smc"]), 1, [0])
+    assert result.verdict.in_order

@@ -1,0 +1,38 @@
+"""The words of a verdict on a run. They are stable: programs compare them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+IN_ORDER = "in_order"
+STARVED = "starved"
+AT_STOP = "at_stop"
+LEFT_MAP = "left_map"
+SATURATED = "saturated"
+WRONG_GUIDE = "wrong_guide"
+OSCILLATES = "oscillates"
+INACCURATE = "inaccurate"
+WORDS = (IN_ORDER, STARVED, AT_STOP, LEFT_MAP, SATURATED, WRONG_GUIDE, OSCILLATES, INACCURATE)
+
+
+class Verdict(NamedTuple):
+    """One of the :data:`WORDS`, and a sentence with the numbers, what is allowed, and the remedy."""
+
+    verdict: str
+    reason: str
+
+    @property
+    def in_order(self) -> bool:
+        """Whether the run's figures are those of the machine and its law."""
+        return self.verdict == IN_ORDER
+
+    def __str__(self) -> str:
+        return f"{self.verdict.replace('_', ' ')}: {self.reason}"
+
+
+def worst(verdicts: Sequence[Verdict], kind: str) -> Verdict:
+    """The first of at least one verdict that is not in order, named "``kind`` 2 of 9" if there are several; the last
+    one if all are in order."""
+    for number, (verdict, reason) in enumerate(verdicts, 1):
+        if verdict != IN_ORDER:
+            return Verdict(verdict, f"{kind} {number} of {len(verdicts)}: {reason}" if len(verdicts) > 1 else reason)
+    return verdicts[-1]

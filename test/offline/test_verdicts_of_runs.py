@@ -1,0 +1,272 @@
+"""Each verdict provoked on the simulated stage and in recordings, and the neighbours that stay in order."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.judgement import Verdict
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.record import RecordedReference
+from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.cell.demonstration import Demonstration
+from straightcomp_ros.cli import demo
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration.node_parameters import by_node
+from straightcomp_ros.control.laws import LAWS
+from straightcomp_ros.offline.replay.what_if import what_if
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.sweep.starts import first_cycle
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.survey import Run, Survey, write_survey
+
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+CYCLE = {"motion.stroke": 0.3, "motion.settle": 0.1, "motion.pause": 0.1}
+SHORT = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
+GUIDE = "config/guide_synthetic.csv"
+
+
+def verdict(**changes) -> Verdict:
+    """On the first cycle, 0.3 m forward and back, with changes NODE__NAME of the parameters, dots as in their names."""
+    values: dict[str, dict] = {"driver": {}, "feedforward": {}, "controller": {}, "stage": dict(CYCLE)}
+    for name, value in changes.items():
+        node, _, parameter = name.partition(".")
+        values[node][parameter] = value
+    record, straightness = first_cycle(values)
+    return judged_run(record, straightness, by_node(values), straightness)
+
+
+def survey(path: Path, deviation, length: float = 1.76) -> str:
+    x = np.linspace(0.0, length, round(length / 0.01) + 1)
+    write_survey(path, Survey((Run("1", "forward", x, deviation(x)),)))
+    return str(path)
+
+
+def rates(rate: int) -> dict[str, int]:
+    return {"stage.rate": rate}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"stage.motion.stroke": 0.005},
+        {"stage.motion.stroke": 1.76},
+        {"stage.motion.speed": 1.0, "stage.motion.acceleration": 5.0, "stage.motion.stroke": 1.76},
+        {"stage.encoder.y_resolution": 1e-9},
+        {"stage.encoder.y_resolution": 1e-6},
+        {"stage.drive.delay": 1.5},
+        {"driver.simulated.initial_y": 1e-4},
+        rates(4000),
+        rates(10_000),
+    ],
+    ids=str,
+)
+def test_what_works_is_in_order(law, changes):
+    # The paper's proportional law moves the platform within friction only on more than a few millimetres.
+    if law == "linear" and changes.get("stage.motion.stroke") == 0.005:
+        changes = {"stage.motion.stroke": 0.02}
+    found = verdict(**{"controller.control.law": law, **changes})
+    assert found.in_order, found
+
+
+@pytest.mark.parametrize("height, count", [(1e-6, 1e-8), (1e-6, 1e-7), (40e-6, 1e-7), (40e-6, 1e-6)])
+def test_the_height_of_the_guide_does_not_matter(tmp_path, height, count):
+    file = survey(tmp_path / "guide.csv", lambda x: height * np.sin(2.0 * np.pi * x / 0.5))
+    files = {"stage.guide.file": file}
+    for law in LAWS:
+        found = verdict(**files, **{"controller.control.law": law, "stage.encoder.y_resolution": count})
+        assert found.in_order, found
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"driver.simulated.truth.mass": 4.0},
+        {"stage.drive.delay": 5.0},
+        {"controller.control.law": "smc", "stage.drive.delay": 3.0},
+        {"controller.control.law": "smc", "controller.control.smc.boundary_layer": 0.0},
+        {"stage.motion.stroke": 1.76, **rates(500)},
+    ],
+    ids=str,
+)
+def test_a_loop_that_does_not_fit_its_machine_oscillates(changes):
+    assert verdict(**changes).verdict == "oscillates"
+
+
+def test_a_heavier_platform_and_a_longer_delay_within_the_law_s_margins_are_in_order():
+    assert verdict(**{"driver.simulated.truth.mass": 1.33}).in_order
+    assert verdict(**{"stage.drive.delay": 2.0}).in_order
+
+
+def test_a_current_limit_or_a_converter_too_small_to_move_the_platform_saturates():
+    for law in LAWS:
+        for weak in ({"stage.actuator.current_limit": 0.01}, {"stage.drive.gain": 0.001}):
+            found = verdict(**{"controller.control.law": law, "stage.motion.stroke": 1.0, **weak})
+            assert found.verdict == "saturated", found
+        found = verdict(**{"controller.control.law": law, "stage.actuator.current_limit": 0.03})
+        assert found.in_order, found
+
+
+def test_a_platform_that_starts_where_the_law_cannot_bring_it_back_is_at_the_stop():
+    weak = {"stage.actuator.current_limit": 0.3}
+    assert verdict(**weak, **{"driver.simulated.initial_y": 1e-3}).verdict == "at_stop"
+    assert verdict(**weak, **{"driver.simulated.initial_y": 3e-4}).in_order
+
+
+def test_a_platform_that_rests_on_its_stop_before_the_run_is_in_order():
+    assert verdict(**{"driver.simulated.initial_y": 1.2e-3, "stage.motion.settle": 1.0}).in_order
+
+
+def test_a_stage_beyond_a_survey_s_run_out_left_the_map(tmp_path):
+    guide = load_map(MapParameters(file=GUIDE))
+    for length, expected in ((0.25, "left_map"), (0.29, "in_order")):
+        file = survey(tmp_path / f"{length}.csv", guide.deviations, length)
+        assert verdict(**{"feedforward.stage.guide.file": file}).verdict == expected
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_survey_of_another_guide_is_recognised(tmp_path, law):
+    guide = load_map(MapParameters(file=GUIDE))
+    others = {
+        "another": lambda x: 9e-6 * np.sin(2.0 * np.pi * 3.3 * x / 1.76 + 1.0),
+        "from the other end": lambda x: guide.deviations(1.76 - x),
+        "other sign": lambda x: -guide.deviations(x),
+    }
+    whole = {"controller.control.law": law, "stage.motion.stroke": 1.76}
+    for name, deviation in others.items():
+        found = verdict(**whole, **{"feedforward.stage.guide.file": survey(tmp_path / f"{name}.csv", deviation)})
+        assert found.verdict == "wrong_guide", name
+    same = survey(tmp_path / "same.csv", lambda x: guide.deviations(x) + 0.3e-6 * np.sin(20.0 * x) + 5e-6 * x)
+    assert verdict(**whole, **{"feedforward.stage.guide.file": same}).in_order
+
+
+def test_a_run_without_compensation_is_in_order(tmp_path):
+    flat = survey(tmp_path / "flat.csv", lambda x: 0.011e-6 * x / 1.76)
+    found = verdict(**{"feedforward.stage.guide.file": flat, "stage.motion.stroke": 1.76})
+    assert found.in_order and "uncompensated" in found.reason
+
+
+@pytest.mark.parametrize("name", ["uncompensated", "smc", "cut_off"])
+@pytest.mark.filterwarnings("ignore:.*was not finished")
+def test_the_sample_bags_are_in_order(name, capsys):
+    assert main(["evaluate", str(BAGS / name), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "in_order" and found["reason"]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_recorded_run_is_in_order_with_each_law(law):
+    found = what_if(BAGS / "smc", {"controller": {"control.law": law}})
+    assert [one.verdict for one in found.verdicts] == ["in_order"] * 3
+
+
+def recorded(folder: Path, stall: tuple[float, float] = (0.0, 0.0), kick: float = 0.0) -> Path:
+    """A bag of a short cycle. In ``stall`` (s) nineteen of twenty samples are lost, and the platform is off by up to
+    ``kick`` in m."""
+    values = {"driver": {}, "feedforward": {}, "controller": {}, "stage": dict(CYCLE)}
+    simulation = Simulation(values)
+    begin, end = stall
+    with SimulatedRun(folder, by_node(values), simulation.delay) as bag:
+
+        def add(sample, truth, *answer):
+            time = sample.stamp_ns * 1e-9
+            if not begin < time < end:
+                bag.add(sample, truth, *answer)
+            elif round(time * 2000.0) % 20 == 0:
+                push = kick * math.sin(math.pi * (time - begin) / (end - begin))
+                bag.add(sample._replace(y=sample.y + push), truth._replace(y=truth.y + push), *answer)
+
+        simulation.run(observe=add)
+    return folder
+
+
+def judged(bag: Path) -> Verdict:
+    found = evaluate_bag(bag)
+    return judged_run(found.record, RecordedReference(found.record), found.parameters, found.map, found.stalls)
+
+
+def test_a_recording_that_a_stall_spoilt_is_starved_and_one_that_it_did_not_is_in_order(tmp_path, capsys):
+    spoilt = recorded(tmp_path / "spoilt", stall=(1.0, 1.2), kick=3e-6)
+    assert judged(spoilt).verdict == "starved"
+    assert judged(recorded(tmp_path / "harmless", stall=(1.0, 1.2), kick=0.0)).in_order
+    assert judged(recorded(tmp_path / "quiet")).in_order
+    assert main(["evaluate", str(spoilt), "--json"]) == 1
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["verdict"] == "starved" and "not in order: starved" in captured.err
+
+
+def test_limits_alone_decide_the_exit_code_of_an_evaluation(tmp_path, capsys):
+    spoilt = recorded(tmp_path / "spoilt", stall=(1.0, 1.2), kick=3e-6)
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("true_pp_um: 10\n")
+    assert main(["evaluate", str(spoilt), "--limits", str(limits), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "starved"
+    limits.write_text("true_pp_um: 1\n")
+    assert main(["evaluate", str(spoilt), "--limits", str(limits)]) == 1
+
+
+def test_an_attached_survey_that_is_too_short_shows_in_the_recording(tmp_path):
+    guide = load_map(MapParameters(file=GUIDE))
+    file = survey(tmp_path / "short.csv", guide.deviations, 0.25)
+    options = [*SHORT, "--set", f"feedforward.stage.guide.file={file}", "--bag", str(tmp_path / "bag"), "--json"]
+    assert main(["simulate", *options]) == 1
+    assert judged(tmp_path / "bag").verdict == "left_map"
+
+
+def test_simulate_marks_the_figures_of_a_run_that_is_not_in_order_and_fails(capsys):
+    heavy = [*SHORT, "--set", "driver.simulated.truth.mass=4"]
+    assert main(["simulate", *heavy]) == 1
+    captured = capsys.readouterr()
+    assert captured.out.count(" ! ") == 5 and "Verdict: oscillates: the loop oscillates at" in captured.out
+    assert captured.err == "straightcomp simulate: not in order: oscillates\n"
+    assert main(["simulate", *SHORT]) == 0
+    captured = capsys.readouterr()
+    assert " ! " not in captured.out and "Verdict: in order: error" in captured.out and captured.err == ""
+
+
+def test_simulate_tells_the_verdict_on_cycles_and_starts_in_json(capsys):
+    heavy = [*SHORT, "--set", "driver.simulated.truth.mass=4", "--json"]
+    assert main(["simulate", *heavy, "--strokes", "2"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "oscillates" and found["reason"].startswith("cycle 1 of 2: the loop oscillates")
+    assert [one["verdict"] for one in found["cycles"]] == ["oscillates"] * 2
+    assert main(["simulate", *heavy, "--starts", "2"]) == 1
+    assert json.loads(capsys.readouterr().out)["reason"].startswith("start 1 of 2: ")
+    assert main(["simulate", *SHORT, "--strokes", "2", "--law", "smc", "--learn"]) == 0
+
+
+def test_replay_fails_if_the_run_that_would_have_been_is_not_in_order(capsys):
+    bag = str(BAGS / "smc")
+    assert main(["replay", bag, "--set", "driver.simulated.truth.mass=4", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["recorded"]["verdict"] == found["simulated_as_recorded"]["verdict"] == "in_order"
+    assert found["what_if"]["verdict"] == found["verdict"] == "oscillates"
+    assert main(["replay", bag, "--law", "linear"]) == 0
+    assert capsys.readouterr().out.count("in order: error") == 3
+
+
+def test_a_demonstration_that_is_not_in_order_prints_its_figures_and_fails(tmp_path, capsys, monkeypatch):
+    map_ = load_map(MapParameters())
+    bags = {code: recorded(tmp_path / str(code), (1.0, 1.2), kick) for code, kick in ((0, 0.0), (1, 3e-6))}
+    for code, bag in bags.items():
+        found = evaluate_bag(bag)
+        result = Demonstration(bag, found, map_, evaluate(found.record, map_), {}, judged(bag))
+        monkeypatch.setattr(demo, "demonstrate", lambda *_, result=result: result)
+        assert main(["demo", "-o", str(tmp_path / "out"), "--json"]) == code
+        assert (json.loads(capsys.readouterr().out)["verdict"] == "in_order") == (code == 0)
+        assert main(["demo", "-o", str(tmp_path / "out")]) == code
+        printed = capsys.readouterr().out
+        assert (" ! " in printed) == (code == 1) and f"Verdict: {result.verdict.verdict.replace('_', ' ')}" in printed
+
+
+def test_a_report_begins_with_the_verdict_on_its_run(tmp_path):
+    bag = recorded(tmp_path / "spoilt", (1.0, 1.2), 3e-6)
+    report = tmp_path / "report.html"
+    assert main(["evaluate", str(bag), "--report", str(report)]) == 1
+    assert "<p class=fail>Verdict: starved: stalls of the host (" in report.read_text(encoding="utf-8")
