@@ -46,7 +46,7 @@ demo: setup
 	@exec .venv/bin/straightcomp demo $(ARGS)
 
 # What of the core is only reached through a running graph is not tested well enough: it has a figure of its own.
-CORE := analysis control messages model straightness timing
+CORE := analysis control messages model stage straightness timing
 CORE_FILES := straightcomp_ros/contract.py straightcomp_ros/settings/declaration.py
 comma_separated = $(subst $(space),$(comma),$(strip $(1)))
 # Live nodes share the machine with nothing else; the other tests share out its cores first.

@@ -101,10 +101,9 @@ def row(law: str, figures: LawFigures) -> dict[str, Any]:
 
 
 def chosen_laws(values: Values) -> dict[str, dict[str, dict[str, Any]]]:
-    """Parameters of each row: all laws, then the one with sgn σ; commands act half a sample late."""
-    late = with_values(values, "stage", {"drive.delay": 0.5})
-    chosen = {law: with_values(late, "controller", {"control.law": law}) for law in LAWS}
-    chosen[SGN] = with_values(late, "controller", {"control.law": "smc", "control.smc.boundary_layer": 0.0})
+    """Parameters of each row: all laws, then the one with sgn σ."""
+    chosen = {law: with_values(values, "controller", {"control.law": law}) for law in LAWS}
+    chosen[SGN] = with_values(values, "controller", {"control.law": "smc", "control.smc.boundary_layer": 0.0})
     return chosen
 
 

@@ -50,7 +50,7 @@ from cosmic_ray.operators.operator import Operator
 from cosmic_ray.operators.provider import OperatorProvider
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = ("analysis", "bags", "control", "hardware/can", "model", "safety", "straightness", "timing")
+FOLDERS = ("analysis", "bags", "control", "hardware/can", "model", "safety", "stage", "straightness", "timing")
 EQUIVALENT = ROOT / "test" / "equivalent_mutants.yaml"
 REQUIRED = 0.92
 _PYTEST = "-x -q -p no:rerunfailures -p no:cacheprovider --hypothesis-seed=1 --basetemp=temporary"

@@ -20,7 +20,6 @@ class Table(NamedTuple):
 
     head: str
     law: str
-    delay: float
     node: str
     parameter: str
     rows: tuple[str, ...]
@@ -29,25 +28,25 @@ class Table(NamedTuple):
 
 _BOTH = ("p-p", "step of i_c")
 TABLES = (
-    Table("ε [m/s]", "smc", 0.5, "controller", "control.smc.boundary_layer", tuple(FIGURES),
+    Table("ε [m/s]", "smc", "controller", "control.smc.boundary_layer", tuple(FIGURES),
           (0.0008, 0.0016, 0.0032, 0.004, 0.008)),
-    Table("ωn/2π [Hz]", "smc", 0.5, "controller", "control.smc.natural_frequency", _BOTH,
+    Table("ωn/2π [Hz]", "smc", "controller", "control.smc.natural_frequency", _BOTH,
           (20, 35, 50, 70)),
-    Table("φ [1/s]", "smc", 0.5, "controller", "control.smc.phi", _BOTH, (25, 50, 100, 200, 400)),
-    Table("velocity estimate [Hz]", "smc", 0.5, "controller", "control.smc.velocity_bandwidth", _BOTH, (50, 100, 1000)),
-    Table("allowance", "smc_observer", 1.0, "controller", "control.smc_observer.gain_allowance", _BOTH,
+    Table("φ [1/s]", "smc", "controller", "control.smc.phi", _BOTH, (25, 50, 100, 200, 400)),
+    Table("velocity estimate [Hz]", "smc", "controller", "control.smc.velocity_bandwidth", _BOTH, (50, 100, 1000)),
+    Table("allowance", "smc_observer", "controller", "control.smc_observer.gain_allowance", _BOTH,
           (0.8, 1.2, 1.7, 2.2, 3.0)),
-    Table("bandwidth [Hz]", "smc_observer", 1.0, "controller", "control.smc_observer.bandwidth", _BOTH,
+    Table("bandwidth [Hz]", "smc_observer", "controller", "control.smc_observer.bandwidth", _BOTH,
           (100, 150, 205, 280, 400)),
-    Table("λ [1/s]", "smc_observer", 1.0, "controller", "control.smc_observer.surface", _BOTH,
+    Table("λ [1/s]", "smc_observer", "controller", "control.smc_observer.surface", _BOTH,
           (200, 400, 575, 800, 1200)),
-    Table("κ [1/s]", "smc_observer", 1.0, "controller", "control.smc_observer.reaching", _BOTH,
+    Table("κ [1/s]", "smc_observer", "controller", "control.smc_observer.reaching", _BOTH,
           (200, 300, 396, 600, 900)),
-    Table("delay believed [samples]", "smc_observer", 1.0, "controller", "control.smc_observer.delay", _BOTH,
+    Table("delay believed [samples]", "smc_observer", "controller", "control.smc_observer.delay", _BOTH,
           (0.0, 0.5, 0.88, 1.0)),
-    Table("share m", "smc_observer", 1.0, "controller", "control.smc_observer.velocity_share", _BOTH,
+    Table("share m", "smc_observer", "controller", "control.smc_observer.velocity_share", _BOTH,
           (0.0, 0.15, 0.3, 0.5, 1.0)),
-    Table("true delay [samples]", "smc_observer", 0.5, "stage", "drive.delay", _BOTH, (0.05, 0.5, 1.0, 1.25, 2.0)),
+    Table("true delay [samples]", "smc_observer", "stage", "drive.delay", _BOTH, (0.05, 0.5, 1.0, 1.25, 2.0)),
 )  # fmt: skip
 
 
@@ -57,9 +56,9 @@ def over_starts(values: Values, count: int = STARTS) -> dict[str, Spread]:
     return {row: found[name].scaled(factor) for row, (name, factor, _) in FIGURES.items()}
 
 
-def values_of(shipped: Values, law: str, delay: float, changes: Mapping[str, Mapping[str, Any]]) -> Values:
-    """Parameters of one cell: the shipped ones under ``law`` with a command delay in samples, and ``changes``."""
-    values = with_values(with_values(shipped, "controller", {"control.law": law}), "stage", {"drive.delay": delay})
+def values_of(shipped: Values, law: str, changes: Mapping[str, Mapping[str, Any]]) -> Values:
+    """Parameters of one cell: the shipped ones under ``law``, with ``changes``."""
+    values = with_values(shipped, "controller", {"control.law": law})
     for node, changed in changes.items():
         values = with_values(values, node, changed)
     return values
@@ -67,7 +66,7 @@ def values_of(shipped: Values, law: str, delay: float, changes: Mapping[str, Map
 
 def column(shipped: Values, table: Table, value: float) -> Values:
     """Parameters of one column of ``table``."""
-    return values_of(shipped, table.law, table.delay, {table.node: {table.parameter: value}})
+    return values_of(shipped, table.law, {table.node: {table.parameter: value}})
 
 
 def markdown(shipped: Values, table: Table) -> Iterator[str]:
@@ -92,11 +91,11 @@ def main() -> None:
     shipped = shipped_parameters()
     print("| law | " + " | ".join(FIGURES) + " |\n|---|---|---|---|")
     for law in ("linear", "smc", "smc_observer"):
-        print(line(f"`{law}`", values_of(shipped, law, 0.5, {})), flush=True)
+        print(line(f"`{law}`", values_of(shipped, law, {})), flush=True)
     print(
         line(
             "`smc` without feedforward",
-            values_of(shipped, "smc", 0.5, {"controller": {"control.smc.feedforward": False}}),
+            values_of(shipped, "smc", {"controller": {"control.smc.feedforward": False}}),
         )
     )
     for law in ("smc", "smc_observer"):
@@ -105,9 +104,9 @@ def main() -> None:
                 "stage.friction.coulomb": coulomb,
                 "stage.friction.static": round(1.5 * coulomb, 3),
             }
-            print(line(f"`{law}`, F_C = {coulomb:g} N", values_of(shipped, law, 0.5, {"driver": friction})), flush=True)
+            print(line(f"`{law}`, F_C = {coulomb:g} N", values_of(shipped, law, {"driver": friction})), flush=True)
     for table in TABLES:
-        print(f"\n`{table.law}`, {table.delay:g} samples of delay")
+        print(f"\n`{table.law}`")
         for text in markdown(shipped, table):
             print(text, flush=True)
 
