@@ -17,6 +17,7 @@ from trajectory_msgs.msg import JointTrajectory
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cell.launcher import verb_command
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, recorded_frames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, amplifier_of, fault_of
@@ -64,8 +65,8 @@ def values(short_cycle, tmp_path):
     """A graph whose machine is a board on a hub: slow, and patient with a busy computer."""
     short_cycle["stage"]["rate"] = RATE
     short_cycle["driver"].update(on_hub(short_cycle, str(tmp_path / "bus")))
-    for section in short_cycle.values():
-        section["realtime.priority"] = 0
+    for node in NODE_PARAMETERS:
+        short_cycle[node]["realtime.priority"] = 0
     return short_cycle
 
 

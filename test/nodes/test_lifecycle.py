@@ -102,10 +102,10 @@ def test_a_driver_goes_through_all_states_and_back_and_wrong_transitions_are_ref
     assert not manager.change("driver", "activate")
     assert manager.state("driver") == "unconfigured"
     # What cannot be configured stays as it is; the next attempt takes what was mended.
-    assert manager.set("driver", guide__file="nowhere.csv").successful
+    assert manager.set("driver", simulated__truth__guide="nowhere.csv").successful
     assert not manager.change("driver", "configure")
     assert manager.state("driver") == "unconfigured"
-    assert manager.set("driver", guide__file="config/guide_synthetic.csv").successful
+    assert manager.set("driver", simulated__truth__guide="config/guide_synthetic.csv").successful
     for _ in range(2):
         assert manager.change("driver", "configure") and manager.state("driver") == "inactive"
         assert not manager.enable().success
@@ -135,12 +135,12 @@ def test_a_deactivated_driver_leaves_the_amplifier_off_and_its_fault_latched(loo
 def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
     refused = loop.set("controller", control__law="linear", control__smc__rho=-1.0)
     assert not refused.successful and "control.smc.rho" in refused.reason
-    refused = loop.set("controller", control__law="linear", rate=100)
-    assert not refused.successful and "'rate' is fixed while the node is configured" in refused.reason
+    refused = loop.set("controller", control__law="linear", stage__rate=100)
+    assert not refused.successful and "'stage.rate' is fixed while the node is configured" in refused.reason
     assert loop.switching()  # the law is 'smc' as before
     assert loop.set("controller", control__law="linear", stage__actuator__current_limit=0.5).successful
     loop.until(lambda: not loop.switching())
-    refused = loop.set("feedforward", map__file="nowhere.csv")
+    refused = loop.set("feedforward", stage__guide__file="nowhere.csv")
     assert not refused.successful and "nowhere.csv" in refused.reason
     assert loop.trigger("feedforward/reload_map").success
     assert loop.set("driver", stage__actuator__current_limit=0.95).successful

@@ -24,12 +24,11 @@ from straightcomp_ros.opcua.users import OPERATOR, add_user
 REPOSITORY = Path(__file__).resolve().parents[2]
 SLOW = {
     # Few samples and long timeouts: a machine that is busy with other things stalls.
-    "driver.stage.rate": 200,
+    "stage.rate": 200,
     "driver.simulated.command_timeout": 1.0,
     # At this rate no law holds the platform; what is tried here is the way of the commands.
     "driver.watch.y_limit": 0.1,
     "driver.watch.frozen_current": 100.0,
-    "controller.rate": 200,
     "controller.reference_lead": 1,
     "stage.motion.stroke": 0.02,
     "stage.motion.settle": 0.2,
@@ -60,6 +59,7 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_where_the_stat
     nodes = ("driver", "feedforward", "controller")
     for node in nodes:
         own = {name.removeprefix(f"{node}."): value for name, value in SLOW.items() if name.startswith(f"{node}.")}
+        own |= {name: value for name, value in SLOW.items() if name.startswith("stage.")}
         graph.start(node, own | ({"stage.guide.file": str(survey)} if node == "feedforward" else {}))
     graph.start("opcua", {"opcua.port": port, "opcua.users": str(users), "nodes": " ".join(nodes)})
     wait_for_line(graph, "opcua", "OPC UA at")
