@@ -5,9 +5,9 @@ from straightcomp_ros.control.design import NominalPlant, SlidingDesign, closed_
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.control.margins import (
     StateSpace,
-    _closed,
+    closed_loop,
     _last_stable,
-    _phase_margin,
+    phase_margin,
     linearised,
     loop_margins,
     sampled_plant,
@@ -58,7 +58,7 @@ def test_a_loop_turned_by_its_phase_margin_is_on_the_border_of_stability(name):
 
     def largest(degrees):
         ways = (np.exp(1j * np.radians(sign * degrees)) for sign in (1.0, -1.0))
-        return max(abs(np.linalg.eigvals(_closed(plant, controller, way))).max() for way in ways)
+        return max(abs(np.linalg.eigvals(closed_loop(plant, controller, way))).max() for way in ways)
 
     assert largest(0.97 * margins.phase) < 1.0 < largest(1.03 * margins.phase)
 
@@ -73,7 +73,7 @@ def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
     minus_one = StateSpace(np.zeros((1, 1)), np.zeros(1), np.zeros(1), -1.0)
     half = np.degrees(np.arcsin(k / 2.0))
     expected = 90.0 - half - (2.0 * half if delayed else 0.0)
-    assert _phase_margin(integrator, minus_one, PERIOD) == pytest.approx(expected, abs=0.2)
+    assert phase_margin(integrator, minus_one, PERIOD) == pytest.approx(expected, abs=0.2)
 
 
 def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():

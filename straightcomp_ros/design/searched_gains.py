@@ -1,0 +1,136 @@
+"""What is designed of each law: its gains by name, the closed-form rule that gives a start, and how they are put in.
+
+Lengths of time scale with the loop's dead time
+
+    T_d = delay T + T/2 + 1/(2π f_amplifier),
+
+the command's delay, the mean age of a held command, and the amplifier's lag: with one sample of delay 1.5 T + 1/(2π f).
+A gain that is a rate is a constant over T_d. The constants were found by a search on the shipped stage.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from straightcomp_ros.control.design import reaching_bound
+from straightcomp_ros.control.laws import ControlParameters
+
+Values = Mapping[str, float]
+"""Numbers by dotted name, from ``control.`` on."""
+
+
+@dataclass(frozen=True)
+class SearchedGain:
+    """One gain of a law.
+
+    Attributes:
+        name: dotted, from ``control.`` on.
+        low, high: range of the search, relative to the rule's value, or itself if ``absolute``.
+        absolute: the gain is no rate, and its useful range is the same for all stages.
+    """
+
+    name: str
+    low: float
+    high: float
+    absolute: bool = False
+
+
+_OBSERVER = "control.smc_observer."
+_SMC = "control.smc."
+_LINEAR = (
+    SearchedGain(_SMC + "zeta", 0.3, 3.0, absolute=True),
+    SearchedGain(_SMC + "natural_frequency", 0.2, 5.0),
+    SearchedGain(_SMC + "phi", 0.1, 10.0),
+    SearchedGain(_SMC + "velocity_bandwidth", 0.1, 4.0),
+)
+SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
+    "linear": _LINEAR,
+    "smc": (*_LINEAR, SearchedGain(_SMC + "boundary_layer", 0.2, 10.0)),
+    "smc_observer": (
+        SearchedGain(_OBSERVER + "bandwidth", 0.2, 3.0),
+        SearchedGain(_OBSERVER + "third_pole", 0.3, 5.0, absolute=True),
+        SearchedGain(_OBSERVER + "surface", 0.2, 5.0),
+        SearchedGain(_OBSERVER + "reaching", 0.2, 5.0),
+        SearchedGain(_OBSERVER + "gain_allowance", 1.0, 4.0, absolute=True),
+        SearchedGain(_OBSERVER + "velocity_share", 0.05, 1.0, absolute=True),
+    ),
+}
+"""The gains that are searched, by law; all on a logarithmic scale."""
+
+
+def dead_time(control: ControlParameters, period: float, delay: float) -> float:
+    """T_d in s, for a sampling period in s and a command delay in samples."""
+    return (delay + 0.5) * period + 1.0 / (2.0 * math.pi * control.nominal.amplifier_bandwidth)
+
+
+def rule(law: str, control: ControlParameters, period: float, delay: float) -> dict[str, float]:
+    """The gains of ``law`` in closed form, by dotted name.
+
+    Args:
+        law: its name.
+        control: with the nominal plant.
+        period: s.
+        delay: of a command, in samples.
+    """
+    lag = dead_time(control, period, delay)
+    if law == "smc_observer":
+        return {
+            _OBSERVER + "bandwidth": 0.219 / lag,
+            _OBSERVER + "third_pole": 1.28,
+            # A little less than the true delay: the law may not count on a command that is later than it believes.
+            _OBSERVER + "delay": min(1.0, 0.88 * delay),
+            _OBSERVER + "surface": 0.614 / lag,
+            _OBSERVER + "reaching": 0.423 / lag,
+            _OBSERVER + "gain_allowance": 1.7,
+            _OBSERVER + "velocity_share": 0.3,
+        }
+    lag += 1.0 / (2.0 * math.pi * control.smc.velocity_bandwidth)
+    gains = {
+        _SMC + "zeta": 0.8,
+        _SMC + "natural_frequency": 0.0431 / lag,
+        _SMC + "phi": 0.123 / lag,
+        _SMC + "velocity_bandwidth": control.smc.velocity_bandwidth,
+    }
+    if law == "smc":
+        # (11) first, with the gains above; inside the layer ρ/ε adds to φ.
+        rho = _reaching(with_gains(control, "linear", gains))
+        gains |= {_SMC + "rho": rho, _SMC + "boundary_layer": rho * lag / 0.307}
+    return gains
+
+
+def _reaching(control: ControlParameters) -> float:
+    """The least ρ in m/s² that fulfils (11), and a tenth more."""
+    return 1.1 * reaching_bound(control.smc, control.nominal)
+
+
+def with_gains(control: ControlParameters, law: str, values: Values) -> ControlParameters:
+    """``control`` with the law ``law`` and ``values``; for 'smc' ρ follows from (11) if it is not among them.
+
+    Raises:
+        ParameterError: a value is refused.
+    """
+    changed = {
+        group: dataclasses.replace(getattr(control, group), **_of_group(values, f"control.{group}."))
+        for group in ("smc", "smc_observer")
+    }
+    return dataclasses.replace(control, law=law, **changed)
+
+
+def _of_group(values: Values, prefix: str) -> dict[str, float]:
+    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+
+
+def stiffened(control: ControlParameters) -> ControlParameters:
+    """The law as it is when its friction model explains too little: 'smc_observer' at its stiffest, others as they are."""
+    if control.law != "smc_observer":
+        return control
+    design, factor = control.smc_observer, control.smc_observer.stiffening
+    stiff = dataclasses.replace(
+        design,
+        bandwidth=factor * design.bandwidth,
+        surface=factor * design.surface,
+        reaching=factor * design.reaching,
+        stiffening=1.0,
+    )
+    return dataclasses.replace(control, smc_observer=stiff)
