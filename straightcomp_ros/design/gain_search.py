@@ -1,0 +1,83 @@
+"""Search for gains by CMA-ES, in logarithms, with the same result for the same seed on one machine.
+
+CMA-ES (Hansen and Ostermeier, Evolutionary Computation 9(2), 2001; the package `cma`) ranks candidates only, so that
+neither the noise of a peak-to-peak nor the step to infeasible gains disturbs it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from straightcomp_ros.design.judged_gains import Judge, Judgement
+from straightcomp_ros.design.searched_gains import SEARCHED, SearchedGain
+
+_FIRST_STEP = 0.25
+"""Standard deviation of the first candidates' logarithms: a quarter of the gain."""
+_POPULATION = 10
+
+
+class Found(NamedTuple):
+    """Gains by dotted name, and what they are worth."""
+
+    gains: Mapping[str, float]
+    judgement: Judgement
+
+
+def search(
+    judge: Judge,
+    start: Mapping[str, float],
+    *,
+    evaluations: int,
+    seed: int = 1,
+    jobs: int = -1,
+    step: float = _FIRST_STEP,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> list[Found]:
+    """The candidates that were judged, the best first; ``start`` is among them.
+
+    Args:
+        judge: of the stage.
+        start: gains by dotted name; those that are not searched stay.
+        evaluations: candidates, about.
+        seed: of the candidates.
+        jobs: processes; −1 takes all cores. The result does not depend on it.
+        step: standard deviation of the first candidates' logarithms.
+        progress: called with the fraction that is done.
+    """
+    from cma import CMAEvolutionStrategy
+
+    searched = [gain for gain in SEARCHED[judge.law] if gain.name in start]
+    bounds = [_bounds(gain, start[gain.name]) for gain in searched]
+    first = [min(max(math.log(start[gain.name]), low), high) for gain, (low, high) in zip(searched, bounds, strict=True)]
+    strategy = CMAEvolutionStrategy(
+        first,
+        step,
+        {
+            "seed": seed,
+            "popsize": _POPULATION,
+            "bounds": [list(side) for side in zip(*bounds, strict=True)],
+            "verbose": -9,
+        },
+    )
+
+    def gains_of(logarithms: "np.typing.NDArray[np.float64]") -> dict[str, float]:
+        return {**start, **{gain.name: math.exp(x) for gain, x in zip(searched, logarithms, strict=True)}}
+
+    found = [Found(dict(start), judge.judge(start))]
+    with Parallel(n_jobs=jobs, backend="loky") as parallel:
+        while len(found) < evaluations and not strategy.stop():
+            candidates = strategy.ask()
+            gains = [gains_of(candidate) for candidate in candidates]
+            judgements = parallel(delayed(judge.judge)(one) for one in gains)
+            strategy.tell(candidates, [judgement.cost for judgement in judgements])
+            found += map(Found, gains, judgements)
+            progress(min(1.0, len(found) / evaluations))
+    return sorted(found, key=lambda one: one.judgement.cost)
+
+
+def _bounds(gain: SearchedGain, start: float) -> tuple[float, float]:
+    scale = 1.0 if gain.absolute else start
+    return math.log(gain.low * scale), math.log(gain.high * scale)
