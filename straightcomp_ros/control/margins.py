@@ -152,10 +152,10 @@ def loop_margins(
         return Margins(poles(), 1.0, 1.0, 0.0, 0.0)
     return Margins(
         poles(),
-        _last_stable(stable, 1.0, 0.0),
-        _last_stable(stable, 1.0, 20.0),
+        last_stable(stable, 1.0, 0.0),
+        last_stable(stable, 1.0, 20.0),
         phase_margin(plant(), controller, period),
-        _last_stable(lambda x: stable(at=x), delay, delay + 10.0 * period),
+        last_stable(lambda x: stable(at=x), delay, delay + 10.0 * period),
     )
 
 
@@ -170,7 +170,7 @@ def closed_loop(plant: StateSpace, controller: StateSpace, gain: float = 1.0) ->
     return np.block([top, [np.outer(controller.b, plant.c), controller.a]])
 
 
-def _last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:
+def last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:
     """The last stable value on the way from ``inside``, which is stable, to ``outside``."""
     # In small steps first: beyond the border there may be another stable stretch.
     last = inside

@@ -35,7 +35,8 @@ _SHARE_EXTREME = 0.15
 _PP_PER_RMS = 6.0
 _WORK_WEIGHT = 2.0
 _LINE = 0.25
-"""A held line above this fraction of the p-p of the stage as described, and above a count, is a limit cycle."""
+"""A held line of an amplitude above this fraction of the run's p-p, and above a count, is a limit cycle: it makes half
+of the error. No fixed length would serve encoders of 5 nm and of 0.5 µm."""
 _SILENT = 0.02
 """At rest, the RMS step of the current that is taken for silence, in units of the current that carries friction."""
 
@@ -97,12 +98,12 @@ class Judge:
             return Judgement(_UNSTABLE, *infinite)
         accuracy = (1.0 - _SHARE_RMS) * math.log(pp) + _SHARE_RMS * math.log(_PP_PER_RMS * rms)
         cost = accuracy + self.quiet * _WORK_WEIGHT * math.log1p(work / self.work_scale)
-        cost += self._penalty(nominal, pp)
+        cost += self._penalty(nominal)
         if self.law == "smc_observer" and rest > _SILENT * self.work_scale:
             cost += 0.1 + math.log(rest / (_SILENT * self.work_scale))
-        return Judgement(cost + self._extreme(law, accuracy, pp), pp, rms, work, rest)
+        return Judgement(cost + self._extreme(law, accuracy), pp, rms, work, rest)
 
-    def _extreme(self, law: Law, accuracy: float, pp: float) -> float:
+    def _extreme(self, law: Law, accuracy: float) -> float:
         """What the extreme machines add to the cost."""
         runs = [
             self.short.run(law, machine.delay * self.period, plant=machine.plant) for machine in self.extremes
@@ -110,13 +111,22 @@ class Judge:
         if not all(math.isfinite(run.pp) for run in runs):
             return 0.5 * _UNSTABLE
         mean = float(np.mean([math.log(run.pp) for run in runs]))
-        return _SHARE_EXTREME * (mean - accuracy) + self._penalty(runs, pp)
+        return _SHARE_EXTREME * (mean - accuracy) + self._penalty(runs)
 
-    def _penalty(self, runs: list[RunFigures], pp: float) -> float:
+    def _penalty(self, runs: list[RunFigures]) -> float:
         """For each limit cycle by its size, for each platform that met its stop."""
-        limit = max(self.course.plant.encoder.resolution, _LINE * pp)
-        lines = sum(0.3 + math.log(run.oscillation / limit) for run in runs if run.oscillation > limit)
-        return lines + sum(run.excursion >= self.course.plant.stop for run in runs)
+        plant = self.course.plant
+        lines = 0.0
+        for run in runs:
+            limit = oscillation_limit(run.pp, plant.encoder.resolution)
+            if run.oscillation > limit:
+                lines += 0.3 + math.log(run.oscillation / limit)
+        return lines + sum(run.excursion >= plant.stop for run in runs)
+
+
+def oscillation_limit(pp: float, count: float) -> float:
+    """Amplitude in m above which a held line is a limit cycle, for a run of ``pp`` in m and an encoder of ``count`` m."""
+    return max(count, _LINE * pp)
 
 
 def _mean(runs: list[RunFigures], name: str) -> float:

@@ -99,6 +99,12 @@ def rule(law: str, control: ControlParameters, period: float, delay: float) -> d
     return gains
 
 
+def scaled(law: str, gains: Values, factor: float) -> dict[str, float]:
+    """``gains`` with those of ``law`` that are rates times ``factor``."""
+    rates = {gain.name for gain in SEARCHED[law] if not gain.absolute}
+    return {name: factor * value if name in rates else value for name, value in gains.items()}
+
+
 def _reaching(control: ControlParameters) -> float:
     """The least ρ in m/s² that fulfils (11), and a tenth more."""
     return 1.1 * reaching_bound(control.smc, control.nominal)

@@ -28,7 +28,7 @@ _GRID = 400
 
 @dataclass(frozen=True)
 class Demands:
-    """What is demanded; ``tightness`` of 1 is the default, more is stricter.
+    """What is demanded of the loop.
 
     Attributes:
         gain_low, gain_high: factors of the loop gain at which the law must be stable.
@@ -74,16 +74,15 @@ class StabilityCheck:
     Args:
         scenario: the stage.
         demands: what is asked for.
-        delay: of a command in samples, in place of the driver's `lockstep_delay`.
     """
 
-    def __init__(self, scenario: Scenario, demands: Demands = Demands(), delay: float | None = None) -> None:
+    def __init__(self, scenario: Scenario, demands: Demands = Demands()) -> None:
         control = next(iter(scenario.controls.values()))
-        self._delay = scenario.driver.lockstep_delay if delay is None else delay
+        self._delay = scenario.driver.lockstep_delay
         self._period = scenario.period_ns * 1e-9
         self._phase = demands.phase
         self._dead_time = dead_time(control, self._period, self._delay)
-        latest = max(self._delay, scenario.uncertainty.longest_delay) if delay is None else self._delay
+        latest = max(self._delay, scenario.uncertainty.longest_delay)
         nominal = control.nominal
         plain = self._sampled(nominal, self._delay)
         self._nominal = plain

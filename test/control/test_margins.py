@@ -6,7 +6,7 @@ from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, mak
 from straightcomp_ros.control.margins import (
     StateSpace,
     closed_loop,
-    _last_stable,
+    last_stable,
     phase_margin,
     linearised,
     loop_margins,
@@ -109,6 +109,6 @@ def test_the_sampled_plant_answers_a_constant_current_after_its_delay_as_the_con
 
 def test_the_border_of_stability_is_the_one_next_to_the_stable_value():
     # From 0 to 99 in steps of 1, the first of them too; beyond the gap it is stable again.
-    assert _last_stable(lambda value: not 0.75 < value < 1.5, 0.0, 99.0) == pytest.approx(0.75, abs=1e-9)
-    assert _last_stable(lambda value: value < 98.25, 0.0, 99.0) == pytest.approx(98.25, abs=1e-9)
-    assert _last_stable(lambda value: True, 0.0, 99.0) == 99.0
+    assert last_stable(lambda value: not 0.75 < value < 1.5, 0.0, 99.0) == pytest.approx(0.75, abs=1e-9)
+    assert last_stable(lambda value: value < 98.25, 0.0, 99.0) == pytest.approx(98.25, abs=1e-9)
+    assert last_stable(lambda value: True, 0.0, 99.0) == 99.0
