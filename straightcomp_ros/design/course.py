@@ -96,7 +96,8 @@ class Course:
             self.given,
             np.zeros(self.stamps.size),
         )
-        initial = PlantState(y=self.initial_y + start_offset(start, plant.encoder.resolution))
+        # The course's own count, so that an ideal encoder gets the same starts.
+        initial = PlantState(y=self.initial_y + start_offset(start, self.plant.encoder.resolution))
         cycle = run_cycle(law, plant, conditions, initial, self.hold)
         if cycle.current.size < self.stamps.size:
             return _BROKEN
@@ -123,7 +124,10 @@ def _rms_step(current: NDArray[np.float64]) -> float:
 
 
 def course_of(
-    scenario: Scenario, trajectory: Trajectory | None = None, stamps: NDArray[np.int64] | None = None, ideal: bool = False
+    scenario: Scenario,
+    trajectory: Trajectory | None = None,
+    stamps: NDArray[np.int64] | None = None,
+    ideal: bool = False,
 ) -> Course:
     """The course of a stage.
 
@@ -150,13 +154,13 @@ def course_of(
         x = readings(board.plant.encoder.resolution, true_x)
         measured = references(straightness, scenario.feedforward, stamps, x)
         given = served(measured, stamps, scenario.lead_ns)
-    strokes = find_motion(
-        StrokeRecord(time=stamps * 1e-9, x=x, y=r, r=r, current=np.zeros_like(r), law="")
-    )
+    strokes = find_motion(StrokeRecord(time=stamps * 1e-9, x=x, y=r, r=r, current=np.zeros_like(r), law=""))
     resting = math.ceil(_RESTING * 1e9 / moved.period_ns)
     rest = slice(0, 0)
     if len(strokes.strokes) > 1:
-        rest = slice(strokes.strokes[0].stop + resting, max(strokes.strokes[0].stop + resting, strokes.strokes[1].start))
+        rest = slice(
+            strokes.strokes[0].stop + resting, max(strokes.strokes[0].stop + resting, strokes.strokes[1].start)
+        )
     pitch = float(np.median(np.diff(scenario.survey.runs[0].x)))
     top_speed = float(np.abs(np.diff(true_x)).max()) / (moved.period_ns * 1e-9)
     return Course(

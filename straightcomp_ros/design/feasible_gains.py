@@ -150,9 +150,7 @@ def _with_amplifier(scenario: Scenario, bandwidth: float) -> Scenario:
         return dataclasses.replace(plant, drive=dataclasses.replace(plant.drive, bandwidth=bandwidth))
 
     def believed(control: ControlParameters) -> ControlParameters:
-        return dataclasses.replace(
-            control, nominal=dataclasses.replace(control.nominal, amplifier_bandwidth=bandwidth)
-        )
+        return dataclasses.replace(control, nominal=dataclasses.replace(control.nominal, amplifier_bandwidth=bandwidth))
 
     return _with_plant(scenario, changed, believed)
 

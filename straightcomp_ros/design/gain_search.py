@@ -5,17 +5,16 @@ neither the noise of a peak-to-peak nor the step to infeasible gains disturbs it
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
 from joblib import Parallel, delayed
 
 from straightcomp_ros.design.judged_gains import Judge, Judgement
 from straightcomp_ros.design.searched_gains import SEARCHED, SearchedGain
 
-_FIRST_STEP = 0.25
-"""Standard deviation of the first candidates' logarithms: a quarter of the gain."""
+_FIRST_STEP = 0.2
+"""Standard deviation of the first candidates' logarithms: a fifth of the gain."""
 _POPULATION = 10
 
 
@@ -28,7 +27,7 @@ class Found(NamedTuple):
 
 def search(
     judge: Judge,
-    start: Mapping[str, float],
+    starts: Sequence[Mapping[str, float]],
     *,
     evaluations: int,
     seed: int = 1,
@@ -36,11 +35,11 @@ def search(
     step: float = _FIRST_STEP,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Found]:
-    """The candidates that were judged, the best first; ``start`` is among them.
+    """The candidates that were judged, the best first; ``starts`` are among them, and the search begins at their best.
 
     Args:
         judge: of the stage.
-        start: gains by dotted name; those that are not searched stay.
+        starts: gains by dotted name, of the same names; those that are not searched stay as in the first.
         evaluations: candidates, about.
         seed: of the candidates.
         jobs: processes; −1 takes all cores. The result does not depend on it.
@@ -49,25 +48,29 @@ def search(
     """
     from cma import CMAEvolutionStrategy
 
-    searched = [gain for gain in SEARCHED[judge.law] if gain.name in start]
-    bounds = [_bounds(gain, start[gain.name]) for gain in searched]
-    first = [min(max(math.log(start[gain.name]), low), high) for gain, (low, high) in zip(searched, bounds, strict=True)]
-    strategy = CMAEvolutionStrategy(
-        first,
-        step,
-        {
-            "seed": seed,
-            "popsize": _POPULATION,
-            "bounds": [list(side) for side in zip(*bounds, strict=True)],
-            "verbose": -9,
-        },
-    )
+    rule = starts[0]
+    searched = [gain for gain in SEARCHED[judge.law] if gain.name in rule]
+    bounds = [_bounds(gain, rule[gain.name]) for gain in searched]
 
-    def gains_of(logarithms: "np.typing.NDArray[np.float64]") -> dict[str, float]:
-        return {**start, **{gain.name: math.exp(x) for gain, x in zip(searched, logarithms, strict=True)}}
+    def gains_of(logarithms: Iterable[float]) -> dict[str, float]:
+        return {**rule, **{gain.name: math.exp(x) for gain, x in zip(searched, logarithms, strict=True)}}
 
-    found = [Found(dict(start), judge.judge(start))]
     with Parallel(n_jobs=jobs, backend="loky") as parallel:
+        found = list(map(Found, map(dict, starts), parallel(delayed(judge.judge)(one) for one in starts)))
+        begin = min(found, key=lambda one: one.judgement.cost).gains
+        first = [
+            min(max(math.log(begin[gain.name]), low), high) for gain, (low, high) in zip(searched, bounds, strict=True)
+        ]
+        strategy = CMAEvolutionStrategy(
+            first,
+            step,
+            {
+                "seed": seed,
+                "popsize": _POPULATION,
+                "bounds": [list(side) for side in zip(*bounds, strict=True)],
+                "verbose": -9,
+            },
+        )
         while len(found) < evaluations and not strategy.stop():
             candidates = strategy.ask()
             gains = [gains_of(candidate) for candidate in candidates]

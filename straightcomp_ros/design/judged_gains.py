@@ -105,9 +105,7 @@ class Judge:
 
     def _extreme(self, law: Law, accuracy: float) -> float:
         """What the extreme machines add to the cost."""
-        runs = [
-            self.short.run(law, machine.delay * self.period, plant=machine.plant) for machine in self.extremes
-        ]
+        runs = [self.short.run(law, machine.delay * self.period, plant=machine.plant) for machine in self.extremes]
         if not all(math.isfinite(run.pp) for run in runs):
             return 0.5 * _UNSTABLE
         mean = float(np.mean([math.log(run.pp) for run in runs]))

@@ -59,6 +59,39 @@ SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
 """The gains that are searched, by law; all on a logarithmic scale."""
 
 
+_ENDS = (
+    # Where searches ended on other stages: bandwidth, λ, κ relative to the rule; third pole, allowance, share m.
+    (0.51, 0.83, 2.63, 1.28, 1.76, 0.83),  # an encoder of 5 nm
+    (0.21, 0.87, 2.86, 0.55, 1.41, 0.56),  # 20 kg
+    (2.19, 1.09, 0.57, 2.07, 1.59, 0.29),  # 1 kHz
+    (0.53, 0.43, 1.36, 0.78, 1.77, 0.34),  # an encoder of 0.5 µm
+    (2.51, 0.36, 4.42, 0.42, 1.96, 0.30),  # an amplifier of 150 Hz
+    (1.68, 0.60, 0.67, 1.04, 1.56, 0.24),  # four times the friction
+    (0.20, 0.42, 0.82, 0.83, 1.12, 0.51),  # 8 kHz and an encoder of 5 nm
+)
+_FACTORS = (0.5, 0.7, 1.4, 2.0)
+
+
+def starts(law: str, gains: Values) -> list[dict[str, float]]:
+    """Gains from which a search may begin, the rule's ``gains`` first: the best of them is in the right valley."""
+    if law != "smc_observer":
+        return [dict(gains), *(scaled(law, gains, factor) for factor in _FACTORS)]
+    found = [dict(gains)]
+    for bandwidth, surface, reaching, third_pole, allowance, share in _ENDS:
+        found.append(
+            {
+                **gains,
+                _OBSERVER + "bandwidth": bandwidth * gains[_OBSERVER + "bandwidth"],
+                _OBSERVER + "surface": surface * gains[_OBSERVER + "surface"],
+                _OBSERVER + "reaching": reaching * gains[_OBSERVER + "reaching"],
+                _OBSERVER + "third_pole": third_pole,
+                _OBSERVER + "gain_allowance": allowance,
+                _OBSERVER + "velocity_share": share,
+            }
+        )
+    return found
+
+
 def dead_time(control: ControlParameters, period: float, delay: float) -> float:
     """T_d in s, for a sampling period in s and a command delay in samples."""
     return (delay + 0.5) * period + 1.0 / (2.0 * math.pi * control.nominal.amplifier_bandwidth)
