@@ -26,6 +26,7 @@ from straightcomp_ros.offline.sweep.starts import spread
 
 FOUND = STAGES / "found_gains.yaml"
 LAW = "smc_observer"
+COUNTS = ("failed, limit cycles, lines", "rounds")
 SEEDS = (11, 12, 13)
 """Of the searches from which the best is kept."""
 
@@ -104,10 +105,9 @@ def main(arguments: list[str] | None = None) -> int:
         for name in names:
             search_long(name, options.evaluations)
         return 0
-    print(
-        "| stage | shipped gains | closed form | design | p50 / p95 / worst | failed, cycles, lines | rounds | found | s |"
-    )
-    print("|---" * 9 + "|")
+    heads = ("stage", "shipped gains", "closed form", "design", "p50 / p95 / worst", *COUNTS, "found", "s")
+    print(f"| {' | '.join(heads)} |")
+    print("|---" * len(heads) + "|")
     for name in names:
         print(row(name, options.quiet, options.law, options.evaluations), flush=True)
     return 0

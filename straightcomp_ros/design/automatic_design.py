@@ -27,7 +27,7 @@ from straightcomp_ros.design.following_parameters import following
 from straightcomp_ros.design.gain_search import Found, search
 from straightcomp_ros.design.judged_gains import Judge, judge_of
 from straightcomp_ros.design.searched_gains import rule, starts, with_gains
-from straightcomp_ros.design.stability_demands import Demands
+from straightcomp_ros.design.stability_demands import STANDARD, Demands
 from straightcomp_ros.design.verified_design import Verification, verify
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.offline.sweep.starts import Spread, spread
@@ -104,7 +104,7 @@ def design_gains(
     quiet: float = SHIPPED_QUIET,
     evaluations: int = _EVALUATIONS,
     machines: int = _MACHINES,
-    demands: Demands = Demands(),
+    demands: Demands = STANDARD,
     seed: int = 1,
     jobs: int = -1,
     progress: Progress = lambda part, fraction: None,
@@ -165,7 +165,7 @@ def design_gains(
             demands = held
         if verification.holds:
             break
-        held, begin = held.tightened(_TIGHTER), [*starts(law, start), best.gains]
+        held, begin = held.tightened(_TIGHTER), [*starts(law, start), dict(best.gains)]
     assert kept is not None  # the demands of the first round are feasible
     verification, best, judge = kept
     control = with_gains(judge.control, law, best.gains)
@@ -208,4 +208,4 @@ def _figures(judge: Judge, full: Course, gains: Mapping[str, float]) -> DesignFi
     return DesignFigures(*(spread(getattr(run, name) for run in runs) for name in ("pp", "rms", "work", "rest_work")))
 
 
-__all__ = ["Design", "DesignError", "DesignFigures", "SHIPPED_QUIET", "closed_form", "design_gains"]
+__all__ = ["SHIPPED_QUIET", "Design", "DesignError", "DesignFigures", "closed_form", "design_gains"]

@@ -1,6 +1,7 @@
 """Strokes for a design: what does not depend on the gains is computed once, then each run takes a tenth of a second."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -154,7 +155,9 @@ def course_of(
         x = readings(board.plant.encoder.resolution, true_x)
         measured = references(straightness, scenario.feedforward, stamps, x)
         given = served(measured, stamps, scenario.lead_ns)
-    strokes = find_motion(StrokeRecord(time=stamps * 1e-9, x=x, y=r, r=r, current=np.zeros_like(r), law=""))
+    strokes = find_motion(
+        StrokeRecord(time=np.asarray(stamps * 1e-9, dtype=np.float64), x=x, y=r, r=r, current=np.zeros_like(r), law="")
+    )
     resting = math.ceil(_RESTING * 1e9 / moved.period_ns)
     rest = slice(0, 0)
     if len(strokes.strokes) > 1:
@@ -183,7 +186,7 @@ def motion_of(trajectory: Trajectory) -> MotionParameters:
     far = max(points, key=lambda point: abs(point[1] - start))[1]
     peak = max(points, key=lambda point: abs(point[2]))
     before = points[points.index(peak) - 1]
-    at_rest = [(a, b) for a, b in zip(points, points[1:], strict=False) if a[1] == b[1] and a[2] == b[2] == 0.0]
+    at_rest = [(a, b) for a, b in itertools.pairwise(points) if a[1] == b[1] and a[2] == b[2] == 0.0]
     pauses = [(b[0] - a[0]) * 1e-9 for a, b in at_rest if a[1] == far]
     settles = [(b[0] - a[0]) * 1e-9 for a, b in at_rest if a[1] == start]
     return MotionParameters(

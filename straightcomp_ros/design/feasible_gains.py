@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.design.searched_gains import SEARCHED, rule, scaled, with_gains
-from straightcomp_ros.design.stability_demands import Demands, StabilityCheck
+from straightcomp_ros.design.stability_demands import STANDARD, Demands, StabilityCheck
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.settings.declaration import ParameterError
@@ -27,7 +27,7 @@ def feasible_gains(
     scenario: Scenario,
     law: str,
     start: Mapping[str, float],
-    demands: Demands = Demands(),
+    demands: Demands = STANDARD,
     *,
     evaluations: int = _EVALUATIONS,
     seed: int = 1,
@@ -78,7 +78,7 @@ class _Change(NamedTuple):
     apply: Callable[[Scenario, float], Scenario]
 
 
-def refusal(scenario: Scenario, law: str, demands: Demands = Demands(), *, seed: int = 1) -> DesignError:
+def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: int = 1) -> DesignError:
     """The error for a stage on which :func:`feasible_gains` found none: each single change that would help.
 
     Some 20 s of work: each change is bisected with a search at each step.

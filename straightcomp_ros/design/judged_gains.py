@@ -3,8 +3,8 @@
     cost = accuracy + quiet · 2 ln(1 + work / scale) + penalties
 
 accuracy is the mean of ln p-p over some starts of the stage as described, with a share of ln RMS, which moves less from
-start to start, and a share of ln p-p on the extreme machines. work is the RMS step of the current from sample to sample;
-its scale is the current that carries Coulomb friction, F_C / K̄_i, which the stage needs in any case.
+start to start, and a share of ln p-p on the extreme machines. work is the RMS step of the current from sample to
+sample; its scale is the current that carries Coulomb friction, F_C / K̄_i, which the stage needs in any case.
 """
 
 import math
@@ -19,7 +19,7 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.design.course import Course, RunFigures, course_of, shortened
 from straightcomp_ros.design.extreme_machines import Extreme, extreme_machines
 from straightcomp_ros.design.searched_gains import with_gains
-from straightcomp_ros.design.stability_demands import Demands, StabilityCheck
+from straightcomp_ros.design.stability_demands import STANDARD, Demands, StabilityCheck
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.settings.declaration import ParameterError
 
@@ -123,7 +123,7 @@ class Judge:
 
 
 def oscillation_limit(pp: float, count: float) -> float:
-    """Amplitude in m above which a held line is a limit cycle, for a run of ``pp`` in m and an encoder of ``count`` m."""
+    """Amplitude in m above which a held line is a limit cycle, for a run of ``pp`` and a ``count``, m."""
     return max(count, _LINE * pp)
 
 
@@ -131,7 +131,7 @@ def _mean(runs: list[RunFigures], name: str) -> float:
     return float(np.mean([getattr(run, name) for run in runs]))
 
 
-def judge_of(scenario: Scenario, law: str, quiet: float, demands: Demands = Demands()) -> Judge:
+def judge_of(scenario: Scenario, law: str, quiet: float, demands: Demands = STANDARD) -> Judge:
     """The judge of gains of ``law`` on the stage of ``scenario``; ``quiet`` from 0 to 1."""
     period, delay = scenario.period_ns * 1e-9, scenario.driver.lockstep_delay
     return Judge(

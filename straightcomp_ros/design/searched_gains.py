@@ -161,7 +161,7 @@ def _of_group(values: Values, prefix: str) -> dict[str, float]:
 
 
 def stiffened(control: ControlParameters) -> ControlParameters:
-    """The law as it is when its friction model explains too little: 'smc_observer' at its stiffest, others as they are."""
+    """The law as it is when its friction model explains too little: 'smc_observer' stiffest, others as they are."""
     if control.law != "smc_observer":
         return control
     design, factor = control.smc_observer, control.smc_observer.stiffening

@@ -1,9 +1,9 @@
 """What a design must hold in the linear loop, and by how much gains miss it.
 
-The law is linearised as in `control/margins.py` and closed over plants that are sampled once for a stage: the nominal one
-with more and less gain and with later commands, and one for each corner of the uncertainty of mass, force and air gap.
-Friction is left out: in truth it helps. Growth and decay are compared in units of the loop's dead time T_d, so that the
-same numbers hold for every stage.
+The law is linearised as in `control/margins.py` and closed over plants that are sampled once for a stage: the nominal
+one with more and less gain and with later commands, and one for each corner of the uncertainty of mass, force and air
+gap. Friction is left out: in truth it helps. Growth and decay are compared in units of the loop's dead time T_d, so
+that the same numbers hold for every stage.
 """
 
 import dataclasses
@@ -59,6 +59,10 @@ class Demands:
         )
 
 
+STANDARD = Demands()
+"""The demands of a design, unless others are asked for."""
+
+
 class _Case(NamedTuple):
     """One loop that must be stable: which, its plant, the gain, and the least decay in 1/T_d."""
 
@@ -76,7 +80,7 @@ class StabilityCheck:
         demands: what is asked for.
     """
 
-    def __init__(self, scenario: Scenario, demands: Demands = Demands()) -> None:
+    def __init__(self, scenario: Scenario, demands: Demands = STANDARD) -> None:
         control = next(iter(scenario.controls.values()))
         self._delay = scenario.driver.lockstep_delay
         self._period = scenario.period_ns * 1e-9

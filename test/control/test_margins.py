@@ -7,9 +7,9 @@ from straightcomp_ros.control.margins import (
     StateSpace,
     closed_loop,
     last_stable,
-    phase_margin,
     linearised,
     loop_margins,
+    phase_margin,
     sampled_plant,
 )
 
