@@ -65,15 +65,16 @@ def figures_of(scenario: Scenario, control: ControlParameters) -> str:
     return f"{pp.median * 1e6:.3f} / {work.median * 1e3:.2f}"
 
 
-def row(name: str, quiet: float, law: str, evaluations: int) -> str:
+def row(name: str, quiet: float, law: str, evaluations: int, machines: int) -> str:
     """One line of the table."""
     scenario = stage_scenario(name)
     shipped = figures_of(scenario, with_gains(next(iter(scenario.controls.values())), law, {}))
     began = time.monotonic()
     try:
-        design = design_gains(scenario, law, quiet=quiet, evaluations=evaluations)
+        design = design_gains(scenario, law, quiet=quiet, evaluations=evaluations, machines=machines)
     except DesignError as error:
         return f"| {name} | {shipped} | refused: {error} |"
+    print(name, {gain: float(f"{value:.5g}") for gain, value in design.values.items()}, file=sys.stderr, flush=True)
     kept = found_gains().get(name) if law == LAW else None
     found = figures(scenario, kept) if kept else ""
     return f"| {name} | {shipped} | {designed(design)} | {found} | {time.monotonic() - began:.0f} |"
@@ -94,6 +95,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("stages", nargs="*", help="names of stages; all if none")
     parser.add_argument("--search", action="store_true", help="a long search, kept in test/stages/found_gains.yaml")
     parser.add_argument("--evaluations", type=int, default=200, help="candidates of each search")
+    parser.add_argument("--machines", type=int, default=200, help="uncertain machines of the verification")
     parser.add_argument("--quiet", type=float, default=0.0, help="0 for the least error, 1 for the quietest coils")
     parser.add_argument("--law", default=LAW, help="law to design")
     options = parser.parse_args(arguments)
@@ -109,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"| {' | '.join(heads)} |")
     print("|---" * len(heads) + "|")
     for name in names:
-        print(row(name, options.quiet, options.law, options.evaluations), flush=True)
+        print(row(name, options.quiet, options.law, options.evaluations, options.machines), flush=True)
     return 0
 
 

@@ -115,7 +115,7 @@ def design_gains(
         scenario: the stage with its uncertainty; its controls give the nominal plant, their gains are not read.
         law: name of the law.
         quiet: 0 for the least error, 1 for the quietest coils.
-        evaluations: candidates of each search.
+        evaluations: candidates of the first search; half as many of one after a failed verification.
         machines: of the verification.
         demands: of the linear loop.
         seed: of all random numbers; the same seed gives the same design on the same processor.
@@ -146,7 +146,7 @@ def design_gains(
         found = search(
             judge,
             [*begin, tighter],
-            evaluations=evaluations,
+            evaluations=evaluations if rounds == 1 else evaluations // 2,
             seed=seed + rounds - 1,
             jobs=jobs,
             progress=lambda fraction: progress("search", fraction),

@@ -22,7 +22,8 @@ _STARTS = 3
 _FINE = 1e-3
 """Of the count: an encoder that is taken for ideal."""
 _DAC_BITS = 24
-_FRICTIONLESS = 1e-4
+_FRICTIONLESS = 1e-2
+"""Of the friction: nearly none. The platform then also misses the damping that friction gives."""
 _AMPLIFIER = 10.0
 
 
@@ -97,7 +98,7 @@ def _variants(scenario: Scenario, law: str, gains: Mapping[str, float], seed: in
         _Variant("ideal D/A converter", course, dataclasses.replace(plant, drive=converter), control, delay),
         _Variant("ideal encoder of y and D/A converter", course, exact_sensors, control, delay),
         _Variant("friction known from the start", course, plant, with_gains(base, law, known), delay),
-        _Variant("no friction", course, smooth, believed, delay),
+        _Variant("a hundredth of the friction", course, smooth, believed, delay),
         _Variant("commands that act at once, gains faster to match", course, plant, at_once, 0.0),
         _Variant(
             f"amplifier {_AMPLIFIER:g} times as fast, gains faster to match",
@@ -119,7 +120,10 @@ def _without_friction(plant: PlantParameters, control: ControlParameters) -> tup
     lugre: LuGreParameters = dataclasses.replace(design.lugre, **less)
     return (
         dataclasses.replace(plant, friction=dataclasses.replace(friction, **less)),
-        dataclasses.replace(control, smc_observer=dataclasses.replace(design, lugre=lugre)),
+        # The misfit is relative to F_C: it must not stiffen the law at the encoder's noise.
+        dataclasses.replace(
+            control, smc_observer=dataclasses.replace(design, lugre=lugre, misfit=design.misfit / _FRICTIONLESS)
+        ),
     )
 
 

@@ -82,5 +82,5 @@ def search(
 
 
 def _bounds(gain: SearchedGain, start: float) -> tuple[float, float]:
-    scale = 1.0 if gain.absolute else start
+    scale = start if gain.power else 1.0
     return math.log(gain.low * scale), math.log(gain.high * scale)

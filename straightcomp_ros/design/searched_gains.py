@@ -26,34 +26,34 @@ class SearchedGain:
 
     Attributes:
         name: dotted, from ``control.`` on.
-        low, high: range of the search, relative to the rule's value, or itself if ``absolute``.
-        absolute: the gain is no rate, and its useful range is the same for all stages.
+        low, high: range of the search, relative to the rule's value; itself if ``power`` is 0.
+        power: of 1/T_d with which the gain grows; 0 for a gain whose useful range is the same for all stages.
     """
 
     name: str
     low: float
     high: float
-    absolute: bool = False
+    power: int = 1
 
 
 _OBSERVER = "control.smc_observer."
 _SMC = "control.smc."
 _LINEAR = (
-    SearchedGain(_SMC + "zeta", 0.3, 3.0, absolute=True),
+    SearchedGain(_SMC + "zeta", 0.3, 3.0, power=0),
     SearchedGain(_SMC + "natural_frequency", 0.2, 5.0),
     SearchedGain(_SMC + "phi", 0.1, 10.0),
     SearchedGain(_SMC + "velocity_bandwidth", 0.1, 4.0),
 )
 SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
     "linear": _LINEAR,
-    "smc": (*_LINEAR, SearchedGain(_SMC + "boundary_layer", 0.2, 10.0)),
+    "smc": (*_LINEAR, SearchedGain(_SMC + "boundary_layer", 0.2, 10.0, power=-1)),
     "smc_observer": (
         SearchedGain(_OBSERVER + "bandwidth", 0.2, 3.0),
-        SearchedGain(_OBSERVER + "third_pole", 0.3, 5.0, absolute=True),
+        SearchedGain(_OBSERVER + "third_pole", 0.3, 5.0, power=0),
         SearchedGain(_OBSERVER + "surface", 0.2, 5.0),
         SearchedGain(_OBSERVER + "reaching", 0.2, 5.0),
-        SearchedGain(_OBSERVER + "gain_allowance", 1.0, 4.0, absolute=True),
-        SearchedGain(_OBSERVER + "velocity_share", 0.05, 1.0, absolute=True),
+        SearchedGain(_OBSERVER + "gain_allowance", 1.0, 4.0, power=0),
+        SearchedGain(_OBSERVER + "velocity_share", 0.05, 1.0, power=0),
     ),
 }
 """The gains that are searched, by law; all on a logarithmic scale."""
@@ -118,24 +118,24 @@ def rule(law: str, control: ControlParameters, period: float, delay: float) -> d
             _OBSERVER + "gain_allowance": 1.7,
             _OBSERVER + "velocity_share": 0.3,
         }
-    lag += 1.0 / (2.0 * math.pi * control.smc.velocity_bandwidth)
+    smc = law == "smc"
     gains = {
-        _SMC + "zeta": 0.8,
-        _SMC + "natural_frequency": 0.0431 / lag,
-        _SMC + "phi": 0.123 / lag,
-        _SMC + "velocity_bandwidth": control.smc.velocity_bandwidth,
+        _SMC + "zeta": 0.5 if smc else 0.8,
+        _SMC + "natural_frequency": (0.04 if smc else 0.0374) / lag,
+        _SMC + "phi": (0.05 if smc else 0.107) / lag,
+        _SMC + "velocity_bandwidth": 1.07 / lag,
     }
-    if law == "smc":
+    if smc:
         # (11) first, with the gains above; inside the layer ρ/ε adds to φ.
         rho = _reaching(with_gains(control, "linear", gains))
-        gains |= {_SMC + "rho": rho, _SMC + "boundary_layer": rho * lag / 0.307}
+        gains |= {_SMC + "rho": rho, _SMC + "boundary_layer": rho * lag / 0.16}
     return gains
 
 
 def scaled(law: str, gains: Values, factor: float) -> dict[str, float]:
-    """``gains`` with those of ``law`` that are rates times ``factor``."""
-    rates = {gain.name for gain in SEARCHED[law] if not gain.absolute}
-    return {name: factor * value if name in rates else value for name, value in gains.items()}
+    """``gains`` of ``law`` as for a loop that is faster by ``factor``."""
+    powers = {gain.name: gain.power for gain in SEARCHED[law]}
+    return {name: value * factor ** powers.get(name, 0) for name, value in gains.items()}
 
 
 def _reaching(control: ControlParameters) -> float:
@@ -144,7 +144,7 @@ def _reaching(control: ControlParameters) -> float:
 
 
 def with_gains(control: ControlParameters, law: str, values: Values) -> ControlParameters:
-    """``control`` with the law ``law`` and ``values``; for 'smc' ρ follows from (11) if it is not among them.
+    """``control`` with the law ``law`` and ``values``, by dotted name.
 
     Raises:
         ParameterError: a value is refused.

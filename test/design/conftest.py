@@ -1,0 +1,31 @@
+import dataclasses
+
+import pytest
+
+from scripts.stage_files import stage_scenario
+from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.offline.sweep.scenario import Scenario
+
+
+def short(scenario: Scenario, stroke: float = 0.06) -> Scenario:
+    """The stage with a stroke of a second and a half."""
+    motion = MotionParameters(stroke=stroke, speed=0.2, acceleration=1.0, settle=0.3, pause=0.5)
+    return dataclasses.replace(scenario, trajectory=Trajectory(forward_and_back(motion)))
+
+
+@pytest.fixture(scope="session")
+def shipped() -> Scenario:
+    """The shipped stage, short."""
+    return short(stage_scenario("shipped"))
+
+
+@pytest.fixture(scope="session")
+def fine() -> Scenario:
+    """The stage with an encoder of 5 nm, short."""
+    return short(stage_scenario("fine_encoder"))
+
+
+@pytest.fixture(scope="session")
+def infeasible() -> Scenario:
+    """The stage on which no gains have margins."""
+    return stage_scenario("infeasible")

@@ -1,0 +1,83 @@
+"""The closed form, and what follows from the stage."""
+
+import dataclasses
+
+import pytest
+
+from scripts.stage_files import stage_names, stage_scenario
+from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
+from straightcomp_ros.design.automatic_design import closed_form
+from straightcomp_ros.design.searched_gains import SEARCHED, dead_time, rule, scaled, starts, stiffened, with_gains
+from straightcomp_ros.design.stability_demands import StabilityCheck
+
+PERIOD = 5e-4
+OBSERVER = "control.smc_observer."
+
+
+def test_the_rule_gives_the_gains_that_are_shipped_for_the_shipped_stage():
+    shipped = ControlParameters().smc_observer
+    for name, value in rule("smc_observer", ControlParameters(), PERIOD, 1.0).items():
+        assert value == pytest.approx(getattr(shipped, name.removeprefix(OBSERVER)), rel=2e-3), name
+
+
+def test_the_dead_time_is_that_of_a_sample_and_a_half_and_the_amplifier():
+    assert dead_time(ControlParameters(), PERIOD, 1.0) == pytest.approx(1.5 * PERIOD + 1.0 / (2.0 * 3.14159265 * 500.0))
+
+
+def test_a_later_command_or_a_slower_rate_makes_the_gains_slower():
+    fast = rule("smc_observer", ControlParameters(), PERIOD, 0.5)
+    for slow in (
+        rule("smc_observer", ControlParameters(), PERIOD, 1.0),
+        rule("smc_observer", ControlParameters(), 2 * PERIOD, 0.5),
+    ):
+        assert all(slow[OBSERVER + name] < fast[OBSERVER + name] for name in ("bandwidth", "surface", "reaching"))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_searched_gain_is_one_that_the_rule_gives_and_the_law_takes(law):
+    gains = rule(law, ControlParameters(), PERIOD, 1.0)
+    assert {gain.name for gain in SEARCHED[law]} <= set(gains)
+    for name in gains:
+        other = with_gains(ControlParameters(), law, {**gains, name: 0.9 * gains[name]})
+        assert make_law(other, PERIOD).gains != make_law(with_gains(ControlParameters(), law, gains), PERIOD).gains, (
+            name
+        )
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", sorted(set(stage_names()) - {"infeasible", "slow_amplifier", "rate_1_khz"}))
+def test_the_closed_form_holds_the_demands(law, name):
+    scenario = stage_scenario(name)
+    control = with_gains(scenario.controls["smc_observer"], law, closed_form(scenario, law))
+    assert StabilityCheck(scenario).missed(control) == []
+
+
+def test_scaling_leaves_what_is_no_rate():
+    gains = rule("smc_observer", ControlParameters(), PERIOD, 1.0)
+    faster = scaled("smc_observer", gains, 2.0)
+    changed = {name for name in gains if faster[name] != gains[name]}
+    assert changed == {OBSERVER + name for name in ("bandwidth", "surface", "reaching")}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_search_starts_at_the_rule_and_at_others_of_the_same_names(law):
+    gains = rule(law, ControlParameters(), PERIOD, 1.0)
+    first, *others = starts(law, gains)
+    assert first == gains and others
+    assert all(set(other) == set(gains) and other != gains for other in others)
+
+
+def test_only_the_law_with_a_friction_model_stiffens():
+    assert stiffened(ControlParameters(law="linear")) == ControlParameters(law="linear")
+    stiff = stiffened(ControlParameters()).smc_observer
+    assert stiff.bandwidth == pytest.approx(1.4 * ControlParameters().smc_observer.bandwidth)
+
+
+def test_friction_that_is_known_better_is_believed_from_the_start(shipped):
+    def first_size(friction: float) -> float:
+        ranges = dataclasses.replace(shipped.uncertainty, friction=friction)
+        values = closed_form(dataclasses.replace(shipped, uncertainty=ranges), "smc_observer")
+        return values[OBSERVER + "first_size"]
+
+    assert first_size(2.0) == pytest.approx(0.45)
+    assert first_size(1.1) > first_size(2.0) > first_size(5.0)
