@@ -16,7 +16,7 @@ from straightcomp_ros.design.searched_gains import SEARCHED, scaled, starts, wit
 from straightcomp_ros.design.stability_demands import StabilityCheck
 from straightcomp_ros.model.stage import MotionParameters, Trajectory, forward_and_back
 
-FEW = {"evaluations": 30, "machines": 4, "jobs": 1}
+FEW = {"evaluations": 18, "machines": 4, "jobs": 1}
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,8 @@ def test_the_budget_begins_with_the_stage_and_knows_what_its_encoder_costs(desig
 
 def test_the_same_seed_gives_the_same_design_and_another_seed_another(shipped):
     judge = judge_of(shipped, "smc_observer", 0.0)
-    begin = starts("smc_observer", closed_form(shipped, "smc_observer"))
-    one, same, other = (search(judge, begin, evaluations=19, seed=seed, jobs=1) for seed in (3, 3, 4))
+    begin = [closed_form(shipped, "smc_observer")]
+    one, same, other = (search(judge, begin, evaluations=8, seed=seed, jobs=1) for seed in (3, 3, 4))
     assert one == same
     assert [found.gains for found in other] != [found.gains for found in one]
 
@@ -81,7 +81,7 @@ def test_quiet_trades_error_for_the_work_of_the_coils(shipped):
     begin = closed_form(shipped, "smc_observer")
     fine, quiet = (judge_of(shipped, "smc_observer", quiet) for quiet in (0.0, 1.0))
     costs = {}
-    for name, factor in (("slow", 0.8), ("fast", 1.15)):
+    for name, factor in (("slow", 0.8), ("fast", 1.05)):
         gains = scaled("smc_observer", begin, factor)
         costs[name] = fine.judge(gains), quiet.judge(gains)
     (slow, slow_if_quiet), (fast, fast_if_quiet) = costs["slow"], costs["fast"]

@@ -38,18 +38,22 @@ def test_every_searched_gain_is_one_that_the_rule_gives_and_the_law_takes(law):
     gains = rule(law, ControlParameters(), PERIOD, 1.0)
     assert {gain.name for gain in SEARCHED[law]} <= set(gains)
     for name in gains:
-        other = with_gains(ControlParameters(), law, {**gains, name: 0.9 * gains[name]})
+        other = with_gains(ControlParameters(), law, {**gains, name: 1.1 * gains[name]})
         assert make_law(other, PERIOD).gains != make_law(with_gains(ControlParameters(), law, gains), PERIOD).gains, (
             name
         )
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", sorted(set(stage_names()) - {"infeasible", "slow_amplifier", "rate_1_khz"}))
-def test_the_closed_form_holds_the_demands(law, name):
+@pytest.mark.parametrize("name", sorted(set(stage_names()) - {"infeasible"}))
+def test_the_closed_form_holds_the_demands_or_is_close(law, name):
     scenario = stage_scenario(name)
     control = with_gains(scenario.controls["smc_observer"], law, closed_form(scenario, law))
-    assert StabilityCheck(scenario).missed(control) == []
+    # At its stiffest the default law comes to its limits where the loop is slow beside the magnets.
+    if law == "smc_observer" and name in ("slow_amplifier", "rate_1_khz"):
+        assert 0.0 < StabilityCheck(scenario).violation(control) < 0.05
+    else:
+        assert StabilityCheck(scenario).missed(control) == []
 
 
 def test_scaling_leaves_what_is_no_rate():
