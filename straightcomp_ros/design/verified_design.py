@@ -16,7 +16,7 @@ class Verification:
 
     Attributes:
         summary: percentiles, failures, limit cycles of 0.1 µm or a count.
-        oscillating: numbers of the machines on which a held line makes half of the error.
+        oscillating: numbers of the machines on which a held line makes most of the error.
     """
 
     summary: LawSummary
