@@ -43,6 +43,12 @@ class ObserverDesign:
         0.15, "Friction at the start, relative to the friction model; too much makes limit cycles", "[0.1, 10]"
     )
     largest_size: float = parameter(4.0, "Largest friction relative to the friction model", "[0.1, 10]")
+    fit_travel: float = parameter(
+        25e-6,
+        "Travel over which the fit of friction's size expects the magnets' stiffness to err by 1 m/s²; more trusts it "
+        "more. M/K̄_y is a good value where friction is large",
+        "(0, 1] m",
+    )
     memory: float = parameter(2.0, "Time constant with which the fit of friction's size forgets", "[0.1, 1000] s")
     misfit: float = parameter(
         0.1, "RMS that the friction model leaves unexplained, relative to F_C, from which the law stiffens", "(0, 100]"
@@ -114,7 +120,7 @@ def _smc_observer(parameters: ControlParameters, period: float) -> Law:
         kept=math.exp(-period / design.memory),
         smooth=1.0 - math.exp(-2.0 * math.pi * _MISFIT_BANDWIDTH * period),
         mean=1.0 - math.exp(-period / _MISFIT_MEMORY),
-        travel=nominal.travel,
+        travel=design.fit_travel,
         speed=design.rest_speed,
         largest=design.largest_size,
     )

@@ -12,10 +12,10 @@ from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.settings.declaration import ParameterError
 
-_EVALUATIONS = 250
-_IN_BISECTION = 120
+_EVALUATIONS = 200
+_IN_BISECTION = 60
 _STEP = 0.4
-_HALVINGS = 6
+_HALVINGS = 5
 _MISSED = 3
 
 

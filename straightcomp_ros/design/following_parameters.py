@@ -4,6 +4,8 @@
   little leaves an error at the first reversals, until the fit has seen one: the more friction, the larger the error.
 - Memory of the fit: many reversals of the reference. Before the first reversal friction and a constant force look
   the same; a shorter memory lets the fit drift there.
+- Travel of the fit: that over which the magnets' stiffness changes the acceleration by 1 m/s², the unit of the fit's
+  first variance. With less the fit takes the fall of a large friction with speed for an error of the stiffness.
 - Band at rest: two counts of the encoder.
 """
 
@@ -25,8 +27,10 @@ def following(scenario: Scenario, law: str) -> dict[str, float]:
     if law != "smc_observer":
         return {}
     least, most = _MEMORY
+    nominal = next(iter(scenario.controls.values())).nominal
     return {
         "control.smc_observer.first_size": min(1.0, max(0.1, _BELOW / scenario.uncertainty.friction)),
+        "control.smc_observer.fit_travel": nominal.mass / nominal.actuator.position_stiffness,
         "control.smc_observer.memory": min(most, max(least, _REVERSALS * _between_reversals(scenario))),
         "control.smc_observer.rest_band": _BAND * scenario.driver.simulated.plant.encoder.resolution,
     }

@@ -26,7 +26,7 @@ from straightcomp_ros.settings.declaration import ParameterError
 _STARTS = 3
 _SHORT = 6.0
 """s; of the strokes on the extreme machines."""
-_LONGEST = 12.0
+_LONGEST = 20.0
 """s; of the strokes on the stage as described."""
 _UNSTABLE = 10.0
 """Cost of gains that miss a linear demand: they are not simulated."""
