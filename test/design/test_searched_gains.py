@@ -1,7 +1,5 @@
 """The closed form, and what follows from the stage."""
 
-import dataclasses
-
 import pytest
 
 from scripts.stage_files import stage_names, stage_scenario
@@ -75,13 +73,3 @@ def test_only_the_law_with_a_friction_model_stiffens():
     assert stiffened(ControlParameters(law="linear")) == ControlParameters(law="linear")
     stiff = stiffened(ControlParameters()).smc_observer
     assert stiff.bandwidth == pytest.approx(1.4 * ControlParameters().smc_observer.bandwidth)
-
-
-def test_friction_that_is_known_better_is_believed_from_the_start(shipped):
-    def first_size(friction: float) -> float:
-        ranges = dataclasses.replace(shipped.uncertainty, friction=friction)
-        values = closed_form(dataclasses.replace(shipped, uncertainty=ranges), "smc_observer")
-        return values[OBSERVER + "first_size"]
-
-    assert first_size(2.0) == pytest.approx(0.45)
-    assert first_size(1.1) > first_size(2.0) > first_size(5.0)
