@@ -39,6 +39,7 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=[
+        "cma>=4",
         "joblib>=1.4",
         "lz4",
         "matplotlib",

@@ -111,8 +111,8 @@ def _verdict(summaries: list[LawSummary]) -> Verdict:
 def _conditions(ranges: UncertaintyParameters) -> str:
     return (
         f"mass ±{ranges.mass:.0%}, magnetic force ±{ranges.force:.0%}, air gap ±{ranges.air_gap:.0%}, "
-        f"friction × or ÷ {ranges.friction:g}, sensor noise to {ranges.sensor_noise * 1e6:g} µm RMS, "
-        f"delay {ranges.shortest_delay:g} to {ranges.longest_delay:g} samples, jitter ±{ranges.jitter * 1e6:g} µs, "
+        f"friction × or ÷ {ranges.friction:g}, sensor noise to {ranges.sensor_noise:g} counts RMS, "
+        f"delay × {ranges.shortest_delay:g} to {ranges.longest_delay:g}, jitter ±{ranges.jitter:g} samples, "
         f"survey error {ranges.map_noise * 1e6:g} µm RMS"
     )
 

@@ -49,9 +49,7 @@ class ObserverDesign:
     )
     stiffening: float = parameter(1.4, "Factor of bandwidth, λ and κ from twice that misfit on", "[1, 10]")
     rest_band: float = parameter(
-        0.2e-6,
-        "Largest |y − r| at rest at which the command is held; two counts of the encoder; 0 never holds",
-        "[0, 1e-3] m",
+        2.0, "Largest |y − r| at rest at which the command is held; 0 never holds", "[0, 1000] counts"
     )
     rest_speed: float = parameter(1e-7, "Largest |ṙ| of a reference at rest", "[0, 1] m/s")
     rest_wait: float = parameter(0.1, "Time at rest until the command is held", "[0.01, 10] s")
@@ -98,13 +96,14 @@ def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
 
 
 def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
-    period = stage.period
+    period, band = stage.period, design.rest_band * stage.encoder.y_resolution
     loop = nominal_loop(stage, delay_samples=design.delay, gain_allowance=design.gain_allowance)
     size = SizeGains(
         kept=math.exp(-period / design.memory),
         smooth=1.0 - math.exp(-2.0 * math.pi * _MISFIT_BANDWIDTH * period),
         mean=1.0 - math.exp(-period / _MISFIT_MEMORY),
-        travel=stage.guide.travel,
+        # The magnets' stiffness changes the acceleration by 1 m/s² over it, the unit of the fit's first variance.
+        travel=stage.platform.mass / stage.actuator.position_stiffness,
         speed=design.rest_speed,
         largest=design.largest_size,
     )
@@ -115,7 +114,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
         design.misfit * stage.friction.coulomb / loop.mass,
         stage.friction.constants(),
         size,
-        smc_observer.rest_gains(design.rest_band, design.rest_speed, design.rest_wait, period),
+        smc_observer.rest_gains(band, design.rest_speed, design.rest_wait, period),
         loop,
     )
     first_size = min(design.first_size, design.largest_size)

@@ -16,8 +16,9 @@ from scipy.linalg import expm
 from straightcomp_ros.control.law import Law, flat
 from straightcomp_ros.stage.description import StageParameters
 
-_STEP = 1e-9
-"""Perturbation for the differences, in SI units: far below a count, far above rounding."""
+_STEPS = (1e-9, 1e-12)
+"""Perturbations for the differences, in SI units: far below a count, far above rounding. The second where the first
+leaves the stretch in which the law is linear, as the boundary layer of a fast 'smc'."""
 _LINEAR_WITHIN = 1e-3
 
 Matrix = NDArray[np.float64]
@@ -105,8 +106,11 @@ def linearised(law: Law) -> StateSpace:
         places = range(size + 1)
         return np.array([(disturbed(place, step) - disturbed(place, -step)) / (2.0 * step) for place in places]).T
 
-    columns, coarser = slopes(_STEP), slopes(2.0 * _STEP)
-    if not np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
+    for step in _STEPS:
+        columns, coarser = slopes(step), slopes(2.0 * step)
+        if np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
+            break
+    else:
         raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
     # A clock or a paused fit would be a pole on the unit circle, though it is not in the loop.
     all_a, all_b, all_c = columns[:size, :size], columns[:size, size], columns[size, :size]
@@ -136,7 +140,7 @@ def loop_margins(law: Law, stage: StageParameters, delay: float | None = None) -
         return sampled_plant(stage, at)
 
     def poles(gain: float = 1.0, at: float = late) -> NDArray[np.complex128]:
-        return np.asarray(np.linalg.eigvals(_closed(plant(at), controller, gain)), dtype=np.complex128)
+        return np.asarray(np.linalg.eigvals(closed_loop(plant(at), controller, gain)), dtype=np.complex128)
 
     def stable(gain: float = 1.0, at: float = late) -> bool:
         return bool(np.abs(poles(gain, at)).max() < 1.0)
@@ -145,10 +149,10 @@ def loop_margins(law: Law, stage: StageParameters, delay: float | None = None) -
         return Margins(poles(), 1.0, 1.0, 0.0, 0.0)
     return Margins(
         poles(),
-        _last_stable(stable, 1.0, 0.0),
-        _last_stable(stable, 1.0, 20.0),
-        _phase_margin(plant(), controller, period),
-        _last_stable(lambda x: stable(at=x), late, late + 10.0 * period),
+        last_stable(stable, 1.0, 0.0),
+        last_stable(stable, 1.0, 20.0),
+        phase_margin(plant(), controller, period),
+        last_stable(lambda x: stable(at=x), late, late + 10.0 * period),
     )
 
 
@@ -156,13 +160,14 @@ def _rebuilt(like: Any, numbers: Iterator[float]) -> Any:
     return type(like)(*(_rebuilt(value, numbers) if isinstance(value, tuple) else next(numbers) for value in like))
 
 
-def _closed(plant: StateSpace, controller: StateSpace, gain: float) -> Matrix:
+def closed_loop(plant: StateSpace, controller: StateSpace, gain: float = 1.0) -> Matrix:
+    """A of the closed loop, the plant's states first, with the plant's input times ``gain``."""
     b = gain * plant.b
     top = [plant.a + controller.d * np.outer(b, plant.c), np.outer(b, controller.c)]
     return np.block([top, [np.outer(controller.b, plant.c), controller.a]])
 
 
-def _last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:
+def last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:
     """The last stable value on the way from ``inside``, which is stable, to ``outside``."""
     # In small steps first: beyond the border there may be another stable stretch.
     last = inside
@@ -179,9 +184,10 @@ def _last_stable(stable: Callable[[float], bool], inside: float, outside: float)
     return last
 
 
-def _phase_margin(plant: StateSpace, controller: StateSpace, period: float) -> float:
-    frequencies = np.geomspace(0.1, 0.4999 / period, 5_000)
-    z = np.exp(2j * math.pi * frequencies * period)
+def phase_margin(plant: StateSpace, controller: StateSpace, period: float, frequencies: int = 5_000) -> float:
+    """Smallest phase margin over all gain crossovers in degrees, found on a grid of ``frequencies``."""
+    grid = np.geomspace(0.1, 0.4999 / period, frequencies)
+    z = np.exp(2j * math.pi * grid * period)
     loop = -_response(plant, z) * _response(controller, z)
     magnitude = np.abs(loop)
     crossing = np.flatnonzero((magnitude[:-1] - 1.0) * (magnitude[1:] - 1.0) <= 0.0)

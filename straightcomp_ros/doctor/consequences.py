@@ -24,7 +24,7 @@ class Consequences:
     Attributes:
         current_stiffness, position_stiffness: K̄_i in N/A and K̄_y in N/m, from (3).
         unstable_pole: √(K̄_y/M) of the platform in its magnets, 1/s.
-        dead_time: T_d = (½ + delay) T + 1/(2π f_amp): sample and hold, delay and amplifier, s.
+        dead_time: T_d of the loop, s.
         dac_force, dac_displacement: of one step of the D/A converter: force in N, and in m against the bristles.
         breakaway_current: that overcomes static friction, A.
         holding_current: for friction, the magnets' pull at the largest correction, and its acceleration, A.
@@ -57,11 +57,6 @@ class Consequences:
         return self.unstable_pole * self.dead_time
 
 
-def dead_time(stage: StageParameters) -> float:
-    """T_d of :class:`Consequences`, s."""
-    return (0.5 + stage.drive.delay) * stage.period + 1.0 / (2.0 * math.pi * stage.drive.bandwidth)
-
-
 def consequences(stage: StageParameters, control: ControlParameters, straightness: StraightnessMap) -> Consequences:
     """The figures of ``stage`` with the law of ``control`` and the map of its guide."""
     actuator, friction, motion = stage.actuator, stage.friction, stage.motion
@@ -80,7 +75,7 @@ def consequences(stage: StageParameters, control: ControlParameters, straightnes
         current_stiffness=actuator.current_stiffness,
         position_stiffness=actuator.position_stiffness,
         unstable_pole=math.sqrt(actuator.position_stiffness / stage.platform.mass),
-        dead_time=dead_time(stage),
+        dead_time=stage.dead_time,
         dac_force=dac_force,
         dac_displacement=dac_force / friction.bristle_stiffness,
         breakaway_current=friction.static / actuator.current_stiffness,

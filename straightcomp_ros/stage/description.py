@@ -3,6 +3,7 @@
 Nodes declare it as the parameters `stage.*`; a stage file sets them under the wildcard node `/**`, for all at once.
 """
 
+import math
 from dataclasses import dataclass
 
 from straightcomp_ros.contract import DEFAULT_RATE
@@ -48,6 +49,11 @@ class StageParameters:
     def period_ns(self) -> int:
         """Sampling period in ns."""
         return round(1e9 / self.rate)
+
+    @property
+    def dead_time(self) -> float:
+        """T_d = delay T + T/2 + 1/(2π f_amplifier) in s: delay, mean age of a held command, and the amplifier's lag."""
+        return (self.drive.delay + 0.5) * self.period + 1.0 / (2.0 * math.pi * self.drive.bandwidth)
 
     @property
     def plant(self) -> PlantParameters:

@@ -24,16 +24,20 @@ class UncertaintyParameters:
         "[1, 100]",
     )
     sensor_noise: float = parameter(
-        0.05e-6,
+        0.5,
         "Noise on y before the encoder rounds: normal, white; its standard deviation is uniform from 0 to this",
-        "[0, 0.0001] m",
+        "[0, 1000] counts",
     )
-    shortest_delay: float = parameter(0.2, "Command delay, constant in a trial: uniform from this", "[0, 10] samples")
-    longest_delay: float = parameter(1.5, "Command delay, constant in a trial: uniform up to this", "[0, 10] samples")
+    shortest_delay: float = parameter(
+        0.2, "Command delay, constant in a trial: uniform from this, relative to drive.delay", "[0, 10]"
+    )
+    longest_delay: float = parameter(
+        1.5, "Command delay, constant in a trial: uniform up to this, relative to drive.delay", "[0, 10]"
+    )
     jitter: float = parameter(
-        20e-6,
+        0.04,
         "Time from each sample's place on the grid: uniform within ± this; the stamp tells the true time",
-        "[0, 0.01] s",
+        "[0, 0.4] samples",
     )
     map_noise: float = parameter(
         0.02e-6, "Standard deviation of an error of each point of the survey: normal", "[0, 1e-5] m"
@@ -43,6 +47,6 @@ class UncertaintyParameters:
         if self.longest_delay < self.shortest_delay:
             raise RefusedParameter(
                 "longest_delay",
-                f"{self.longest_delay!r} samples is below the shortest; allowed: >= {self.shortest_delay!r} samples "
+                f"{self.longest_delay!r} is below the shortest; allowed: >= {self.shortest_delay!r} "
                 "('{group}shortest_delay')",
             )

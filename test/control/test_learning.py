@@ -18,7 +18,6 @@ from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.draws import draw, streams
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 
 STAGE = StageParameters()
 RATE, PERIOD_NS = 2000, 500_000
@@ -266,7 +265,7 @@ def cycles_of(values: dict, learn: bool) -> list[Metrics]:
 def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning(law, seed, gained):
     ratios = []
     for trial in range(4):
-        machine = draw(UncertaintyParameters(), streams(seed, trial).machine)
+        machine = draw(StageParameters(), streams(seed, trial).machine)
         values = {
             "driver": {
                 "simulated.truth.guide": "config/guide_synthetic.csv",

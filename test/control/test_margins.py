@@ -7,11 +7,11 @@ from straightcomp_ros.control.design import SlidingDesign, closed_loop_poles
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.control.margins import (
     StateSpace,
-    _closed,
-    _last_stable,
-    _phase_margin,
+    closed_loop,
+    last_stable,
     linearised,
     loop_margins,
+    phase_margin,
     sampled_plant,
 )
 from straightcomp_ros.model.converters import DriveParameters
@@ -67,7 +67,7 @@ def test_a_loop_turned_by_its_phase_margin_is_on_the_border_of_stability(name):
 
     def largest(degrees):
         ways = (np.exp(1j * np.radians(sign * degrees)) for sign in (1.0, -1.0))
-        return max(abs(np.linalg.eigvals(_closed(plant, controller, way))).max() for way in ways)
+        return max(abs(np.linalg.eigvals(closed_loop(plant, controller, way))).max() for way in ways)
 
     assert largest(0.97 * margins.phase) < 1.0 < largest(1.03 * margins.phase)
 
@@ -82,7 +82,7 @@ def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
     minus_one = StateSpace(np.zeros((1, 1)), np.zeros(1), np.zeros(1), -1.0)
     half = np.degrees(np.arcsin(k / 2.0))
     expected = 90.0 - half - (2.0 * half if delayed else 0.0)
-    assert _phase_margin(integrator, minus_one, PERIOD) == pytest.approx(expected, abs=0.2)
+    assert phase_margin(integrator, minus_one, PERIOD) == pytest.approx(expected, abs=0.2)
 
 
 def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
@@ -117,6 +117,6 @@ def test_the_sampled_plant_answers_a_constant_current_after_its_delay_as_the_con
 
 def test_the_border_of_stability_is_the_one_next_to_the_stable_value():
     # From 0 to 99 in steps of 1, the first of them too; beyond the gap it is stable again.
-    assert _last_stable(lambda value: not 0.75 < value < 1.5, 0.0, 99.0) == pytest.approx(0.75, abs=1e-9)
-    assert _last_stable(lambda value: value < 98.25, 0.0, 99.0) == pytest.approx(98.25, abs=1e-9)
-    assert _last_stable(lambda value: True, 0.0, 99.0) == 99.0
+    assert last_stable(lambda value: not 0.75 < value < 1.5, 0.0, 99.0) == pytest.approx(0.75, abs=1e-9)
+    assert last_stable(lambda value: value < 98.25, 0.0, 99.0) == pytest.approx(98.25, abs=1e-9)
+    assert last_stable(lambda value: True, 0.0, 99.0) == 99.0

@@ -91,7 +91,7 @@ def test_with_a_band_of_zero_the_command_is_never_held():
     assert steps[round(SETTLE / T) - 200 : round(SETTLE / T)].any()
 
 
-def held(band=0.2e-6):
+def held(band=2.0):
     """The law after 0.2 s at rest, with an encoder that flickers by a count, and its commands."""
     servo = law(rest_band=band)
     servo.reset(0.0)

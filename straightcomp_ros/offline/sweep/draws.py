@@ -12,8 +12,8 @@ import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import Factors
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 from straightcomp_ros.straightness.survey import Survey
 
 
@@ -48,16 +48,17 @@ def streams(seed: int, trial: int) -> Streams:
     return Streams(*map(default_rng, children))
 
 
-def draw(ranges: UncertaintyParameters, random: Generator) -> Deviation:
-    """A machine within ``ranges``."""
+def draw(stage: StageParameters, random: Generator) -> Deviation:
+    """A machine within the uncertainty of ``stage``."""
+    ranges = stage.uncertainty
     u = random.random(len(Deviation._fields)).tolist()
     return Deviation(
         mass=1.0 + ranges.mass * (2.0 * u[0] - 1.0),
         force=1.0 + ranges.force * (2.0 * u[1] - 1.0),
         air_gap=1.0 + ranges.air_gap * (2.0 * u[2] - 1.0),
         friction=ranges.friction ** (2.0 * u[3] - 1.0),
-        sensor_noise=ranges.sensor_noise * u[4],
-        delay=ranges.shortest_delay + (ranges.longest_delay - ranges.shortest_delay) * u[5],
+        sensor_noise=ranges.sensor_noise * stage.encoder.y_resolution * u[4],
+        delay=stage.drive.delay * (ranges.shortest_delay + (ranges.longest_delay - ranges.shortest_delay) * u[5]),
     )
 
 

@@ -1,5 +1,8 @@
 """What all trials of a sweep have in common: the nominal machine, the motion, the survey and the laws' design."""
 
+from __future__ import annotations
+
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -44,6 +47,10 @@ class Scenario:
     lead_ns: int
     trajectory: Trajectory
     survey: Survey
+
+    def on(self, stage: StageParameters) -> Scenario:
+        """The same on another stage: controller and machine have its description."""
+        return dataclasses.replace(self, description=stage, driver=dataclasses.replace(self.driver, stage=stage))
 
     @property
     def period_ns(self) -> int:
@@ -95,16 +102,10 @@ def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
 
 
 def _check(scenario: Scenario) -> None:
-    machine, ranges, period = scenario.driver.simulated, scenario.description.uncertainty, scenario.period_ns * 1e-9
-    deviating(scenario.driver.plant, Factors(air_gap=1.0 - ranges.air_gap))
-    if ranges.jitter > 0.4 * period:
-        raise ParameterError(
-            f"parameter 'stage.uncertainty.jitter': {ranges.jitter!r} s; "
-            f"allowed: <= {0.4 * period:.4g} s, four tenths of the period, "
-            "so that samples keep their order"
-        )
+    machine, stage = scenario.driver.simulated, scenario.description
+    deviating(scenario.driver.plant, Factors(air_gap=1.0 - stage.uncertainty.air_gap))
     # The oldest command on the board is a period and twice the jitter old, even if it acts at once.
-    oldest = period + 2.0 * ranges.jitter
+    oldest = stage.period * (1.0 + 2.0 * stage.uncertainty.jitter)
     if machine.command_timeout < oldest:
         raise ParameterError(
             f"node driver: parameter 'simulated.command_timeout': {machine.command_timeout!r} s; "

@@ -71,10 +71,10 @@ def run_trial(scenario: Scenario, laws: Mapping[str, Law], seed: int, trial: int
         MetricsError: the stage does not move.
     """
     random, board = streams(seed, trial), scenario.driver.simulated
-    uncertainty = scenario.description.uncertainty
-    deviation = draw(uncertainty, random.machine)
+    stage = scenario.description
+    deviation = draw(stage, random.machine)
     plant = deviating(scenario.driver.plant, deviation.factors)
-    stamps = sample_times(uncertainty.jitter, scenario.period_ns, scenario.samples, random.clock)
+    stamps = sample_times(stage.uncertainty.jitter * stage.period, scenario.period_ns, scenario.samples, random.clock)
     given, course = _follow(scenario, stamps, random)
     conditions = Conditions(
         stamps=stamps,

@@ -1,0 +1,193 @@
+"""Strokes for a design: what does not depend on the gains is computed once, then each run takes a tenth of a second."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.oscillation import sustained_oscillation
+from straightcomp_ros.analysis.record import StrokeRecord, find_motion
+from straightcomp_ros.control.law import Law
+from straightcomp_ros.model.commanded_plant import Hold
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
+from straightcomp_ros.model.plant import PlantParameters, PlantState
+from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
+from straightcomp_ros.offline.sweep.references import readings, references, served
+from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.residual import peak_to_peak
+
+_PITCH = 1.3
+"""Distance of neighbouring starts in counts of the encoder: not a whole number, so each lies elsewhere in a count."""
+_RESTING = 0.2
+"""s after a stroke from which the command at rest is judged."""
+
+
+class RunFigures(NamedTuple):
+    """One run.
+
+    Attributes:
+        pp, rms: true compensation error over the motion, m; infinite if the run broke off.
+        work: RMS step of the commanded current from sample to sample over the motion, A; likewise.
+        rest_work: the same between the strokes, A.
+        oscillation: amplitude of the strongest held line in the error, m.
+        excursion: largest |y|, m.
+    """
+
+    pp: float
+    rms: float
+    work: float
+    rest_work: float
+    oscillation: float
+    excursion: float
+
+
+_BROKEN = RunFigures(math.inf, math.inf, math.inf, math.inf, math.inf, math.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedStroke:
+    """One motion of the stage, ready to run under any law.
+
+    Attributes:
+        stamps: of the samples, ns.
+        given: (n, 3) references as the law is given them, m, m/s, m/s².
+        target: (n,) r at the true x, m.
+        motion: samples of the motion.
+        rest: samples between the strokes, empty without.
+        plant, hold: the machine and its board.
+        initial_y: m.
+    """
+
+    stamps: NDArray[np.int64]
+    given: NDArray[np.float64]
+    target: NDArray[np.float64]
+    motion: slice
+    rest: slice
+    plant: PlantParameters
+    hold: Hold
+    initial_y: float
+
+    def run(
+        self,
+        law: Law,
+        delay: float,
+        start: int = 0,
+        plant: PlantParameters | None = None,
+    ) -> RunFigures:
+        """Run the motion once.
+
+        Args:
+            law: under which.
+            delay: of each command, s.
+            start: number of the start, as of :func:`start_offset`.
+            plant: the machine, if it is not the course's own.
+        """
+        plant = plant or self.plant
+        conditions = Conditions(
+            self.stamps,
+            np.full(self.stamps.size, round(delay * 1e9)),
+            self.given,
+            np.zeros(self.stamps.size),
+        )
+        # The course's own count, so that an ideal encoder gets the same starts.
+        initial = PlantState(y=self.initial_y + start_offset(start, self.plant.encoder.y_resolution))
+        cycle = run_cycle(law, plant, conditions, initial, self.hold)
+        if cycle.current.size < self.stamps.size:
+            return _BROKEN
+        error = (self.target - cycle.true_y)[self.motion]
+        period = float(self.stamps[-1] - self.stamps[0]) * 1e-9 / (self.stamps.size - 1)
+        return RunFigures(
+            peak_to_peak(error),
+            float(np.sqrt(np.mean(error * error))),
+            _rms_step(cycle.current[self.motion]),
+            _rms_step(cycle.current[self.rest]),
+            sustained_oscillation(error, self.target[self.motion], period).amplitude,
+            float(np.abs(cycle.true_y).max()),
+        )
+
+
+def start_offset(number: int, count: float) -> float:
+    """Offset in m of start ``number`` from the first, for an encoder of ``count`` m: to either side in turn."""
+    return _PITCH * count * ((number + 1) // 2) * (1 if number % 2 else -1)
+
+
+def _rms_step(current: NDArray[np.float64]) -> float:
+    steps = np.diff(current)
+    return float(np.sqrt(np.mean(steps * steps))) if steps.size else 0.0
+
+
+def prepared_stroke(
+    scenario: Scenario,
+    trajectory: Trajectory | None = None,
+    stamps: NDArray[np.int64] | None = None,
+    ideal: bool = False,
+) -> PreparedStroke:
+    """The course of a stage.
+
+    Args:
+        scenario: the stage.
+        trajectory: in place of the scenario's.
+        stamps: (n,) of the samples in ns from 0, if they are not on the grid.
+        ideal: the law is given r, ṙ and r̈ of the true motion at each sample, without the encoder of x, the filter and
+            the lead.
+    """
+    moved = dataclasses.replace(scenario, trajectory=trajectory or scenario.trajectory)
+    if stamps is None:
+        stamps = np.arange(moved.samples, dtype=np.int64) * moved.period_ns
+    straightness = StraightnessMap(scenario.survey, scenario.description.guide)
+    true_x = moved.positions(stamps)
+    r, slope, curvature = straightness.evaluate(true_x)
+    if ideal:
+        x = true_x
+        time = np.asarray(stamps * 1e-9, dtype=np.float64)
+        speed = np.gradient(true_x, time)
+        given = np.column_stack([r, slope * speed, curvature * speed * speed + slope * np.gradient(speed, time)])
+    else:
+        x = readings(scenario.description.encoder.x_resolution, true_x)
+        measured = references(straightness, scenario.feedforward, scenario.description.motion.highest_speed, stamps, x)
+        given = served(measured, stamps, scenario.lead_ns)
+    strokes = find_motion(
+        StrokeRecord(time=np.asarray(stamps * 1e-9, dtype=np.float64), x=x, y=r, r=r, current=np.zeros_like(r), law="")
+    )
+    resting = math.ceil(_RESTING * 1e9 / moved.period_ns)
+    rest = slice(0, 0)
+    if len(strokes.strokes) > 1:
+        rest = slice(
+            strokes.strokes[0].stop + resting, max(strokes.strokes[0].stop + resting, strokes.strokes[1].start)
+        )
+    return PreparedStroke(
+        stamps,
+        given,
+        r,
+        strokes.window,
+        rest,
+        scenario.driver.plant,
+        scenario.driver.hold,
+        scenario.driver.simulated.initial_y,
+    )
+
+
+def shortened(scenario: Scenario, duration: float) -> Trajectory:
+    """A motion of at most about ``duration`` s over the steepest part of the map, with the stage's speed if it fits."""
+    full = scenario.description.motion
+    settle, pause = min(full.settle, 0.3), min(max(full.pause, 0.0), 0.5)
+    moving = 0.5 * (duration - 2.0 * settle - pause)
+    ramp = full.speed / full.acceleration
+    length = full.speed * (moving - ramp) if moving > 2.0 * ramp else full.acceleration * (0.5 * moving) ** 2
+    if length >= full.stroke or scenario.trajectory.end_ns * 1e-9 <= duration:
+        return scenario.trajectory
+    straightness = StraightnessMap(scenario.survey, scenario.description.guide)
+    x = np.linspace(full.start, full.start + full.stroke, 2000)
+    slope, curvature = straightness.evaluate(x)[1:]
+    # Reversals of r make friction turn over, slopes make it large: the part with the most of both.
+    wanted = np.abs(slope) / np.abs(slope).max() + np.abs(curvature) / np.abs(curvature).max()
+    count = max(1, round(length / full.stroke * x.size))
+    sums = np.convolve(wanted, np.ones(count), mode="valid")
+    start = float(x[int(sums.argmax())])
+    return Trajectory(
+        forward_and_back(dataclasses.replace(full, start=start, stroke=length, settle=settle, pause=pause))
+    )
