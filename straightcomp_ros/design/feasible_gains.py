@@ -5,15 +5,17 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from straightcomp_ros.design.searched_gains import SEARCHED, rule, scaled, with_gains
+from straightcomp_ros.design.searched_gains import SEARCHED, rule, scaled, starts, with_gains
 from straightcomp_ros.design.stability_demands import STANDARD, Demands, StabilityCheck
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
 
 _EVALUATIONS = 200
-_IN_BISECTION = 60
-_STEP = 0.4
+_IN_BISECTION = 80
+_STEP = 0.25
+_VALLEYS = 2
+"""Starts from which a search is made: one alone may end beside the feasible gains."""
 _HALVINGS = 5
 _MISSED = 3
 
@@ -38,7 +40,7 @@ def feasible_gains(
         law: name of the law.
         start: gains by dotted name.
         demands: what is asked for.
-        evaluations: of the search, which simulates nothing.
+        evaluations: of each of two searches, which simulate nothing.
         seed: of the search.
     """
     from cma import CMAEvolutionStrategy
@@ -55,21 +57,25 @@ def feasible_gains(
     if violation(start) == 0.0:
         return dict(start)
     names = [gain.name for gain in SEARCHED[law] if gain.name in start]
-    strategy = CMAEvolutionStrategy(
-        [math.log(start[name]) for name in names], _STEP, {"seed": seed, "popsize": 10, "verbose": -9}
-    )
-    for _ in range(evaluations // 10):
-        candidates = strategy.ask()
-        gains = [{**start, **dict(zip(names, map(math.exp, one), strict=True))} for one in candidates]
-        violations = [violation(one) for one in gains]
-        if 0.0 in violations:
-            return gains[violations.index(0.0)]
-        strategy.tell(candidates, violations)
+    for begin in sorted([dict(start), *starts(law, start)[1:]], key=violation)[:_VALLEYS]:
+        strategy = CMAEvolutionStrategy(
+            [math.log(begin[name]) for name in names], _STEP, {"seed": seed, "popsize": 10, "verbose": -9}
+        )
+        for _ in range(evaluations // 10):
+            candidates = strategy.ask()
+            gains = [{**start, **dict(zip(names, map(math.exp, one), strict=True))} for one in candidates]
+            violations = [violation(one) for one in gains]
+            if 0.0 in violations:
+                return gains[violations.index(0.0)]
+            strategy.tell(candidates, violations)
     return None
 
 
 class _Change(NamedTuple):
-    """A change of the stage: its sentence with the value to fill in, its present value, the furthest that is tried."""
+    """A change of the stage: its sentence with the value to fill in, its present value, the furthest that is tried.
+
+    Where the furthest is not feasible, what lies half way to it is tried, and a quarter.
+    """
 
     sentence: str
     value: float
@@ -104,23 +110,37 @@ def refusal(scenario: Scenario, law: str, demands: Demands = STANDARD, *, seed: 
 def _threshold(scenario: Scenario, law: str, demands: Demands, change: _Change, seed: int) -> str:
     """The sentence with the value nearest to the present one that is feasible, empty if even the furthest is not."""
 
-    def possible(value: float) -> bool:
+    def possible(value: float, like: dict[str, float] | None, lag: float) -> tuple[dict[str, float] | None, float]:
+        """Gains that hold the demands, and their dead time; ``like`` held them at the dead time ``lag``."""
         changed = scenario.on(change.apply(scenario.description, value))
         control = next(iter(changed.controls.values()))
-        start = rule(law, changed.description)
-        tries = [start, scaled(law, start, 0.7), scaled(law, start, 1.4)]
+        now = changed.description.dead_time
+        gains = rule(law, changed.description)
+        tries = starts(law, gains)
+        if like is not None:
+            # What held a little farther from the border is nearly right here.
+            nearly = scaled(law, like, lag / now)
+            tries.append({**gains, **{gain.name: nearly[gain.name] for gain in SEARCHED[law]}})
         check = StabilityCheck(changed.description, demands)
-        if any(check.violation(with_gains(control, law, one)) == 0.0 for one in tries):
-            return True
-        found = feasible_gains(changed, law, start, demands, evaluations=_IN_BISECTION, seed=seed)
-        return found is not None
+        begin = min(tries, key=lambda one: check.violation(with_gains(control, law, one)))
+        evaluations = _EVALUATIONS if like is None else _IN_BISECTION
+        return feasible_gains(changed, law, begin, demands, evaluations=evaluations, seed=seed), now
 
-    good, bad = change.furthest, change.value
-    if not possible(good):
+    bad = change.value
+    for part in (1.0, 0.5, 0.25):
+        good = bad * (change.furthest / bad) ** part
+        held, lag = possible(good, None, 1.0)
+        if held is not None:
+            break
+    else:
         return ""
     for _ in range(_HALVINGS):
         middle = math.sqrt(good * bad)
-        good, bad = (middle, bad) if possible(middle) else (good, middle)
+        found, there = possible(middle, held, lag)
+        if found is None:
+            bad = middle
+        else:
+            good, held, lag = middle, found, there
     return change.sentence.format(f"{_outward(good, up=change.furthest > change.value):g}")
 
 
