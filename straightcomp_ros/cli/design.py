@@ -157,7 +157,7 @@ def _print(design: Design, name: str) -> None:
     for state, limit in design.limits.items():
         console.print(
             f"{state}: stable for gains × {limit.gain_low:.2f} to {limit.gain_high:.2f}, masses × {limit.mass_low:.2f} "
-            f"to {limit.mass_high:.2f}, delays up to {limit.longest_delay:.2f} samples; phase margin {limit.phase:.0f}°",
+            f"to {limit.mass_high:.2f}, delays up to {limit.longest_delay:.2f} samples; phase {limit.phase:.0f}°",
             highlight=False,
         )
     sweep = design.verification.summary

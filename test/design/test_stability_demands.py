@@ -82,5 +82,5 @@ def test_a_stage_without_margins_is_refused_in_a_sentence_that_says_what_would_d
 
 def test_changes_that_would_not_do_are_not_named(infeasible):
     stage = infeasible.description
-    light = infeasible.on(dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, mass=1e-4)))
+    light = infeasible.on(dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, mass=0.01)))
     assert "no single change would do" in str(refusal(light, "linear"))
