@@ -149,7 +149,7 @@ def design_gains(
             jobs=jobs,
             progress=lambda fraction: progress("search", fraction),
         )
-        best = _best_on_the_whole_stroke(judge, full, found)
+        best = _best_on_the_whole_stroke(judge, full, found, start)
         verification = verify(
             scenario,
             with_gains(judge.control, law, best.gains),
@@ -183,8 +183,10 @@ def design_gains(
     )
 
 
-def _best_on_the_whole_stroke(judge: Judge, full: PreparedStroke, found: Sequence[Found]) -> Found:
-    """The best of the first candidates: their short strokes may have flattered one of them."""
+def _best_on_the_whole_stroke(
+    judge: Judge, full: PreparedStroke, found: Sequence[Found], rule_gains: Mapping[str, float]
+) -> Found:
+    """The best of the first candidates and the closed form: short strokes may have flattered one of them."""
 
     def cost(one: Found) -> float:
         pp = spread(run.pp for run in _runs(judge, full, one.gains)).median
@@ -192,7 +194,8 @@ def _best_on_the_whole_stroke(judge: Judge, full: PreparedStroke, found: Sequenc
             return math.inf
         return one.judgement.cost + math.log(pp / one.judgement.pp)
 
-    finalists = [one for one in found[:_FINALISTS] if math.isfinite(one.judgement.pp)]
+    first = [one for one in found if one.gains == rule_gains]
+    finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
     return min(finalists, key=cost) if finalists else found[0]
 
 

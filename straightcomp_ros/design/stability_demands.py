@@ -23,6 +23,8 @@ from straightcomp_ros.stage.truth import Factors, deviating
 
 _GRID = 400
 """Frequencies at which the phase margin is looked for: off by less than a degree."""
+_NOT_LINEAR = 100.0
+"""Miss of a law that cannot be linearised: more than any that can."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,12 @@ class StabilityCheck:
             ends.append((stiff, self._stiff))
         misses = []
         for one, cases in ends:
-            law = linearised(make_law(one, self._stage))
+            try:
+                law = linearised(make_law(one, self._stage))
+            except ValueError:
+                # The current limit is nearer than any step of the differences.
+                misses.append(("linear at rest", _NOT_LINEAR))
+                continue
             misses += [(case.name, self._missing(case, law)) for case in cases]
             phase = phase_margin(self._nominal, law, self._stage.period, _GRID)
             misses.append(("phase", max(0.0, self._phase - phase) / 60.0))
