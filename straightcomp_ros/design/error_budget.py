@@ -1,8 +1,8 @@
 """What limits a design: the error of the same stroke with one cause of error removed at a time.
 
 Each figure is a simulation of its own; they do not add up. RMS is the steady measure: a p-p is one extreme of a stroke,
-often at a first reversal or at the end of a hold, and may even rise where a cause of error is removed. Where the loop would be faster without the cause, the gains
-that are rates are made faster in the ratio of the dead times.
+often at a first reversal or at the end of a hold, and may even rise where a cause of error is removed. Where the loop
+would be faster without the cause, the gains that are rates are made faster in the ratio of the dead times.
 """
 
 import dataclasses
