@@ -1,7 +1,7 @@
 """Print the table of designs for the stages of test/stages: true p-p in µm, work of the coils in mA, Markdown.
 
     python -m scripts.design_table [stage …]            # two minutes a stage on two cores
-    python -m scripts.design_table --search [stage …]   # ten minutes a stage on one core
+    python -m scripts.design_table --search [stage …]   # some minutes a stage on one core
 
 Columns: the gains that are shipped, the closed form, the design, its worst of 200 uncertain machines, and the best that
 a long search found, which --search keeps in test/stages/found_gains.json. Figures are medians of five starts.

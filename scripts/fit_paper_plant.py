@@ -15,9 +15,9 @@ from paper_stroke import STAGE, Stroke
 from scipy.stats import qmc
 
 from straightcomp_ros.control import sliding_mode
-from straightcomp_ros.control.design import SlidingDesign, reaching_bound
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.margins import loop_margins
+from straightcomp_ros.control.surface_design import SlidingDesign, reaching_bound
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import partial
 
 from straightcomp_ros.control import sliding_mode, smc_observer
-from straightcomp_ros.control.design import SlidingDesign, reaching_bound
 from straightcomp_ros.control.friction_size import LagWeights, SizeGains
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
+from straightcomp_ros.control.surface_design import SlidingDesign, reaching_bound
 from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.stage.description import StageParameters
 

@@ -3,8 +3,8 @@
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.design import SlidingDesign, feedback_gains, state_matrices
 from straightcomp_ros.control.law import Command
+from straightcomp_ros.control.surface_design import SlidingDesign, feedback_gains, state_matrices
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.stage.description import StageParameters
 

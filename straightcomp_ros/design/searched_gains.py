@@ -8,8 +8,8 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from straightcomp_ros.control.design import reaching_bound
 from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.control.surface_design import reaching_bound
 from straightcomp_ros.stage.description import StageParameters
 
 Values = Mapping[str, float]

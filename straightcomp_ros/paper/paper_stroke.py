@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
 from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion
-from straightcomp_ros.control.design import SlidingDesign
+from straightcomp_ros.control.surface_design import SlidingDesign
 from straightcomp_ros.offline.sweep.starts import first_cycle, spread, values_of_starts
 from straightcomp_ros.paper.claims import Claim
 from straightcomp_ros.paper.drawing import label, legend_above, sheet

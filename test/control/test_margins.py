@@ -3,7 +3,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.design import SlidingDesign, closed_loop_poles
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.control.margins import (
     StateSpace,
@@ -14,6 +13,7 @@ from straightcomp_ros.control.margins import (
     phase_margin,
     sampled_plant,
 )
+from straightcomp_ros.control.surface_design import SlidingDesign, closed_loop_poles
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters

@@ -1,16 +1,9 @@
-import dataclasses
-
 import pytest
+from motions import moving
 
 from scripts.stage_files import stage_scenario
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.offline.sweep.scenario import Scenario
-
-
-def moving(scenario: Scenario, motion: MotionParameters) -> Scenario:
-    """The stage with another motion."""
-    stage = dataclasses.replace(scenario.description, motion=motion)
-    return dataclasses.replace(scenario.on(stage), trajectory=Trajectory(forward_and_back(motion)))
 
 
 def short(scenario: Scenario, stroke: float = 0.06) -> Scenario:

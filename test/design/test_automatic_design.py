@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 import pytest
-from conftest import moving
+from motions import moving
 
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.design.automatic_design import closed_form, design_gains

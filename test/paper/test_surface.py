@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from straightcomp_ros.control.design import SlidingDesign
+from straightcomp_ros.control.surface_design import SlidingDesign
 from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.paper.surface import (
     following_error_gain,
