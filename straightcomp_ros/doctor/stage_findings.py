@@ -106,14 +106,17 @@ def _loop(law: str, found: Consequences) -> Finding:
         return Finding("loop", "ok", f"law {law} switches at rest: it has no linear margins there")
     if margins.longest_delay == 0.0:
         return Finding(
-            "loop", "fail", f"law {law} is unstable with its gains", "Gains must follow the stage: tune them."
+            "loop",
+            "fail",
+            f"law {law} is unstable with its gains",
+            "Gains must follow the stage: straightcomp design finds them.",
         )
     detail = (
         f"law {law}: stable for gains from {margins.gain_low:.2f} to {margins.gain_high:.2f}, phase "
         f"{margins.phase:.0f}°, delay up to {margins.longest_delay * 1e3:.2f} ms"
     )
     if margins.gain_low > _GAIN_LOW or margins.gain_high < _GAIN_HIGH:
-        return Finding("loop", "warn", detail, "The margins are thin: tune the gains for this stage.")
+        return Finding("loop", "warn", detail, "The margins are thin: straightcomp design finds gains for this stage.")
     return Finding("loop", "ok", detail)
 
 
