@@ -194,8 +194,8 @@ def _oscillates(course: Course, bounds: Bounds) -> Verdict | None:
     return Verdict(
         OSCILLATES,
         f"the loop oscillates at {found.frequency:.0f} Hz with an amplitude of {_um(found.amplitude)}, error "
-        f"{_um(course.pp)} p-p; allowed: {_um(allowed)}; compare mass, magnets, rate and delay of the machine with the "
-        "law's nominal plant, or lower the law's bandwidth",
+        f"{_um(course.pp)} p-p; allowed: {_um(allowed)}; compare mass, magnets, rate and delay of the machine with its "
+        "description; straightcomp design finds gains that fit a description",
     )
 
 
@@ -206,7 +206,7 @@ def _inaccurate(course: Course, bounds: Bounds) -> Verdict | None:
     return Verdict(
         INACCURATE,
         f"the error is {_um(course.pp)} p-p where a platform that stands still would leave "
-        f"{_um(course.uncompensated)}; allowed: {_um(allowed)}; compare the machine with the law's nominal plant, and "
+        f"{_um(course.uncompensated)}; allowed: {_um(allowed)}; compare the machine with its description, and "
         "look for a fault or a load",
     )
 
