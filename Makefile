@@ -67,7 +67,7 @@ echo "Branch coverage of all:"
 endef
 # What sums, solves and fits the most.
 PROCESSOR_DEPENDENT := model straightness $(addprefix analysis/test_,assessment.py figures_of_strokes.py metrics.py survey_series.py) \
-  trials/test_measuring.py control/test_observer.py control/test_design.py
+  trials/test_measuring.py control/test_observer.py control/test_surface_design.py
 test: setup
 	@mkdir -p .coverage_data
 	$(if $(ARGS),exec .venv/bin/python -m pytest $(ARGS),$(TEST_ALL))

@@ -55,7 +55,7 @@ def reference() -> str:
     lines += [f"| `{node}/{name}` | std_srvs/srv/{kind} | {text} |" for node, name, kind, text in services()]
     lines += ["", "## Parameters", ""]
     lines += [f"`{DEFAULT_FILE}` and `{DEFAULT_STAGE}` have them all, with the values that are shipped.", ""]
-    described = ", ".join(node for node, kind in NODE_PARAMETERS.items() if STAGE in kind.__dataclass_fields__)
+    described = ", ".join(node for node, kind in NODE_PARAMETERS.items() if STAGE in kind.__annotations__)
     lines += [
         "### The stage",
         "",

@@ -257,7 +257,7 @@ Values = Mapping[str, Mapping[str, Any]]
 
 def _described(name: str, values: Values) -> dict[str, Any]:
     """The description's parameters as the node ``name`` calls them; none for a node that has no description."""
-    if STAGE not in NODE_PARAMETERS[name].__dataclass_fields__:
+    if STAGE not in NODE_PARAMETERS[name].__annotations__:
         return {}
     return {f"{STAGE}.{key}": value for key, value in values.get(STAGE, {}).items()}
 

@@ -28,7 +28,7 @@ def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> 
     """
     given = {name: value.value for name, value in node.get_parameters_by_prefix("").items() if not belongs_to_ros(name)}
     # A stage file describes the stage to all nodes; some need nothing of it.
-    if STAGE not in parameter_set.__dataclass_fields__:  # type: ignore[attr-defined]
+    if STAGE not in parameter_set.__annotations__:
         described = [name for name in given if name.startswith(f"{STAGE}.")]
         for name in described:
             node.undeclare_parameter(name)
