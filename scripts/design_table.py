@@ -15,7 +15,8 @@ from collections.abc import Mapping
 
 from scripts.stage_files import STAGES, stage_names, stage_scenario
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.design.automatic_design import Design, DesignError, closed_form, design_gains
+from straightcomp_ros.design.automatic_design import Design, closed_form, design_gains
+from straightcomp_ros.design.feasible_gains import DesignError
 from straightcomp_ros.design.gain_search import search
 from straightcomp_ros.design.judged_gains import judge_of
 from straightcomp_ros.design.prepared_stroke import prepared_stroke

@@ -14,9 +14,9 @@ import yaml
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.options import check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
-from straightcomp_ros.cli.parameter_options import checked_values
+from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
 from straightcomp_ros.configuration.commented_file import as_yaml
-from straightcomp_ros.configuration.parameter_file import ALL_NODES, shipped_parameters
+from straightcomp_ros.configuration.parameter_file import ALL_NODES
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
 from straightcomp_ros.offline.sweep.many_trials import PERCENTILES
@@ -30,8 +30,8 @@ _LARGEST = 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_stage_argument(parser)
     add = parser.add_argument
-    add("file", metavar="STAGE", help="stage file")
     add("--output", "-o", metavar="FILE", help="write the stage file with the gains; may be STAGE itself")
     add("--law", choices=LAWS, default="smc_observer", help="law to design (default: %(default)s)")
     quiet = "0 for the least error, 1 for the quietest coils (default: %(default)s)"
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
         check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
     check_range("--seed", options.seed, 0, 2**31)
     source, output = Path(options.file), None
-    values = checked_values(shipped_parameters(stage=options.file))
+    values = stage_values(options)
     if options.output:
         output = output_file("--output", options.output)
         _writable(source, output)

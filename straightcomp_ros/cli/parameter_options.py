@@ -27,11 +27,20 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     values = shipped_parameters(options.params_file, options.stage)
     for node, changes in chosen_changes(options).items():
         values[node].update(changes)
-    return checked_values(values)
+    return _checked(values)
 
 
-def checked_values(values: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """``values`` as they are; raises ParameterError if a node would refuse them."""
+def add_stage_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the stage file as an argument of its own."""
+    parser.add_argument("file", metavar="STAGE", help="stage file")
+
+
+def stage_values(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Values by node and dotted name with the stage file of :func:`add_stage_argument`; raises ParameterError."""
+    return _checked(shipped_parameters(stage=options.file))
+
+
+def _checked(values: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     for node in NODE_PARAMETERS:
         node_parameters(node, values)
     return values
@@ -48,17 +57,22 @@ def chosen_changes(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     return changes
 
 
+def parsed_value(text: str) -> Any:
+    """The value of a parameter that is given on the command line; raises YAMLError if it is none."""
+    # YAML 1.1 reads 1e6 as text. A parameter file has the same trap, but here it can be avoided.
+    if "e" in text.lower():
+        with suppress(ValueError):
+            return float(text)
+    return yaml.safe_load(text)
+
+
 def _parsed_assignment(assignment: str) -> tuple[str, str, Any]:
     target, equals, text = assignment.partition("=")
     node, dot, name = target.partition(".")
     if not (equals and dot) or node not in (STAGE, *NODE_PARAMETERS):
         known = ", ".join((STAGE, *NODE_PARAMETERS))
         raise ParameterError(f"--set {assignment!r}: allowed: NODE.NAME=VALUE with NODE one of {known}")
-    # YAML 1.1 reads 1e6 as text. A parameter file has the same trap, but here it can be avoided.
-    if "e" in text.lower():
-        with suppress(ValueError):
-            return node, name, float(text)
     try:
-        return node, name, yaml.safe_load(text)
+        return node, name, parsed_value(text)
     except yaml.YAMLError as error:
         raise ParameterError(f"--set {assignment!r}: {text!r} is no YAML; put a text in quotes") from error

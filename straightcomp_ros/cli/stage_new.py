@@ -13,6 +13,7 @@ import yaml
 
 from straightcomp_ros.cli.options import add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console
+from straightcomp_ros.cli.parameter_options import parsed_value
 from straightcomp_ros.configuration.commented_file import commented
 from straightcomp_ros.configuration.node_parameters import STAGE
 from straightcomp_ros.configuration.parameter_file import ALL_NODES
@@ -91,9 +92,9 @@ def _assignment(text: str) -> tuple[str, Any]:
 
 def _value(text: str) -> Any:
     try:
-        # YAML 1.1 reads 1e6 as text.
-        return float(text) if "e" in text.lower() else yaml.safe_load(text)
-    except (ValueError, yaml.YAMLError):
+        return parsed_value(text)
+    except yaml.YAMLError:
+        # The declaration refuses the text, with what is allowed.
         return text
 
 

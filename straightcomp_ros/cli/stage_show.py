@@ -6,9 +6,8 @@ from typing import Any
 
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.output import console, print_json
-from straightcomp_ros.cli.parameter_options import checked_values
+from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
 from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.doctor.consequences import Consequences, consequences
 from straightcomp_ros.straightness.guide_map import load_map
 
@@ -16,12 +15,12 @@ SUMMARY = "show what follows from a description: stiffnesses, poles, counts, mar
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="STAGE", help="stage file")
+    add_stage_argument(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:
-    values = checked_values(shipped_parameters(stage=options.file))
+    values = stage_values(options)
     controller = node_parameters("controller", values)
     stage = controller.stage
     found = consequences(stage, controller.control, load_map(stage.guide))

@@ -21,7 +21,7 @@ from typing import NamedTuple
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.design.error_budget import BudgetEntry, error_budget
 from straightcomp_ros.design.failing_limits import FailingLimits, failing_limits
-from straightcomp_ros.design.feasible_gains import DesignError, feasible_gains, refusal
+from straightcomp_ros.design.feasible_gains import feasible_gains, refusal
 from straightcomp_ros.design.following_parameters import following
 from straightcomp_ros.design.gain_search import Found, search
 from straightcomp_ros.design.judged_gains import Judge, judge_of
@@ -84,11 +84,6 @@ class Design:
     limits: Mapping[str, FailingLimits]
     rounds: int
 
-    @property
-    def beats_start(self) -> bool:
-        """Whether the median p-p is below that of the closed form."""
-        return self.figures.pp.median < self.start_figures.pp.median
-
 
 def closed_form(scenario: Scenario, law: str) -> dict[str, float]:
     """The values of ``law`` in closed form, by dotted name: gains, and what follows from the stage."""
@@ -130,16 +125,14 @@ def design_gains(
         raise ValueError(f"quiet {quiet!r}; allowed: 0 to 1")
     start = closed_form(scenario, law)
     progress("feasible", 0.0)
-    if feasible_gains(scenario, law, start, demands, seed=seed) is None:
+    tighter = feasible_gains(scenario, law, start, demands, seed=seed)
+    if tighter is None:
         raise refusal(scenario, law, demands, seed=seed)
     progress("feasible", 1.0)
     full = prepared_stroke(scenario)
     kept: tuple[Verification, Found, Judge] | None = None
     rounds, held, begin = 0, demands, starts(law, start)
     for rounds in range(1, _ROUNDS + 1):
-        tighter = feasible_gains(scenario, law, start, held, seed=seed)
-        if tighter is None:
-            break
         judge = judge_of(scenario, law, quiet, held)
         found = search(
             judge,
@@ -164,7 +157,10 @@ def design_gains(
         if verification.holds:
             break
         held, begin = held.tightened(_TIGHTER), [*starts(law, start), dict(best.gains)]
-    assert kept is not None  # the demands of the first round are feasible
+        tighter = feasible_gains(scenario, law, start, held, seed=seed)
+        if tighter is None:
+            break
+    assert kept is not None  # there is a first round
     verification, best, judge = kept
     control = with_gains(judge.control, law, best.gains)
     budget = error_budget(scenario, law, best.gains, seed=seed, progress=lambda fraction: progress("budget", fraction))
@@ -207,6 +203,3 @@ def _runs(judge: Judge, full: PreparedStroke, gains: Mapping[str, float]) -> lis
 def _figures(judge: Judge, full: PreparedStroke, gains: Mapping[str, float]) -> DesignFigures:
     runs = _runs(judge, full, gains)
     return DesignFigures(*(spread(getattr(run, name) for run in runs) for name in ("pp", "rms", "work", "rest_work")))
-
-
-__all__ = ["SHIPPED_QUIET", "Design", "DesignError", "DesignFigures", "closed_form", "design_gains"]

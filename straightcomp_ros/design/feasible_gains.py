@@ -57,7 +57,7 @@ def feasible_gains(
     if violation(start) == 0.0:
         return dict(start)
     names = [gain.name for gain in SEARCHED[law] if gain.name in start]
-    for begin in sorted([dict(start), *starts(law, start)[1:]], key=violation)[:_VALLEYS]:
+    for begin in sorted(starts(law, start), key=violation)[:_VALLEYS]:
         strategy = CMAEvolutionStrategy(
             [math.log(begin[name]) for name in names], _STEP, {"seed": seed, "popsize": 10, "verbose": -9}
         )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.oscillation import sustained_oscillation
-from straightcomp_ros.analysis.record import StrokeRecord, find_motion
+from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.commanded_plant import Hold
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
@@ -17,6 +17,7 @@ from straightcomp_ros.model.plant import PlantParameters, PlantState
 from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.sweep.starts import offset
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 
@@ -83,8 +84,8 @@ class PreparedStroke:
         Args:
             law: under which.
             delay: of each command, s.
-            start: number of the start, as of :func:`start_offset`.
-            plant: the machine, if it is not the course's own.
+            start: number of the start, as of :func:`~straightcomp_ros.offline.sweep.starts.offset`.
+            plant: the machine, if it is not the stroke's own.
         """
         plant = plant or self.plant
         conditions = Conditions(
@@ -93,8 +94,8 @@ class PreparedStroke:
             self.given,
             np.zeros(self.stamps.size),
         )
-        # The course's own count, so that an ideal encoder gets the same starts.
-        initial = PlantState(y=self.initial_y + start_offset(start, self.plant.encoder.y_resolution))
+        # The stroke's own count, so that an ideal encoder gets the same starts.
+        initial = PlantState(y=self.initial_y + offset(start, _PITCH * self.plant.encoder.y_resolution))
         cycle = run_cycle(law, plant, conditions, initial, self.hold)
         if cycle.current.size < self.stamps.size:
             return _BROKEN
@@ -110,11 +111,6 @@ class PreparedStroke:
         )
 
 
-def start_offset(number: int, count: float) -> float:
-    """Offset in m of start ``number`` from the first, for an encoder of ``count`` m: to either side in turn."""
-    return _PITCH * count * ((number + 1) // 2) * (1 if number % 2 else -1)
-
-
 def _rms_step(current: NDArray[np.float64]) -> float:
     steps = np.diff(current)
     return float(np.sqrt(np.mean(steps * steps))) if steps.size else 0.0
@@ -126,7 +122,7 @@ def prepared_stroke(
     stamps: NDArray[np.int64] | None = None,
     ideal: bool = False,
 ) -> PreparedStroke:
-    """The course of a stage.
+    """A stroke of a stage.
 
     Args:
         scenario: the stage.
@@ -141,24 +137,21 @@ def prepared_stroke(
     straightness = StraightnessMap(scenario.survey, scenario.description.guide)
     true_x = moved.positions(stamps)
     r, slope, curvature = straightness.evaluate(true_x)
+    time = np.asarray(stamps * 1e-9, dtype=np.float64)
     if ideal:
         x = true_x
-        time = np.asarray(stamps * 1e-9, dtype=np.float64)
         speed = np.gradient(true_x, time)
         given = np.column_stack([r, slope * speed, curvature * speed * speed + slope * np.gradient(speed, time)])
     else:
         x = readings(scenario.description.encoder.x_resolution, true_x)
         measured = references(straightness, scenario.feedforward, scenario.description.motion.highest_speed, stamps, x)
         given = served(measured, stamps, scenario.lead_ns)
-    strokes = find_motion(
-        StrokeRecord(time=np.asarray(stamps * 1e-9, dtype=np.float64), x=x, y=r, r=r, current=np.zeros_like(r), law="")
-    )
+    strokes = motion_of(time, x)
     resting = math.ceil(_RESTING * 1e9 / moved.period_ns)
     rest = slice(0, 0)
     if len(strokes.strokes) > 1:
-        rest = slice(
-            strokes.strokes[0].stop + resting, max(strokes.strokes[0].stop + resting, strokes.strokes[1].start)
-        )
+        begin = strokes.strokes[0].stop + resting
+        rest = slice(begin, max(begin, strokes.strokes[1].start))
     return PreparedStroke(
         stamps,
         given,

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.configuration.node_parameters import Values
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
-from straightcomp_ros.offline.simulation import Simulation, Values, node_set
+from straightcomp_ros.offline.simulation import Simulation, node_set
 from straightcomp_ros.offline.sweep.starts import STARTS, Spread, first_cycle, spread, values_of_starts
 
 _TIMED_SAMPLES = 2000

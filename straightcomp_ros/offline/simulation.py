@@ -4,13 +4,14 @@ It calls what the nodes call, in the order of `lockstep`, so that both give the 
 """
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.configuration import node_parameters as nodes
+from straightcomp_ros.configuration.node_parameters import Values
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.learning import make_learning
@@ -25,9 +26,6 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 
 _PROGRESS_EVERY = 2000
 _COLUMNS = ("x", "y", "r", "current", "true_x", "true_y", "guide")
-
-Values = Mapping[str, Mapping[str, Any]]
-"""Parameters by node and dotted name, as `read_parameter_file` gives them."""
 
 
 class NodeSet(NamedTuple):

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.settings.declaration import parameter
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.stage_tracking import restarted, updated
@@ -93,7 +94,7 @@ class Feedforward:
         self,
         straightness: StraightnessMap,
         parameters: FeedforwardParameters = FeedforwardParameters(),
-        highest_speed: float = 2.0,
+        highest_speed: float = MotionParameters().highest_speed,
     ) -> None:
         self._reference: Lookup = straightness.reference
         self._left: Lookup | None = None

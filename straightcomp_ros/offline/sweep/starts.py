@@ -14,8 +14,9 @@ import numpy as np
 
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.configuration.node_parameters import Values
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.offline.simulation import Simulation, Values
+from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
@@ -57,7 +58,12 @@ def spreads(shown: Iterable[Mapping[str, float | None]]) -> dict[str, Spread]:
 
 def offsets(count: int = STARTS) -> tuple[float, ...]:
     """Offsets in m from the start of the parameters: none, then to either side in turn."""
-    return tuple(PITCH * ((k + 1) // 2) * (1 if k % 2 else -1) for k in range(count))
+    return tuple(offset(k, PITCH) for k in range(count))
+
+
+def offset(number: int, pitch: float) -> float:
+    """Offset in m of start ``number`` from the first, with ``pitch`` m between neighbours, to either side in turn."""
+    return pitch * ((number + 1) // 2) * (1 if number % 2 else -1)
 
 
 def values_of_starts(values: Values, count: int = STARTS) -> list[dict[str, Mapping[str, Any]]]:
