@@ -23,10 +23,9 @@ HEAD = """\
 # machine, the parameters stage.*, is in a file of its own: stage_synthetic.yaml describes the simulated stage.
 # Made by scripts/make_parameter_file.py from the declarations in the code; SI units.
 # Some values differ from their defaults. realtime.priority asks for real-time scheduling; where it is not permitted the
-# nodes say so and run without; all have the same, since they share locks, and one that is starved while it holds a
-# lock stops the others. realtime.keep_awake halves the time that a CPU takes to wake up.
+# nodes say so and run without. realtime.keep_awake halves the time that a CPU takes to wake up.
 # realtime.cpus puts driver and controller on one CPU, where one wakes the other in a tenth of the time that it takes
-# between two, and keeps the other nodes off it; a second stage on the same machine needs another CPU for its loop.
+# between two, and keeps the other nodes off it; the loop of a second stage on the same machine takes another CPU.
 # realtime.exclusive keeps other programs off that CPU for as long as the driver runs.
 # simulated.command_timeout is longer than the default of 5 ms: a desktop stalls for longer at times, and a simulated
 # machine breaks nothing.

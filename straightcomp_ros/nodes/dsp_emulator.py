@@ -84,7 +84,7 @@ class Emulator:
 def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
     """The driver's real-time parameters, changed for an emulated board. Since a real board would not load the host, it
     leaves the loop's CPU to the loop and runs before other work. It shares no locks with the nodes."""
-    cpus = "rest" if driver.cpus == "loop" else driver.cpus
+    cpus = realtime.REST if driver.cpus == realtime.LOOP else driver.cpus
     priority = min(driver.priority + 1, _MOST_PRIORITY) if driver.priority else 0
     return dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)
 

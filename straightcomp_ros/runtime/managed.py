@@ -7,6 +7,8 @@
 *deactivate* stops it with safe outputs, *cleanup* and *shutdown* release all that it has made. A component that fails
 is released too, and the node becomes unconfigured. With the parameter ``autostart`` the node activates itself, and its
 process ends when the component fails, like the process of a plain node.
+
+What takes longer than a cycle is done at normal priority: another graph's loop may run on the same CPU.
 """
 
 import gc
@@ -28,6 +30,7 @@ from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.timing.normal_priority import at_normal_priority
 
 REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
 """Raised if parameters, files or the machine cannot be used."""
@@ -148,7 +151,8 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         def configure() -> None:
             self._component = self._make(self, self._changes.parameters())
 
-        code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
+        with at_normal_priority():
+            code = self._attempt(configure, TransitionCallbackReturn.FAILURE)
         if code is TransitionCallbackReturn.SUCCESS and self._component is not None:
             self._changes.follow(self._component.prepare)
         else:
@@ -162,9 +166,10 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
             self._active = True
 
         code = self._attempt(activate, TransitionCallbackReturn.ERROR)
-        # Objects made since the start are long-lived too: exclude them from garbage collection.
-        gc.collect()
-        gc.freeze()
+        with at_normal_priority():
+            # Objects made since the start are long-lived too: exclude them from garbage collection.
+            gc.collect()
+            gc.freeze()
         self._turn()
         return code
 
@@ -204,14 +209,15 @@ class ManagedNode(WithSteadyTimers, LifecycleNode):
         component, self._component = self._component, None
         self._active = False
         self._changes.follow(None)
-        try:
-            if component is not None:
-                component.close()
-        finally:
-            self._destroy_entities()
-            # Include what activation excluded from garbage collection.
-            gc.unfreeze()
-            gc.collect()
+        with at_normal_priority():
+            try:
+                if component is not None:
+                    component.close()
+            finally:
+                self._destroy_entities()
+                # Include what activation excluded from garbage collection.
+                gc.unfreeze()
+                gc.collect()
 
     def _destroy_entities(self) -> None:
         self.steady_timers.cancel_after(self._own_timers)

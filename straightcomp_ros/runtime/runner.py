@@ -22,6 +22,7 @@ from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
 from straightcomp_ros.timing import realtime
+from straightcomp_ros.timing.normal_priority import give_up_priority
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 EXIT_CONFIGURATION = 2
@@ -94,6 +95,7 @@ def _run(
             code = _spin(runnable)
         finally:
             runnable.close()
+            give_up_priority()
         return code
     except RUN_FAILURES as error:
         print(f"{name}: {error}", file=sys.stderr)
@@ -147,15 +149,17 @@ def _spin(runnable: Runnable) -> int:
 
 def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:
     """Do everything that is done once before the first cycle; returns the idle work for a loop."""
-    executor.add_node(runnable.node)
-    logger = runnable.node.get_logger()
-    for refusal in realtime.apply(runnable.realtime, logger.info):
-        logger.warning(refusal)
-    logger.info(middleware_in_words())
-    logger.info("ready")
+    node = runnable.node
+    executor.add_node(node)
     gc.collect()
     gc.freeze()
     gc.disable()
+    logger = node.get_logger()
+    graph = f"{node.context.get_domain_id()}{node.get_namespace()}"
+    for refusal in realtime.apply(runnable.realtime, logger.info, graph):
+        logger.warning(refusal)
+    logger.info(middleware_in_words())
+    logger.info("ready")
 
     def idle() -> None:
         # One callback at most, so that the next cycle is not late.

@@ -15,6 +15,7 @@ from typing import BinaryIO
 
 from straightcomp_ros.settings.declaration import parameter
 from straightcomp_ros.timing.exclusive import keep_others_off, kept_free, left_behind
+from straightcomp_ros.timing.loop_cpu import loop_cpu, loop_cpus
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CPU_LATENCY = "/dev/cpu_dma_latency"
@@ -26,6 +27,9 @@ _POLLING = "dds.asyn"
 at the same priority on the same CPU it would keep that thread, and all others there, from running for ever. It takes
 turns (SCHED_RR), since there is no priority below 1."""
 
+LOOP, REST = "loop", "rest"
+"""Values of ``realtime.cpus``."""
+
 _held: list[BinaryIO] = []
 """Files that must stay open: closing one withdraws its request."""
 
@@ -35,12 +39,15 @@ class RealtimeParameters:
     """Scheduling of a node's process."""
 
     priority: int = parameter(
-        0, "SCHED_FIFO priority, the same for all nodes that communicate; 0: normal scheduling", "[0, 98]"
+        0,
+        "SCHED_FIFO priority, the same for all nodes of a graph; a node on the CPUs 'rest' takes one less, so that it "
+        "never holds up a loop; 0: normal scheduling",
+        "[0, 98]",
     )
     cpus: str = parameter(
         "",
-        "CPUs that the node may use, separated by commas, e.g. '2,3'; 'loop' for the last one that the process may use,"
-        " 'rest' for all but that; empty for all",
+        "CPUs that the node may use, separated by commas, e.g. '2,3'; 'loop' for the one of the graph's control loop: "
+        "the last that no other graph's loop has; 'rest' for all without a loop; empty for all",
     )
     lock_memory: bool = parameter(False, "Lock the process's memory, so that none of it is paged out")
     keep_awake: bool = parameter(
@@ -51,11 +58,17 @@ class RealtimeParameters:
     )
 
 
-def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _: None) -> list[str]:
+def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _: None, graph: str = "") -> list[str]:
     """Apply the parameters; call it after all threads of the node have been started.
 
-    ``inform`` is called with what was done to other programs. Returns a sentence for each refused request, with the
-    remedy.
+    Args:
+        realtime: the parameters.
+        inform: called with what was done to other programs.
+        graph: what tells the node's graph from others on this machine, whose loops have other CPUs; empty for a program
+            that belongs to none.
+
+    Returns:
+        A sentence for each refused request, with the remedy.
     """
     refusals: list[str] = []
 
@@ -66,8 +79,11 @@ def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _
             refusals.append(f"real-time: {what} was refused ({error}); running without. Remedy: {remedy}")
 
     cpus, priority = realtime.cpus, realtime.priority
+    if cpus == REST and priority > 1:
+        priority -= 1
     if cpus:
-        attempt(f"CPUs '{cpus}'", lambda: _set_cpus(cpus), "name CPUs that this process may use, 'loop' or 'rest'")
+        remedy = f"name CPUs that this process may use, '{LOOP}' or '{REST}'"
+        attempt(f"CPUs '{cpus}'", lambda: _set_cpus(cpus, graph), remedy)
     if priority > 0:
         attempt(f"priority {priority}", lambda: _set_priority(priority), "give this user rtprio in limits.conf")
     if realtime.lock_memory:
@@ -80,12 +96,14 @@ def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _
     return refusals
 
 
-def _set_cpus(names: str) -> None:
-    permitted = os.sched_getaffinity(0) | kept_free() | left_behind()
-    loop = {max(permitted)}
-    # On a machine with a single CPU, 'rest' is that CPU too.
-    rest = permitted - loop or loop
-    cpus = {"loop": loop, "rest": rest}.get(names) or {int(cpu) for cpu in names.split(",")}
+def _set_cpus(names: str, graph: str) -> None:
+    if names in (LOOP, REST):
+        permitted = os.sched_getaffinity(0) | kept_free() | left_behind()
+        loop = {loop_cpu(graph, permitted) if graph else max(loop_cpus() or permitted)}
+        # Where each CPU has a loop, 'rest' is those of other graphs; on a machine with a single CPU, that one.
+        cpus = loop if names == LOOP else permitted - loop_cpus() - loop or permitted - loop or loop
+    else:
+        cpus = {int(cpu) for cpu in names.split(",")}
     for thread in map(int, os.listdir(_THREADS)):
         # A thread may have ended.
         with suppress(ProcessLookupError):

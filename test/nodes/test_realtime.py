@@ -78,6 +78,12 @@ def test_loop_and_rest_share_out_the_cpus():
     assert report("cpus='rest'")[-1].startswith(str(others or [last]))
 
 
+def test_a_node_beside_the_loops_runs_at_a_priority_below_theirs():
+    threads = report("priority=7, cpus='rest'")
+    if not threads[0].startswith("refused"):
+        assert f"False {os.SCHED_FIFO} 6" in threads
+
+
 @pytest.mark.parametrize("cpus", ["4095", "none", "0,", "-1"])
 def test_cpus_that_cannot_be_had_are_refused_in_words(cpus):
     before = os.sched_getaffinity(0)

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.timing import exclusive, realtime
+from straightcomp_ros.timing import exclusive, guard, realtime
+from straightcomp_ros.timing.claims import claim
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 pytestmark = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one CPU has nothing to share out")
@@ -18,16 +19,17 @@ SERVER = """
 import sys
 sys.path.insert(0, {root!r})
 from pathlib import Path
-from straightcomp_ros.timing import exclusive
-exclusive._PROCESSES, exclusive._WORK_QUEUES = Path({processes!r}), Path({queues!r})
-exclusive._NOTES = Path({notes!r})
-exclusive._NAME, exclusive._TURN_S = {name!r}, 0.2
-sys.exit(exclusive._main(sys.argv[1:]))
+from straightcomp_ros.timing import guard
+guard._PROCESSES, guard._WORK_QUEUES = Path({processes!r}), Path({queues!r})
+guard.NOTES = Path({notes!r})
+sys.exit(guard.main(sys.argv[1:]))
 """
 NODE = """
 import sys, time
-from straightcomp_ros.timing import exclusive
-exclusive.__file__ = {server!r}
+from straightcomp_ros.timing import exclusive, guard, loop_cpu
+exclusive._NAME, exclusive._TURN_S = {name!r}, 0.2
+loop_cpu._NAME = {loops!r}
+guard.__file__ = {server!r}
 print(exclusive.keep_others_off({cpus!r}), flush=True)
 time.sleep(60)
 """
@@ -39,7 +41,7 @@ class Stand:
     def __init__(self, folder):
         self.all = os.sched_getaffinity(0)
         self.cpu = max(self.all)
-        self.name = f"test/{os.getpid()}/"
+        self.name, self.loops = f"test/{os.getpid()}/", f"test_loops/{os.getpid()}/"
         self.processes, self.queues, self.server = folder / "proc", folder / "mask", folder / "server.py"
         self.notes = folder / "notes"
         self.processes.mkdir()
@@ -52,7 +54,6 @@ class Stand:
                 processes=str(self.processes),
                 queues=str(self.queues),
                 notes=str(self.notes),
-                name=self.name,
             )
         )
         self._started = []
@@ -70,7 +71,8 @@ class Stand:
 
     def node(self, cpus=None):
         """A node that keeps others off; returns it with what it said."""
-        node = self._start(NODE.format(server=str(self.server), cpus=cpus or {self.cpu}))
+        names = {"name": self.name, "loops": self.loops, "server": str(self.server)}
+        node = self._start(NODE.format(**names, cpus=cpus or {self.cpu}))
         return node, node.stdout.readline().strip() or node.stderr.read().strip().splitlines()[-1]
 
     def _start(self, code):
@@ -115,13 +117,13 @@ def test_others_leave_the_cpu_until_the_node_ends_in_whatever_way(stand, number)
 
 def test_what_a_killed_guard_left_behind_is_seen_and_mended_by_the_next_node(stand, monkeypatch):
     monkeypatch.setattr(exclusive, "_NAME", stand.name)
-    monkeypatch.setattr(exclusive, "_NOTES", stand.notes)
+    monkeypatch.setattr(guard, "NOTES", stand.notes)
     rest = stand.all - {stand.cpu}
     free, elsewhere = stand.bystander(), stand.bystander(rest)
     node, _ = stand.node()
     assert exclusive.left_behind() == set()  # it lives
-    (guard,) = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
-    os.kill(int(guard), signal.SIGKILL)
+    (process,) = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
+    os.kill(int(process), signal.SIGKILL)
     node.kill()
     assert comes_true(lambda: exclusive.left_behind() == {stand.cpu})
     assert os.sched_getaffinity(free) == rest and stand.queues.read_text().strip() != "ff"
@@ -138,8 +140,8 @@ def test_what_a_killed_guard_left_behind_is_seen_and_mended_by_the_next_node(sta
 
 
 def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypatch):
-    monkeypatch.setattr(exclusive, "_NOTES", stand.notes)
-    note = exclusive._Note({stand.cpu})
+    monkeypatch.setattr(guard, "NOTES", stand.notes)
+    note = guard.Note({stand.cpu})
     note.write([4, 2], "ff")
     assert note.read() == ({2, 4}, "ff") and exclusive.left_behind() == {stand.cpu}
     file = next(stand.notes.iterdir())
@@ -148,12 +150,12 @@ def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypat
         file.write_text(text)
         assert note.read() is None
     file.rename(file.with_name(file.name.replace(f"_{stand.cpu}.", "_9999.")))
-    (stand.notes / exclusive._note_name(os.getuid(), "x")).touch()
+    (stand.notes / guard.note_name(os.getuid(), "x")).touch()
     assert exclusive.left_behind() == set()
     note.write([], "ff")
     boot = stand.notes / "boot"
     boot.write_text("another\n")
-    monkeypatch.setattr(exclusive, "_BOOT", boot)
+    monkeypatch.setattr(guard, "_BOOT", boot)
     assert exclusive.left_behind() == set()
 
 
@@ -167,9 +169,17 @@ def test_the_nodes_that_start_meanwhile_may_use_the_cpu_all_the_same(stand, monk
 
 
 def test_a_second_node_is_refused_the_same_cpu_and_all_cpus_are_too_many(stand):
+    assert "there is no other CPU" in stand.node(stand.all)[1]
     stand.node()
     assert "another node keeps them free for itself" in stand.node()[1]
-    assert "there is no other CPU" in stand.node(stand.all)[1]
+
+
+def test_other_programs_keep_a_cpu_that_no_loop_has(stand):
+    others = [claim(f"{stand.loops}{cpu}/graph/1") for cpu in stand.all - {stand.cpu}]
+    assert "each other CPU has the loop of another graph" in stand.node()[1]
+    for one in others:
+        one.close()
+    assert stand.node()[1].startswith("kept")
 
 
 def test_the_node_that_is_started_again_takes_over_from_the_killed_one(stand):
@@ -184,13 +194,13 @@ def test_the_node_that_is_started_again_takes_over_from_the_killed_one(stand):
 
 def test_what_belongs_to_other_users_stays_and_is_counted(stand, monkeypatch):
     bystander = stand.bystander()
-    monkeypatch.setattr(exclusive, "_PROCESSES", stand.processes)
+    monkeypatch.setattr(guard, "_PROCESSES", stand.processes)
 
     def refuse(*_):
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setaffinity", refuse)
-    assert exclusive._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
+    assert guard._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
     assert os.sched_getaffinity(bystander) == stand.all
 
 
