@@ -28,6 +28,7 @@ def run_cycle(
     commands: Mapping[str, Sequence[str]] | None = None,
     beside: Mapping[str, Sequence[str]] | None = None,
     in_place_of_cell: Sequence[str] | None = None,
+    namespace: str = "",
 ) -> None:
     """Run the graph until the cell has finished its cycle, and record it.
 
@@ -40,12 +41,13 @@ def run_cycle(
         commands: by node, a command to start instead of the node's executable.
         beside: by name, programs to start before the nodes, which need them: a bus, an emulated board.
         in_place_of_cell: a program that runs the cycle from outside the graph and prints its progress like the cell.
+        namespace: of all nodes.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
     """
     commands, beside = commands or {}, beside or {}
-    with Graph(logs) as graph:
+    with Graph(logs, namespace=namespace) as graph:
         for name, command in beside.items():
             graph.start_program(name, command)
         ids = {}

@@ -18,7 +18,7 @@ from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, run_cycle
-from straightcomp_ros.cell.launcher import LaunchError, executable_command, verb_command
+from straightcomp_ros.cell.launcher import LaunchError, executable_command, in_namespace, verb_command
 from straightcomp_ros.configuration.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
@@ -72,7 +72,11 @@ class Demonstration:
 
 
 def demonstrate(
-    values: Values, output: Path, progress: Callable[[float], None] = lambda fraction: None, opcua_strokes: int = 0
+    values: Values,
+    output: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
+    opcua_strokes: int = 0,
+    namespace: str = "",
 ) -> Demonstration:
     """Run the graph for one cycle and evaluate the bag.
 
@@ -81,6 +85,7 @@ def demonstrate(
         output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; an earlier bag there is replaced.
         progress: called with the finished fraction of the cycle.
         opcua_strokes: number of strokes run by a client of the OPC UA gateway; 0: the cell runs one stroke.
+        namespace: of all nodes.
 
     Raises:
         DemonstrationFailed: a node died, the cycle failed, or the bag is short.
@@ -95,10 +100,19 @@ def demonstrate(
     output.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(bag, ignore_errors=True)
     try:
-        with _driven_by_opcua(values, parameter_file, opcua_strokes) as (values, gateway, client):
+        with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client):
             parameter_file.write_text(as_parameter_file(values))
             beside = {**emulated_machine(values, parameter_file), **gateway}
-            run_cycle(bag, parameter_file, logs, duration, progress, beside=beside, in_place_of_cell=client)
+            run_cycle(
+                bag,
+                parameter_file,
+                logs,
+                duration,
+                progress,
+                beside=beside,
+                in_place_of_cell=client,
+                namespace=namespace,
+            )
     except LaunchError as error:
         raise DemonstrationFailed(f"{error} (logs in {logs})") from error
     try:
@@ -120,7 +134,7 @@ def demonstrate(
 
 @contextmanager
 def _driven_by_opcua(
-    values: Values, parameter_file: Path, strokes: int
+    values: Values, parameter_file: Path, strokes: int, namespace: str
 ) -> Iterator[tuple[Values, Mapping[str, Sequence[str]], Sequence[str] | None]]:
     """Parameters with a gateway for this run alone, the gateway's command by name, and the command of a client that
     runs ``strokes``; with 0 strokes neither gateway nor client."""
@@ -131,7 +145,8 @@ def _driven_by_opcua(
         users, password, port = Path(folder) / "users", secrets.token_urlsafe(16), free_port()
         add_user(users, _USER, password, OPERATOR)
         gateway = {**values.get("opcua", {}), "opcua.users": str(users), "opcua.port": port}
-        command = [*executable_command("opcua_node"), "--ros-args", "--params-file", str(parameter_file)]
+        command = [*executable_command("opcua_node"), "--ros-args", *in_namespace(namespace)]
+        command += ["--params-file", str(parameter_file)]
         url = OpcuaParameters(port=port).endpoint
         client = verb_command("opcua", "cycle", "--url", url, "--user", _USER, "--strokes", str(strokes), "--progress")
         # Programs inherit the environment; on a command line every user could read the password.

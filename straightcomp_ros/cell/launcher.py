@@ -48,6 +48,11 @@ def verb_command(verb: str, *arguments: str) -> list[str]:
     return [sys.executable, "-m", f"{PACKAGE}.cli.main", verb, *arguments]
 
 
+def in_namespace(namespace: str) -> list[str]:
+    """ROS arguments, to follow ``--ros-args``, that put a node into ``namespace``; none for an empty one."""
+    return ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
+
+
 def isolated_environment() -> dict[str, str]:
     """This environment, with discovery limited to this computer and, unless one is set, a random ROS domain."""
     environment = dict(os.environ)
@@ -60,11 +65,11 @@ def isolated_environment() -> dict[str, str]:
 class Graph:
     """Processes of one graph, by default in an :func:`isolated_environment`; as a context manager it stops them all.
 
-    ``log_folder`` gets a file with the output of each node.
+    ``log_folder`` gets a file with the output of each node; ``namespace`` is that of all nodes.
     """
 
-    def __init__(self, log_folder: Path, environment: Mapping[str, str] | None = None) -> None:
-        self._log_folder = log_folder
+    def __init__(self, log_folder: Path, environment: Mapping[str, str] | None = None, namespace: str = "") -> None:
+        self._log_folder, self._namespace = log_folder, namespace
         self._environment = dict(environment or isolated_environment())
         self._processes: dict[str, subprocess.Popen[str]] = {}
         log_folder.mkdir(parents=True, exist_ok=True)
@@ -88,7 +93,7 @@ class Graph:
 
         ``parameters`` override those of the ROS 2 ``parameter_file``; for ``read_output`` see :meth:`start_program`.
         """
-        words = [*(command or executable_command(f"{name}_node")), "--ros-args"]
+        words = [*(command or executable_command(f"{name}_node")), "--ros-args", *in_namespace(self._namespace)]
         if parameter_file:
             words += ["--params-file", str(parameter_file)]
         for key, value in parameters.items():

@@ -13,7 +13,7 @@ from pathlib import Path
 from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cli.law_tables import results_table, timing_table
-from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.options import add_namespace, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="a client of the OPC UA gateway runs the cycle, in place of the cell's node",
     )
+    add_namespace(parser)
     add("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -60,7 +61,7 @@ def run(options: argparse.Namespace) -> None:
         elif options.hardware:
             values["driver"]["hardware"] = options.hardware
         opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0
-        result = demonstrate(values, output, advance, opcua_strokes)
+        result = demonstrate(values, output, advance, opcua_strokes, options.namespace)
     picture = output / "run.png"
     figures = result.figures()
     title = f"Recorded stroke, law '{figures['law']}'"

@@ -3,6 +3,7 @@
 import argparse
 import math
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,21 @@ def add_repeatable(
 ) -> None:
     """Declare an option that may be given several times; its values are a list."""
     parser.add_argument(option, action="append", default=[], metavar=metavar, help=f"{text}; may be repeated", **more)
+
+
+_NAMESPACE = r"(/?[A-Za-z_]\w*)*/?"
+
+
+def add_namespace(parser: argparse._ActionsContainer) -> None:
+    """Declare ``--namespace``."""
+    parser.add_argument("--namespace", default="", metavar="NAME", type=_namespace, help="namespace of the graph")
+
+
+def _namespace(name: str) -> str:
+    if not re.fullmatch(_NAMESPACE, name):
+        allowed = "letters, digits and _, e.g. stage_1 or cell/stage_1"
+        raise argparse.ArgumentTypeError(f"{name!r}; allowed: {allowed}")
+    return name
 
 
 PICTURES = (".png", ".svg", ".pdf")

@@ -65,13 +65,16 @@ CASES = [
     ("bench", "required: BENCH"),
     ("bench bags --bag none", "bag none does not exist"),
     ("bench bags --kill-runs -1", "--kill-runs -1; allowed: 0 to 10000"),
+    ("bench stages --rounds 0", "--rounds 0; allowed: 1 to 1000"),
+    ("bench stages --stage one.yaml", "--stage: 1 stages; allowed: 2 to 8"),
     ("bench step --repeats 0", "straightcomp bench step: --repeats 0; allowed: 1 to 10000"),
     ("bench can --frames 1", "--frames 1; allowed: 1000 to"),
     ("can replay none.log", "none.log"),
     ("can hub --socket bus --fault drop=2", "drop"),
     ("can hub --socket bus --priority 99", "--priority 99; allowed: 0 to 98"),
     ("dsp --drift-ppm 1e9", "--drift-ppm 1e+09; allowed: -1000 to 1000 ppm"),
-    ("view --namespace 2nd", "--namespace '2nd'; allowed: letters, digits and _"),
+    ("view --namespace 2nd", "--namespace: '2nd'; allowed: letters, digits and _"),
+    ("demo --namespace a..b", "--namespace: 'a..b'; allowed: letters, digits and _"),
     ("robustness --trials 1 --law linear --dask nowhere", "--dask nowhere; allowed: HOST:PORT"),
     ("completion csh", "'csh' (choose from"),
     ("doctor now", "unrecognized arguments: now"),
@@ -108,7 +111,9 @@ def test_what_is_wrong_is_said_in_one_sentence(words: str, expected: str, capsys
     assert expected in refusal(words, capsys)
 
 
-@pytest.mark.parametrize("words", ["view", "demo", "faults", "soak", "bench graph", f"replay {BAG} --graph"])
+@pytest.mark.parametrize(
+    "words", ["view", "demo", "faults", "soak", "bench graph", "bench stages", f"replay {BAG} --graph"]
+)
 def test_without_rclpy_every_verb_that_needs_it_says_the_same(
     words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
