@@ -114,10 +114,11 @@ class ControllerNodeParameters:
         "reference, for a driver in lockstep or a replay",
         choices=("sample", "timer", "lockstep"),
     )
-    reference_lead: int = parameter(
-        12,
-        "Age of a sample's reference, in samples; the controller extrapolates it to the sample's time",
-        "[0, 100] samples",
+    reference_lead: float = parameter(
+        0.003,
+        "Age of a sample's reference, which the controller extrapolates to the sample's time; the feedforward has so "
+        "long to answer",
+        "[0, 0.02] s",
     )
     sample_timeout: float = parameter(
         1.0, "Time without a sample after which the driver is asked to switch off", "(0, 60] s"
@@ -131,8 +132,8 @@ class ControllerNodeParameters:
 
     @property
     def lead_ns(self) -> int:
-        """``reference_lead`` in ns at the stage's rate."""
-        return round(self.reference_lead * 1e9 / self.stage.rate)
+        """``reference_lead`` in ns."""
+        return round(self.reference_lead * 1e9)
 
 
 @dataclass(frozen=True)

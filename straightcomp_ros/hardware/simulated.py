@@ -44,7 +44,7 @@ class SimulatedParameters:
     hold_stiffness: float = parameter(
         10.5, "Stiffness of the board's hold, relative to the negative stiffness of the magnets", "[0, 1000]"
     )
-    sample_memory: int = parameter(256, "Samples that the board keeps for a late host", "[1, 100000]")
+    sample_memory: float = parameter(0.128, "Time for which the board keeps samples for a late host", "(0, 60] s")
     initial_y: float = parameter(0.0, "Platform's position at the start", "[-0.01, 0.01] m")
     truth: TruthParameters = group(TruthParameters, "Simulated machine")
 
@@ -94,6 +94,7 @@ class SimulatedHardware(Hardware):
         self._time_ns = self._next_sample_ns = self._last_command_ns = 0
         self._trajectory = Trajectory([Waypoint(0, 0.0, 0.0)])
         self._trajectory_start_ns = 0
+        self._memory = max(1, round(parameters.sample_memory * stage.rate))
 
     def start(self, now_ns: int) -> None:
         self._time_ns = self._next_sample_ns = self._last_command_ns = now_ns
@@ -104,7 +105,7 @@ class SimulatedHardware(Hardware):
         while self._next_sample_ns <= now_ns:
             samples.append(self._sample(self._next_sample_ns))
             self._next_sample_ns += self.period_ns
-        surplus = len(samples) - self._parameters.sample_memory
+        surplus = len(samples) - self._memory
         if surplus > 0:
             self.lost_samples += surplus
             del samples[:surplus]

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.model.motion import MotionParameters
 
 _FORMER: Mapping[str, Mapping[str, str]] = {
@@ -53,6 +54,8 @@ _FORMER: Mapping[str, Mapping[str, str]] = {
 }
 """For each node names, and beginnings of names with a dot at their end; the first that fits counts."""
 
+_SAMPLES = ("reference_lead", "simulated.sample_memory")
+"""Durations that were numbers of samples."""
 _GONE = ("control.super_twisting.",)
 """A law that no version has any more."""
 _OBSERVER = "control.smc_observer."
@@ -86,6 +89,9 @@ def present_names(node: str, values: Mapping[str, Any]) -> dict[str, Any]:
         # It was in A/m; now it is relative to the magnets' negative stiffness I0/y0.
         present.pop("simulated.hold_stiffness", None)
     _fit_speeds(present)
+    for name in _SAMPLES:
+        if isinstance(present.get(name), int):
+            present[name] /= present.get("stage.rate", DEFAULT_RATE)
     if f"{_OBSERVER}rho" not in present:
         return present
     if present.get("control.law") == "smc_observer":

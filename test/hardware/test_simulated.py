@@ -32,7 +32,7 @@ def test_samples_lie_on_the_grid_of_the_sampling_clock_whenever_they_are_fetched
 
 
 def test_a_host_that_is_late_finds_what_the_memory_holds_and_the_rest_is_counted_as_lost():
-    hardware = machine(sample_memory=16)
+    hardware = machine(sample_memory=16 * PERIOD * 1e-9)
     samples = hardware.read(START + 99 * PERIOD)
     assert len(samples) == 16 and samples[-1][0].stamp_ns == START + 99 * PERIOD
     assert hardware.lost_samples == 84

@@ -47,7 +47,7 @@ def single(tmp_path):
 
 FORGIVING = {
     "simulated.command_timeout": 1.0,
-    "simulated.sample_memory": 2000,
+    "simulated.sample_memory": 1.0,
     "watch.y_limit": 0.1,
     "watch.frozen_current": 100.0,
 }

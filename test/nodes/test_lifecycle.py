@@ -20,7 +20,7 @@ from straightcomp_ros.runtime.streams import subscribe
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
 _SWITCHING = CONTROLLER_STATE.layout.columns.index("switching_current")
 FORGIVING = {
-    "driver": {"simulated.command_timeout": 1.0, "simulated.sample_memory": 2000},
+    "driver": {"simulated.command_timeout": 1.0, "simulated.sample_memory": 1.0},
     "controller": {"sample_timeout": 30.0},
 }
 

@@ -105,3 +105,11 @@ def test_parameters_of_a_law_that_is_gone_are_left_out():
     assert present_names("controller", {"control.law": "smc", "control.super_twisting.surface": 500.0}) == {
         "control.law": "smc"
     }
+
+
+@pytest.mark.parametrize("former", [{"rate": 4000}, {"stage.rate": 4000}])
+def test_what_was_a_number_of_samples_is_a_time(former):
+    present = present_names("controller", {**former, "reference_lead": 12})
+    assert present == {"stage.rate": 4000, "reference_lead": 0.003}
+    assert present_names("controller", {"reference_lead": 0.002}) == {"reference_lead": 0.002}
+    assert present_names("driver", {"simulated.sample_memory": 256}) == {"simulated.sample_memory": 0.128}

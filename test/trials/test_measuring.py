@@ -106,13 +106,11 @@ def test_a_window_without_samples_is_an_error(bag):
 
 @pytest.mark.parametrize("rate", [1000, 2000, 4000])
 @pytest.mark.parametrize("seconds", [2.0, 20.0, 3600.0])
-def test_at_every_rate_the_reference_leads_by_the_same_time_and_the_stage_moves_all_the_while(rate, seconds):
+def test_at_every_rate_the_stage_moves_all_the_while(rate, seconds):
     shipped = shipped_parameters()
     values = bench_parameters(shipped, rate=rate, seconds=seconds, priority=0)
     controller, driver, cell = (node_parameters(node, values) for node in ("controller", "driver", "cell"))
     assert controller.stage.rate == driver.stage.rate == rate
-    assert controller.reference_lead / rate == pytest.approx(0.006)
-    assert driver.simulated.sample_memory / rate == pytest.approx(0.128)
     duration = forward_and_back(cell.stage.motion)[-1].time_ns * 1e-9
     assert duration == pytest.approx(seconds + 2.5)
     assert all(values[node]["realtime.priority"] == 0 for node in NODE_PARAMETERS)

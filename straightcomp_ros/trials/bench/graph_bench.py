@@ -16,12 +16,10 @@ from straightcomp_ros.cell.launcher import LaunchError, verb_command
 from straightcomp_ros.configuration.node_parameters import (
     NODE_PARAMETERS,
     STAGE,
-    ControllerNodeParameters,
     node_parameters,
 )
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
-from straightcomp_ros.contract import DEFAULT_RATE, PACKAGE, STROKE
-from straightcomp_ros.hardware.simulated import SimulatedParameters
+from straightcomp_ros.contract import PACKAGE, STROKE
 from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.timing.node_timing import NodeTiming, summarise
 from straightcomp_ros.trials.bench.processes import cores, usage
@@ -35,11 +33,6 @@ _REST_S = 1.0
 _PAUSE_S = 0.5
 _DRIVER_TIMEOUT_S = 1.0
 """Command timeout of the machine: a stall must be measured, not switch the amplifier off."""
-_SCALED = {
-    "driver": {"simulated.sample_memory": SimulatedParameters().sample_memory},
-    "controller": {"reference_lead": ControllerNodeParameters().reference_lead},
-}
-"""Durations that are parameters in samples; they are converted so that they stay the same in seconds."""
 
 
 class BenchFailed(RuntimeError):
@@ -110,9 +103,6 @@ def bench_parameters(
     chosen = {STAGE: {}, **{node: dict(section) for node, section in values.items()}}
     for node in NODE_PARAMETERS:
         chosen.setdefault(node, {})["realtime.priority"] = priority
-    for node, scaled in _SCALED.items():
-        for name, default in scaled.items():
-            chosen[node][name] = round(chosen[node].get(name, default) * rate / DEFAULT_RATE)
     chosen["driver"] |= {
         "simulated.command_timeout": _DRIVER_TIMEOUT_S,
         "realtime.keep_awake": priority > 0,

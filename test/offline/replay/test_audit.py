@@ -102,7 +102,8 @@ def test_what_is_lost_makes_the_rest_unverifiable_not_different(bag, tmp_path, t
 
     found = audit(rewritten(bag, tmp_path / "new", lose))
     assert found.different == 0 and found.missing == 1
-    lead = ControllerNodeParameters().reference_lead
+    parameters = ControllerNodeParameters()
+    lead = round(parameters.reference_lead * parameters.stage.rate)
     assert found.commands == {"encoder": 600, "reference": 600 + lead, "controller_state": 600}[topic]
     assert found.commands + found.unverified == len(read_streams(bag, LAYOUTS)["command"])
 
@@ -180,7 +181,9 @@ def test_a_run_with_late_references_and_lost_samples_is_verified_whole(tmp_path,
 def test_with_the_recorded_parameters_the_simulation_gives_the_recorded_figures(bag):
     result = what_if(bag, {})
     assert result.changed is None and result.laws[:2] == ("smc", "smc")
-    assert result.again.true_pp == pytest.approx(result.recorded.true_pp, rel=0.05)
+    # The recorded motion is known to an encoder count; the peaks of friction reversals depend on less.
+    assert result.again.true_rms == pytest.approx(result.recorded.true_rms, rel=0.05)
+    assert result.again.true_pp == pytest.approx(result.recorded.true_pp, rel=0.2)
     assert result.again.uncompensated_pp == pytest.approx(result.recorded.uncompensated_pp, rel=1e-3)
 
 
