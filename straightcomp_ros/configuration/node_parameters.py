@@ -92,9 +92,6 @@ class FeedforwardNodeParameters:
     autostart: bool = _autostart()
     stage: StageParameters = group(StageParameters)
     feedforward: FeedforwardParameters = group(FeedforwardParameters, "Tracking of the stage")
-    interval: float = parameter(
-        0.002, "Time between two cycles; each answers all samples since the last", "(0, 0.01] s"
-    )
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 

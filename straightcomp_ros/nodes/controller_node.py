@@ -62,8 +62,9 @@ class ControllerComponent:
         self._servo = Servo(make_law(parameters.control, parameters.stage), learning=self._learning)
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()
-        self._publish_command = CopiedPublisher(node, COMMAND, copied=not lockstep)
-        self._publish_state = BatchPublisher(node, CONTROLLER_STATE)
+        rate = parameters.stage.rate
+        self._publish_command = CopiedPublisher(node, COMMAND, None if lockstep else rate)
+        self._publish_state = BatchPublisher(node, CONTROLLER_STATE, rate)
         self._samples_seen = self._commands = self._refused = 0
         self._gaps = StampGaps()
         self._trip = tripper(node)

@@ -22,7 +22,7 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher
+from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, CopiedPublisher
 from straightcomp_ros.runtime.clock import from_monotonic, now_ns
 from straightcomp_ros.runtime.command_intake import CommandIntake
 from straightcomp_ros.runtime.locked_loop import LockedLoop
@@ -69,12 +69,13 @@ class DriverComponent:
         self._command_timeout_ns = round(parameters.machine.command_timeout * 1e9)
         self._hardware = hardware or make_hardware(parameters)
         period_ns = parameters.stage.period_ns
-        self._publish_sample = CopiedPublisher(node, ENCODER, copied=not parameters.lockstep)
+        rate = parameters.stage.rate
+        self._publish_sample = CopiedPublisher(node, ENCODER, None if parameters.lockstep else rate, LOOK_AHEAD_S)
         self._publish_position = publisher(node, POSITION)
         # In lockstep the run may end with the motion's last sample, so every position is published.
         self._position_every = 1 if parameters.lockstep else POSITION_EVERY
-        self._publish_truth = BatchPublisher(node, TRUTH)
-        self._publish_state = BatchPublisher(node, DRIVER_STATE)
+        self._publish_truth = BatchPublisher(node, TRUTH, rate)
+        self._publish_state = BatchPublisher(node, DRIVER_STATE, rate)
         self._samples = 0
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)

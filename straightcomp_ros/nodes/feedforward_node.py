@@ -10,11 +10,11 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
-from straightcomp_ros.runtime.batch_streams import BatchPublisher, batched_queue
+from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
+from straightcomp_ros.runtime.locked_loop import LockedLoop
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
-from straightcomp_ros.runtime.periodic import PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.streams import unspun_node
 from straightcomp_ros.runtime.trip import tripper
@@ -27,6 +27,7 @@ from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
 _LOOK_AT_MAP_S = 0.02
+_BATCH_NS = round(LOOK_AHEAD_S * 1e9)
 
 
 def _middle(_: float) -> tuple[float, float, float]:
@@ -46,7 +47,7 @@ class FeedforwardComponent:
         self._map = load_map(parameters.stage.guide)
         node.get_logger().info(f"map {parameters.stage.guide.file}: {self._map.report}")
         self._feedforward = Feedforward(self._map, parameters.feedforward, parameters.stage.motion.highest_speed)
-        self._publish = BatchPublisher(node, REFERENCE, flushed=True)
+        self._publish = BatchPublisher(node, REFERENCE, None)
         self._trip = tripper(node)
         self._samples = 0
         self._x = math.nan
@@ -54,7 +55,7 @@ class FeedforwardComponent:
         self._gaps = StampGaps()
         self._unspun = unspun_node(node)
         self._queue = batched_queue(node, self._unspun, ENCODER)
-        self.loop = PeriodicLoop(round(parameters.interval * 1e9), self._cycle)
+        self.loop = LockedLoop(_BATCH_NS, self._queue.wait, self._cycle)
         node.create_service(Trigger, "~/reload_map", self._on_reload_map)
         node.create_service(SetBool, "~/center", self._on_center)
         node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
@@ -97,8 +98,8 @@ class FeedforwardComponent:
         self._worker.run(load)
         while not job.done():
             if self._node.active:
-                self._cycle(0)
-            time.sleep(self._parameters.interval)
+                self._cycle()
+            time.sleep(LOOK_AHEAD_S)
         return job.result()
 
     def _on_reload_map(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -133,13 +134,19 @@ class FeedforwardComponent:
                 f"{low * 1e3:.1f} to {high * 1e3:.1f} mm",
             )
 
-    def _cycle(self, _: int) -> None:
-        for stamp_ns, numbers, _ in self._queue.fetch():
+    def _cycle(self) -> tuple[int, int]:
+        """Answer the samples that have arrived; return in how many batches they came and the newest one's age in ns."""
+        samples = self._queue.fetch()
+        if not samples:
+            return 0, 0
+        age_ns = max(0, time.time_ns() - samples[-1][2])
+        for stamp_ns, numbers, _ in samples:
             self._samples += 1
             self._gaps.see(stamp_ns)
             self._x = numbers[0]
             self._publish(stamp_ns, *self._feedforward.step(stamp_ns, self._x))
         self._publish.flush()
+        return 1 + (samples[-1][0] - samples[0][0]) // _BATCH_NS, age_ns
 
     def _counters(self) -> dict[str, object]:
         return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}

@@ -1,4 +1,4 @@
-"""Streams in batches: eight messages in one, for subscribers that can wait.
+"""Streams in batches: the messages of some milliseconds in one, for subscribers that can wait.
 
 Publishing a message, waking its subscriber and taking it costs each side about 20 µs, more than all other work on it.
 The controller's samples and the driver's commands must arrive one by one. Subscribers that record, display or look
@@ -27,12 +27,13 @@ from straightcomp_ros.runtime.streams import (
     stream_qos,
 )
 
-_BATCH = 8
-"""Messages in a batch: 4 ms at 2 kHz."""
+BATCH_S, LOOK_AHEAD_S = 0.004, 0.002
+"""Length of a batch for subscribers that record or display, and for the feedforward, which looks ahead."""
 _LONGEST = 64
 """Messages in the largest batch, after a stall: it fits into one packet of a loopback socket."""
-_first_batches = itertools.cycle((1, 4, 7, 2, 5, 8, 3, 6))
-"""Lengths of the first batches of a process's streams: its batches must not all be published in the same cycle."""
+_first_batches = itertools.cycle((0.125, 0.5, 0.875, 0.25, 0.625, 1.0, 0.375, 0.75))
+"""Lengths of the first batches of a process's streams, relative to the later ones: its batches must not all be
+published in the same cycle."""
 _FLUSH_S = 0.5
 """Longest time for which an incomplete batch waits for more messages."""
 _DELIVERY = Duration(seconds=0.2)
@@ -44,11 +45,12 @@ _LONGEST_DELAY_NS = 1_000_000_000
 class _Batches:
     """Collects serialised messages with the time each was made, and publishes them in batches."""
 
-    def __init__(self, node: Node, stream: Stream) -> None:
+    def __init__(self, node: Node, stream: Stream, length: float) -> None:
         self._publisher = node.create_publisher(UInt8MultiArray, stream.batch_topic, stream_qos(reliable=True))
         self._publish = raw_publish(self._publisher)
         self._waiting: list[tuple[int, bytes]] = []
-        self._room = next(_first_batches)
+        self._length = max(1, round(length))
+        self._room = max(1, round(self._length * next(_first_batches)))
 
     @property
     def full(self) -> bool:
@@ -63,7 +65,7 @@ class _Batches:
         """Publish the collected messages, and return them."""
         waiting, self._waiting = self._waiting, []
         if self._room <= 0:
-            self._room = _BATCH
+            self._room = self._length
         for first in range(0, len(waiting), _LONGEST):
             self._publish(pack_batch(waiting[first : first + _LONGEST]))
         return waiting
@@ -79,15 +81,15 @@ class BatchPublisher:
     Args:
         node: creates the publishers.
         stream: what to publish.
-        flushed: publish only when the caller flushes.
+        rate: messages per second; None: publish only when the caller flushes.
     """
 
-    def __init__(self, node: Node, stream: Stream, flushed: bool = False) -> None:
-        self._pack, self._flushed = stream.layout.pack, flushed
-        self._batches = _Batches(node, stream)
+    def __init__(self, node: Node, stream: Stream, rate: float | None) -> None:
+        self._pack, self._flushed = stream.layout.pack, rate is None
+        self._batches = _Batches(node, stream, BATCH_S * (rate or 0.0))
         self._publisher = stream_publisher(node, stream)
         self._publish = raw_publish(self._publisher)
-        if not flushed:
+        if rate is not None:
             node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
@@ -115,14 +117,15 @@ class CopiedPublisher:
     Args:
         node: creates the publishers.
         stream: what to publish.
-        copied: also publish batches. False in lockstep: the next message waits for the answer to the last one, so a
-            batch would never fill.
+        rate: messages per second; None: publish no batches. In lockstep the next message waits for the answer to the
+            last one, so a batch would never fill.
+        seconds: length of a batch.
     """
 
-    def __init__(self, node: Node, stream: Stream, copied: bool) -> None:
+    def __init__(self, node: Node, stream: Stream, rate: float | None, seconds: float = BATCH_S) -> None:
         self._pack, self._publish = stream.layout.pack, raw_publish(stream_publisher(node, stream))
-        self._batches = _Batches(node, stream) if copied else None
-        if copied:
+        self._batches = _Batches(node, stream, rate * seconds) if rate is not None else None
+        if rate is not None:
             node.create_timer(_FLUSH_S, self.flush)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> None:
@@ -173,6 +176,10 @@ class BatchQueue:
         self._newest_ns: int | None = None
         """Stamp of the newest message received one by one; batches repeat the messages up to it."""
         self._looked_ns = 0
+
+    def wait(self, timeout_ns: int) -> None:
+        """Return when a message or batch has arrived, or after ``timeout_ns``."""
+        (self._direct or self._batches).wait(timeout_ns)
 
     @property
     def connected(self) -> bool:

@@ -73,6 +73,10 @@ class Fetched(Protocol):
     def fetch(self) -> Messages:
         """Messages since the last call."""
 
+    @property
+    def wait(self) -> Callable[[int], None]:
+        """``wait(timeout_ns)`` returns when messages have arrived, or after that time."""
+
 
 class SubscriptionQueue:
     """A stream whose messages wait in the middleware until they are fetched.
@@ -98,7 +102,7 @@ class SubscriptionQueue:
         self.sent_ns: list[int] = []
 
     def wait(self, timeout_ns: int) -> None:
-        """Return when a message has arrived, or after ``timeout_ns``; not with a ``queue`` of batches."""
+        """Return when a message has arrived, or after ``timeout_ns``."""
         self._queue.wait(timeout_ns)
 
     def fetch(self) -> list[tuple[int, Sequence[float], int]]:

@@ -56,8 +56,8 @@ _FORMER: Mapping[str, Mapping[str, str]] = {
 
 _SAMPLES = ("reference_lead", "simulated.sample_memory")
 """Durations that were numbers of samples."""
-_GONE = ("control.super_twisting.",)
-"""A law that no version has any more."""
+_GONE = ("control.super_twisting.", "interval")
+"""A law that no version has any more, and the pause between two cycles of the feedforward."""
 _OBSERVER = "control.smc_observer."
 FORMER_OBSERVER = "smc_observer without friction"
 """The law that was called smc_observer before the present one; only it had a rho."""

@@ -60,7 +60,7 @@ def pair():
 
 
 def test_without_a_copy_the_stream_itself_is_read(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, copied=False)
+    publish = CopiedPublisher(pair.writer, ENCODER, None)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.5)
     pair.send(publish, 300)
@@ -69,7 +69,7 @@ def test_without_a_copy_the_stream_itself_is_read(pair):
 
 
 def test_a_reader_goes_over_to_the_copy_and_has_each_message_once(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, copied=True)
+    publish = CopiedPublisher(pair.writer, ENCODER, 2000)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.5)
     pair.send(publish, 1000)
@@ -80,14 +80,14 @@ def test_a_reader_goes_over_to_the_copy_and_has_each_message_once(pair):
 
 
 def test_when_the_copy_s_publisher_goes_the_stream_itself_is_read_again(pair):
-    publish = CopiedPublisher(pair.writer, ENCODER, copied=True)
+    publish = CopiedPublisher(pair.writer, ENCODER, 2000)
     pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
     time.sleep(0.5)
     pair.send(publish, 100)
     pair.wait(lambda: len(pair.stamps) >= 100 and pair.direct_readers() == 0)
     for publisher in list(pair.writer.publishers):
         pair.writer.destroy_publisher(publisher)
-    another = CopiedPublisher(pair.writer, ENCODER, copied=False)
+    another = CopiedPublisher(pair.writer, ENCODER, None)
     pair.wait(lambda: pair.direct_readers() == 1)
     time.sleep(0.5)
     pair.send(another, 100)
@@ -96,7 +96,7 @@ def test_when_the_copy_s_publisher_goes_the_stream_itself_is_read_again(pair):
 
 
 def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to_it(pair):
-    publish, sent = BatchPublisher(pair.writer, TRUTH), 0
+    publish, sent = BatchPublisher(pair.writer, TRUTH, 2000), 0
     batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
     numbers = [0.0] * len(TRUTH.layout.columns)
 
@@ -129,7 +129,7 @@ def test_a_stream_that_nobody_acts_on_comes_one_by_one_only_to_who_subscribes_to
 
 
 def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_out(pair):
-    publish = BatchPublisher(pair.writer, TRUTH, flushed=True)
+    publish = BatchPublisher(pair.writer, TRUTH, None)
     batches = BatchQueue(pair.reader, pair.unspun, TRUTH)
     numbers = [0.0] * len(TRUTH.layout.columns)
     pair.wait(lambda: batches.connected)
