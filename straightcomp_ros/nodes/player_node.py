@@ -19,6 +19,7 @@ from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.periodic import PeriodicLoop
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
 from straightcomp_ros.runtime.streams import SubscriptionQueue, message_type, stream_qos, unspun_node
+from straightcomp_ros.timing.node_timing import SAMPLES
 
 _AFTERPLAY_S = 0.5
 """Time for the other nodes to answer the last samples."""
@@ -65,7 +66,7 @@ class PlayerNode(Runnable):
         self._queue = SubscriptionQueue(node, unspun_node(node), COMMAND) if parameters.ahead else None
         period = sorted(b - a for a, b in zip(self._due_ns, self._due_ns[1:], strict=False))
         self.loop = PeriodicLoop(max(period[len(period) // 2] if period else 0, 50_000), self._cycle)
-        Diagnostics(node, lambda: {"samples": self._next, "overruns": self.loop.overruns})
+        Diagnostics(node, lambda: {SAMPLES: self._next, **self.loop.missed.report()})
 
     def _cycle(self, wake_ns: int) -> None:
         if self._start_ns is None:

@@ -7,7 +7,8 @@ from itertools import pairwise
 
 from straightcomp_ros.runtime.periodic import IDLE_EVERY_NS, IdleWork
 from straightcomp_ros.timing.histogram import Histogram
-from straightcomp_ros.timing.node_timing import OVERRUNS, TIMER_ERROR, written
+from straightcomp_ros.timing.missed_periods import MissedPeriods
+from straightcomp_ros.timing.node_timing import TIMER_ERROR, written
 
 _GAIN = 0.02
 
@@ -29,17 +30,17 @@ class LockedLoop:
 
     def __init__(self, period_ns: int, wait: Callable[[int], None], cycle: Callable[[], tuple[int, int]]) -> None:
         self._period_ns, self._wait, self._cycle = period_ns, wait, cycle
-        self.overruns = 0
+        self.missed = MissedPeriods(period_ns)
         """Messages without a cycle of their own, because a cycle found a later one too."""
         self.phase_error_ns = 0.0
         """How much later than predicted the newest message arrived."""
         self._lateness = Histogram()
 
     def report(self) -> dict[str, object]:
-        """Values for the diagnostics: overruns, and the delays from a message's arrival to its cycle since the last
-        report."""
+        """Values for the diagnostics: missed periods, and the delays from a message's arrival to its cycle since the
+        last report."""
         return {
-            OVERRUNS: self.overruns,
+            **self.missed.report(),
             "phase_error_us": self.phase_error_ns * 1e-3,
             **written(TIMER_ERROR, self._lateness.take()),
         }
@@ -57,7 +58,7 @@ class LockedLoop:
             if count:
                 record(age_ns)
                 if count > 1:
-                    self.overruns += count - 1
+                    self.missed.count(count - 1)
                     # At a real-time priority a loop that never waits would keep the middleware's threads from running.
                     os.sched_yield()
                 due_ns = self._follow(now_ns - age_ns, due_ns) + period_ns

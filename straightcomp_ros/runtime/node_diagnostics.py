@@ -12,7 +12,17 @@ from rclpy.node import Node
 from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.timing.cpu_wait import CpuWait
 from straightcomp_ros.timing.level import Levels
-from straightcomp_ros.timing.node_timing import CPU_WAIT, LOST, NORMAL, OVERRUNS, RATE, REFUSED, SAMPLES, SCHEDULING
+from straightcomp_ros.timing.node_timing import (
+    CPU_WAIT,
+    LOST,
+    NORMAL,
+    OVERRUNS,
+    RATE,
+    REFUSED,
+    SAMPLES,
+    SCHEDULING,
+    STALLED_MS,
+)
 
 _TICK_S, _TICKS = 0.25, 4
 """Values are collected at every fourth tick and published at the next one."""
@@ -69,8 +79,10 @@ class Diagnostics:
             return
         (stamp, values), self._collected = self._collected, None
         error = str(values.get("error", ""))
-        lost, overruns = (int(str(values.get(name, 0))) for name in (LOST, OVERRUNS))
-        level, words = self._levels.next(int(str(values[SAMPLES])), lost, overruns, bool(error))
+        samples, lost, overruns, stalled_ms = (
+            int(str(values.get(name, 0))) for name in (SAMPLES, LOST, OVERRUNS, STALLED_MS)
+        )
+        level, words = self._levels.next(samples, lost, overruns, stalled_ms, bool(error))
         status = DiagnosticStatus(
             level=bytes([level]),
             name=self._node.get_fully_qualified_name().lstrip("/"),

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from typing import Protocol
 
 from straightcomp_ros.timing.histogram import Histogram
-from straightcomp_ros.timing.node_timing import OVERRUNS, TIMER_ERROR, written
+from straightcomp_ros.timing.missed_periods import MissedPeriods
+from straightcomp_ros.timing.node_timing import TIMER_ERROR, written
 
 _PR_SET_TIMERSLACK = 29
 IDLE_EVERY_NS = 6_000_000
@@ -25,7 +26,7 @@ class Loop(Protocol):
         """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
 
     def report(self) -> dict[str, object]:
-        """Values for the diagnostics: overruns, and how late the cycles since the last report were."""
+        """Values for the diagnostics: missed periods, and how late the cycles since the last report were."""
 
 
 class PeriodicLoop:
@@ -48,18 +49,18 @@ class PeriodicLoop:
         self._cycle = cycle
         self.cycles = 0
         """Periods in which ``cycle`` was called."""
-        self.overruns = 0
-        """Periods that were missed."""
+        self.missed = MissedPeriods(period_ns)
+        """Periods without a call."""
         self._timer_errors = Histogram()
 
     def report(self) -> dict[str, object]:
-        """Values for the diagnostics: overruns, and how late the wake-ups since the last report were."""
-        return {OVERRUNS: self.overruns, **written(TIMER_ERROR, self._timer_errors.take())}
+        """Values for the diagnostics: missed periods, and how late the wake-ups since the last report were."""
+        return {**self.missed.report(), **written(TIMER_ERROR, self._timer_errors.take())}
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None]) -> None:
         """Loop until ``stopped()``; ``idle`` is called some 150 times a second, for work that can wait."""
         _exact_sleep()
-        period_ns, cycle = self._period_ns, self._cycle
+        period_ns, cycle, missed = self._period_ns, self._cycle, self.missed
         monotonic_ns, sleep, record = time.monotonic_ns, time.sleep, self._timer_errors.record
         give_way = os.sched_yield
         wake_ns = monotonic_ns()
@@ -81,9 +82,9 @@ class PeriodicLoop:
             wake_ns += period_ns
             behind_ns = monotonic_ns() - wake_ns
             if behind_ns > 0:
-                missed = behind_ns // period_ns
-                self.overruns += missed
-                wake_ns += missed * period_ns
+                periods = behind_ns // period_ns
+                missed.count(periods)
+                wake_ns += periods * period_ns
 
     def _follow(self, late_ns: int) -> None:
         """Adapt how early to wake up, so that half of all wake-ups are late."""

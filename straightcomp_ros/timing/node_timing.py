@@ -13,7 +13,8 @@ from straightcomp_ros.timing.histogram import NOTHING, Distribution
 SAMPLES = "samples"
 """Samples that the node has processed since its start."""
 RATE = "rate_hz"
-OVERRUNS = "overruns"
+OVERRUNS, STALLS, STALLED_MS = "overruns", "stalls", "stalled_ms"
+"""Periods that the loop missed by its own work; gaps in which the host held it up, and their total length."""
 LOST = "lost_samples"
 TIMER_ERROR = "timer_error"
 LATENCY = "latency"
@@ -74,7 +75,8 @@ class NodeTiming:
 
     Attributes:
         rate_hz: samples processed per second; NaN with fewer than two reports.
-        overruns: periods that its loop missed.
+        overruns: periods that its loop missed by its own work.
+        stalls: gaps of at least 2 ms in which the host held its loop up.
         lost_samples: samples that did not reach it.
         timer_error: lateness of its loop's wake-ups.
         latency: from a sample until its command arrived (driver only).
@@ -83,6 +85,7 @@ class NodeTiming:
 
     rate_hz: float
     overruns: int
+    stalls: int
     lost_samples: int
     timer_error: Distribution
     latency: Distribution
@@ -92,7 +95,8 @@ class NodeTiming:
         """Values by name, durations in µs."""
         return {
             "rate_hz": self.rate_hz,
-            "overruns": self.overruns,
+            OVERRUNS: self.overruns,
+            STALLS: self.stalls,
             "lost_samples": self.lost_samples,
             "timer_error_us": percentiles_us(self.timer_error),
             "no_cpu_us": self.held_up.no_cpu_us,
@@ -151,7 +155,7 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
     """
     inside = [report for report in reports if begin_ns <= report.time_ns <= end_ns]
     if len(inside) < 2:
-        return NodeTiming(math.nan, 0, 0, NOTHING, NOTHING)
+        return NodeTiming(math.nan, 0, 0, 0, NOTHING, NOTHING)
     first, last = inside[0], inside[-1]
 
     def grown(name: str) -> int:
@@ -165,6 +169,7 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
     return NodeTiming(
         rate_hz=grown(SAMPLES) / seconds if seconds > 0 else math.nan,
         overruns=grown(OVERRUNS),
+        stalls=grown(STALLS),
         lost_samples=grown(LOST),
         timer_error=total(TIMER_ERROR),
         latency=total(LATENCY),

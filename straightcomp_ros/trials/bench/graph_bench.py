@@ -64,7 +64,7 @@ class Measurement:
         figures: dict[str, Any] = {}
         for node, timing in self.timing.items():
             shown = timing.to_display()
-            figures[node] = {key: shown[key] for key in ("rate_hz", "overruns", "timer_error_us")}
+            figures[node] = {key: shown[key] for key in ("rate_hz", "overruns", "stalls", "timer_error_us")}
             figures[node] |= {
                 "cpu_cores": self.cpu_cores[node],
                 "rss_mb": list(self.rss_mb[node]),
@@ -74,6 +74,7 @@ class Measurement:
             **figures,
             "lost_samples": recording.lost_samples,
             "overruns": sum(timing.overruns for timing in self.timing.values()),
+            "stalls": sum(timing.stalls for timing in self.timing.values()),
             "latency_us": recording.latency_us(),
             "cpu_cores": sum(self.cpu_cores.values()),
             "seconds": self.seconds,

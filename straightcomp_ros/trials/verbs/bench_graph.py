@@ -1,7 +1,7 @@
 """Run driver, feedforward, controller and logger as in operation, with the stage moving, and measure them.
 
-Prints the rate, overruns, lateness of the loop, CPU and memory of each node, and the graph's latency from sample to
-command and its losses. The window begins when all nodes are connected and have settled."""
+Prints the rate, missed periods, lateness of the loop, CPU and memory of each node, and the graph's latency from sample
+to command and its losses. The window begins when all nodes are connected and have settled."""
 
 import argparse
 import tempfile
@@ -149,7 +149,7 @@ def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
 
 
 def _table(figures: dict[str, Any], title: str) -> Table:
-    table = titled_table(title, "node", "Hz", "overruns", "late p50", "p99", "p99.9", "max", "CPU", "MB")
+    table = titled_table(title, "node", "Hz", "overruns", "stalls", "late p50", "p99", "p99.9", "max", "CPU", "MB")
     for node in RECORDED:
         values = figures[node]
         late = values["timer_error_us"]
@@ -157,6 +157,7 @@ def _table(figures: dict[str, Any], title: str) -> Table:
             node,
             rounded(values["rate_hz"]),
             str(values["overruns"]),
+            str(values["stalls"]),
             *(rounded(late[key]) for key in ("p50", "p99", "p999", "max")),
             rounded(values["cpu_cores"], 3),
             "→".join(rounded(value) for value in values["rss_mb"]),
