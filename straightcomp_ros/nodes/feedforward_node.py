@@ -135,18 +135,18 @@ class FeedforwardComponent:
             )
 
     def _cycle(self) -> tuple[int, int]:
-        """Answer the samples that have arrived; return in how many batches they came and the newest one's age in ns."""
+        """Answer the samples that have arrived; return for how many batches, and how long the oldest waited, in ns."""
         samples = self._queue.fetch()
         if not samples:
             return 0, 0
-        age_ns = max(0, time.time_ns() - samples[-1][2])
+        age_ns = max(0, time.time_ns() - samples[0][2])
         for stamp_ns, numbers, _ in samples:
             self._samples += 1
             self._gaps.see(stamp_ns)
             self._x = numbers[0]
             self._publish(stamp_ns, *self._feedforward.step(stamp_ns, self._x))
         self._publish.flush()
-        return 1 + (samples[-1][0] - samples[0][0]) // _BATCH_NS, age_ns
+        return 1 + age_ns // _BATCH_NS, age_ns
 
     def _counters(self) -> dict[str, object]:
         return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}

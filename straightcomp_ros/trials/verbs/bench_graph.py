@@ -149,7 +149,7 @@ def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
 
 
 def _table(figures: dict[str, Any], title: str) -> Table:
-    table = titled_table(title, "node", "Hz", "overruns", "stalls", "late p50", "p99", "p99.9", "max", "CPU", "MB")
+    table = titled_table(title, "node", "Hz", "overruns", "stalls", "p50", "p99", "max", "CPU", "MB")
     for node in RECORDED:
         values = figures[node]
         late = values["timer_error_us"]
@@ -158,9 +158,9 @@ def _table(figures: dict[str, Any], title: str) -> Table:
             rounded(values["rate_hz"]),
             str(values["overruns"]),
             str(values["stalls"]),
-            *(rounded(late[key]) for key in ("p50", "p99", "p999", "max")),
-            rounded(values["cpu_cores"], 3),
-            "→".join(rounded(value) for value in values["rss_mb"]),
+            *(rounded(late[key]) for key in ("p50", "p99", "max")),
+            rounded(values["cpu_cores"], 2),
+            rounded(values["rss_mb"][-1]),
         )
     return table
 
