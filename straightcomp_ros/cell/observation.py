@@ -17,6 +17,7 @@ class Observation:
     faults: Mapping[str, str] = field(default_factory=dict)  # fault of each node that has one
     fault_code: int = 0  # of the driver's latched fault; 0 without one
     unrecorded: tuple[str, ...] = ()  # topics that the logger, if there is one, is not connected to
+    descriptions: Mapping[str, str] = field(default_factory=dict)  # of the stage, of each node that tells its own
     fresh: bool = False  # samples are arriving
     amplifier_on: bool = False  # samples are arriving, and the driver reports the amplifier on
     stamp_ns: int = 0  # of the newest sample, ns since the epoch; 0 before the first
@@ -48,7 +49,16 @@ class Observation:
         return "" if self.fresh else "no samples come in"
 
     @property
+    def contradiction(self) -> str:
+        """Which nodes have which descriptions of the stage, if these differ; empty if not."""
+        if len(set(self.descriptions.values())) < 2:
+            return ""
+        found = ", ".join(f"{node} {description}" for node, description in sorted(self.descriptions.items()))
+        return f"the nodes' descriptions of the stage differ ({found}): start all with one stage file"
+
+    @property
     def obstacle(self) -> str:
         """Why a cycle cannot start now; empty if it can."""
         unrecorded = f"not recorded: {', '.join(self.unrecorded)}" if self.unrecorded else ""
-        return self.fault or self.absence or unrecorded or ("" if self.still else "the stage moves")
+        motion = "" if self.still else "the stage moves"
+        return self.fault or self.absence or self.contradiction or unrecorded or motion

@@ -22,7 +22,7 @@ _HOME_S = 1.0
 _OFF_WITHIN_S = 2.0
 """A driver that has not switched off within this time has failed; its machine's own watchdog has switched off."""
 _REPORTED_WITHIN_S = 1.5
-"""Within this time the diagnostics show a new fault, or that a fault is gone."""
+"""Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
 MOST_STROKES = 1_000_000
 AMPLIFIER_OFF = "the amplifier went off"
 _WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
@@ -192,6 +192,8 @@ class CellSequence:
         ready_since = self._now
         while True:
             obstacle = self._seen.obstacle or self._machine.obstacle
+            if self._seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
+                raise _Failed(self._seen.contradiction)
             if obstacle:
                 ready_since = self._now
                 if self._overdue(self._start_timeout):

@@ -39,7 +39,13 @@ class CellNode(Runnable):
         self._parameters = parameters = declare(node, CellNodeParameters)
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         self._services = GraphServices(node, parameters.nodes.split(), parameters.heartbeat_timeout)
-        self._watch = GraphWatch(node, batches=False, fresh=parameters.sample_timeout, patient=True)
+        self._watch = GraphWatch(
+            node,
+            batches=False,
+            fresh=parameters.sample_timeout,
+            patient=True,
+            description=parameters.stage.identity,
+        )
         self._seen = Observation()
         self._sequence = make_sequence(
             self._services,

@@ -27,7 +27,7 @@ from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import DESCRIPTION, LOST, OVERRUNS, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
 _SPARE_REFERENCES = 2
@@ -87,6 +87,7 @@ class ControllerComponent:
                 self.loop = LockedLoop(period_ns, self._wait, self._cycle)
             self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
             node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
+        self._description = parameters.stage.identity
         Diagnostics(node, self._counters)
 
     def activate(self) -> None:
@@ -198,6 +199,7 @@ class ControllerComponent:
             "commands": self._commands,
             "refused_samples": self._refused,
             "unmatched_samples": self._pairing.unmatched,
+            DESCRIPTION: self._description,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
             **(self._learning.counters() if self._learning is not None else {}),
         }

@@ -24,7 +24,7 @@ from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.node_timing import LOST, SAMPLES
+from straightcomp_ros.timing.node_timing import DESCRIPTION, LOST, SAMPLES
 
 _LOOK_AT_MAP_S = 0.02
 _BATCH_NS = round(LOOK_AHEAD_S * 1e9)
@@ -59,6 +59,7 @@ class FeedforwardComponent:
         node.create_service(Trigger, "~/reload_map", self._on_reload_map)
         node.create_service(SetBool, "~/center", self._on_center)
         node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
+        self._description = parameters.stage.identity
         Diagnostics(node, self._counters)
 
     def activate(self) -> None:
@@ -149,7 +150,12 @@ class FeedforwardComponent:
         return 1 + age_ns // _BATCH_NS, age_ns
 
     def _counters(self) -> dict[str, object]:
-        return {SAMPLES: self._samples, LOST: self._gaps.lost, **self.loop.report()}
+        return {
+            SAMPLES: self._samples,
+            LOST: self._gaps.lost,
+            DESCRIPTION: self._description,
+            **self.loop.report(),
+        }
 
     def close(self) -> None:
         """Stop the worker thread and release the subscription."""

@@ -38,7 +38,8 @@ class OpcuaNode:
         self._parameters = parameters = declare(node, OpcuaNodeParameters)
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         names = parameters.nodes.split()
-        self._watch, self._services = GraphWatch(node), GraphServices(node, names)
+        self._watch = GraphWatch(node, description=parameters.stage.identity)
+        self._services = GraphServices(node, names)
         self._remote = RemoteParameters(node, ["driver"])
         self._sequence = CellSequence(self._services, parameters.stage.motion, parameters.start_timeout)
         self._alarms = Alarms(parameters.error_limit)

@@ -24,7 +24,7 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.runtime.batch_streams import batched_queue
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
-from straightcomp_ros.timing.node_timing import LOST, SAMPLES, reporting_node
+from straightcomp_ros.timing.node_timing import DESCRIPTION, LOST, SAMPLES, reporting_node
 
 _REPORT_LASTS_S = 5.0
 _YIELD_EVERY = 64
@@ -51,10 +51,20 @@ class GraphWatch:
         batches: also read `controller_state` and `driver_state`; otherwise errors and σ stay unknown.
         fresh: time after the last sample for which the observation is fresh, s.
         patient: the observation is also fresh before the first sample, until :meth:`expect_samples` is called.
+        description: of the stage, by which ``node`` itself moves it; empty if it does not.
     """
 
-    def __init__(self, node: Node, *, batches: bool = True, fresh: float = 0.5, patient: bool = False) -> None:
+    def __init__(
+        self,
+        node: Node,
+        *,
+        batches: bool = True,
+        fresh: float = 0.5,
+        patient: bool = False,
+        description: str = "",
+    ) -> None:
         self._node, self._fresh = node, fresh
+        self._own = {node.get_name(): description} if description else {}
         unspun = unspun_node(node)
         self._queues = [SubscriptionQueue(node, unspun, POSITION)]
         if batches:
@@ -107,12 +117,14 @@ class GraphWatch:
         # A fault of the driver is in its safety state at once, but in its diagnostics up to a second later.
         safety = self._safety if states.get(_DRIVER) not in (ABSENT, SILENT) else SafetyState()
         faults = {node: text for node, text in self._errors.items() if node in reports and node != _DRIVER}
+        told = {node: values[DESCRIPTION] for node, values in reports.items() if DESCRIPTION in values}
         return replace(
             self._newest,
             nodes=dict(states),
             faults=faults | ({_DRIVER: safety.fault} if safety.fault else {}),
             fault_code=safety.code,
             unrecorded=self._unrecorded(reports) if "logger" in states else (),
+            descriptions=self._own | told,
             fresh=fresh,
             amplifier_on=fresh and self._safety.amplifier_on,
             still=self._strokes.still,

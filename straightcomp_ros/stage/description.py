@@ -3,6 +3,8 @@
 Nodes declare it as the parameters `stage.*`; a stage file sets them under the wildcard node `/**`, for all at once.
 """
 
+import hashlib
+import json
 import math
 from dataclasses import dataclass
 
@@ -12,9 +14,12 @@ from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
-from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
+from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter, to_mapping
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 from straightcomp_ros.straightness.guide_map import MapParameters
+
+_CHANGEABLE = ("motion.", "guide.", "actuator.current_limit")
+"""Facts that may differ between nodes: the strokes, and what a single node may be given anew while it runs."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,12 @@ class StageParameters:
                 "platform.stop",
                 f"{stop!r} m is not inside the air gap; allowed: < {gap!r} m ('{{group}}actuator.air_gap')",
             )
+
+    @property
+    def identity(self) -> str:
+        """Name and checksum; all nodes of a graph must have the same."""
+        facts = {name: value for name, value in to_mapping(self).items() if not name.startswith(_CHANGEABLE)}
+        return f"{self.name} {hashlib.blake2b(json.dumps(facts).encode(), digest_size=4).hexdigest()}"
 
     @property
     def period(self) -> float:

@@ -350,6 +350,16 @@ def test_nothing_starts_while_nobody_takes_the_trajectory():
     assert bench.sequence.message == "not ready: no node subscribes to the stage's trajectory"
 
 
+def test_nothing_starts_on_nodes_with_different_descriptions_and_nobody_waits_for_long():
+    bench = Bench()
+    bench.seen = replace(bench.seen, descriptions={"driver": "a 12", "controller": "b 34"})
+    began = bench.now
+    assert not bench.sequence.command(Command.RESET)
+    bench.until(State.STOPPED)
+    assert "descriptions of the stage differ (controller b 34, driver a 12)" in bench.sequence.message
+    assert bench.now - began < 2.0
+
+
 @pytest.mark.parametrize("strokes", [-1, 10**7])
 def test_strokes_out_of_range_are_refused(strokes):
     bench = Bench()

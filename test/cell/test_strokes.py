@@ -47,6 +47,10 @@ def test_a_source_that_starts_anew_is_no_movement():
         (Observation(nodes={"driver": "active"}), "no samples"),
         (Observation(nodes={"driver": "plain"}, fresh=True, still=False), "moves"),
         (Observation(nodes={"driver": "plain"}, fresh=True, unrecorded=("/encoder",)), "/encoder"),
+        (
+            Observation(nodes={"driver": "plain"}, fresh=True, descriptions={"driver": "a 12", "controller": "a 34"}),
+            "descriptions of the stage differ (controller a 34, driver a 12)",
+        ),
         (Observation(nodes={"driver": "plain"}, fresh=True, faults={"driver": "coil"}), "driver: coil"),
     ],
 )
@@ -55,4 +59,5 @@ def test_what_is_in_the_way_of_a_cycle_is_named(seen, words):
 
 
 def test_nothing_is_in_the_way_where_all_is_well():
-    assert not Observation(nodes={"driver": "plain", "logger": "active"}, fresh=True).obstacle
+    same = {"driver": "a 12", "cell": "a 12"}
+    assert not Observation(nodes={"driver": "plain", "logger": "active"}, fresh=True, descriptions=same).obstacle

@@ -82,3 +82,13 @@ def test_a_cycle_that_fails_says_which_node_got_no_cpu(monkeypatch):
     finally:
         node.destroy_node()
         rclpy.shutdown()
+
+
+def test_a_graph_whose_nodes_were_started_with_different_stages_does_not_move(graph, short_cycle):
+    for node in ("driver", "feedforward", "controller"):
+        graph.start(node, {**short_cycle[node], **({"stage.platform.mass": 3.5} if node == "controller" else {})})
+    chosen = {"nodes": "driver feedforward controller", "start_timeout": 60.0}
+    cell = graph.start("cell", {**short_cycle["cell"], **chosen})
+    assert cell.wait(timeout=120) == 1
+    told = graph.log("cell").read_text()
+    assert "descriptions of the stage differ (cell synthetic" in told and "stage moves" not in told
