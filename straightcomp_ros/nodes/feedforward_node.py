@@ -4,7 +4,6 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 
 from std_srvs.srv import SetBool, Trigger
 
@@ -88,20 +87,15 @@ class FeedforwardComponent:
 
     def _loaded(self, parameters: MapParameters) -> StraightnessMap:
         """Read a map in the worker thread and answer samples meanwhile: it takes longer than the controller waits."""
-        job: Future[StraightnessMap] = Future()
 
-        def load() -> None:
-            try:
-                job.set_result(load_map(parameters))
-            except Exception as error:
-                job.set_exception(error)
-
-        self._worker.run(load)
-        while not job.done():
+        def answer() -> None:
             if self._node.active:
+                self._queue.wait(_BATCH_NS)
                 self._cycle()
-            time.sleep(LOOK_AHEAD_S)
-        return job.result()
+            else:
+                time.sleep(LOOK_AHEAD_S)
+
+        return self._worker.result(lambda: load_map(parameters), answer)
 
     def _on_reload_map(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Read the map's file again; the reference fades over to it."""

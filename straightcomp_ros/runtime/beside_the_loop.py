@@ -3,12 +3,16 @@
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
 
 from rclpy.node import Node
 
 _SWITCH_INTERVAL_S = 1e-4
 """Longest wait of the loop for the interpreter lock while the other thread computes. Python's default of 5 ms is ten
 sampling periods."""
+
+
+T = TypeVar("T")
 
 
 class BesideTheLoop:
@@ -26,6 +30,13 @@ class BesideTheLoop:
     def run(self, job: Callable[[], None]) -> None:
         """Queue ``job`` and return at once."""
         self._thread.submit(job).add_done_callback(self._report)
+
+    def result(self, job: Callable[[], T], meanwhile: Callable[[], object]) -> T:
+        """What ``job`` returns or raises; ``meanwhile`` is called again and again until it is done."""
+        done = self._thread.submit(job)
+        while not done.done():
+            meanwhile()
+        return done.result()
 
     def close(self) -> None:
         """Wait for all jobs."""

@@ -2,6 +2,8 @@ import threading
 import time
 from types import SimpleNamespace
 
+import pytest
+
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 
 
@@ -20,3 +22,19 @@ def test_jobs_run_in_order_on_another_thread_and_one_that_fails_is_reported_and_
     beside.close()
     assert done[1:] == ["last"] and done[0] != threading.get_ident()
     assert len(errors) == 1 and "ZeroDivisionError" in errors[0]
+
+
+def test_the_loop_goes_on_while_it_waits_for_a_result_and_gets_what_the_job_raised():
+    beside, turns, may_end = BesideTheLoop(SimpleNamespace()), [], threading.Event()
+
+    def meanwhile():
+        turns.append(threading.get_ident())
+        if len(turns) == 3:
+            may_end.set()
+        time.sleep(0.001)
+
+    assert beside.result(lambda: may_end.wait(60.0), meanwhile)
+    assert len(turns) >= 3 and set(turns) == {threading.get_ident()}
+    with pytest.raises(ZeroDivisionError):
+        beside.result(lambda: 1 // 0, meanwhile)
+    beside.close()
