@@ -15,6 +15,7 @@ from straightcomp_ros.control.laws import make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
+from straightcomp_ros.design.least_margins import missing_margin
 from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
@@ -49,6 +50,7 @@ class ControllerComponent:
         self._node, self._parameters = node, parameters
         # `control.law` may change while the loop runs.
         prepare_all()
+        self._check_margins(parameters)
         lockstep = parameters.trigger == "lockstep"
         self._learner: BesideTheLoop | None = None
         if parameters.learning.learn and not lockstep:
@@ -103,6 +105,7 @@ class ControllerComponent:
                 f"parameter 'control.law': {parameters.control.law!r} is not the law that the learning started with; "
                 f"allowed while 'learning.learn' is true: {self._parameters.control.law}"
             )
+        self._check_margins(parameters)
         law = make_law(parameters.control, parameters.stage)
 
         def take_over() -> None:
@@ -110,6 +113,14 @@ class ControllerComponent:
             self._servo.change(law, round(FADE_TIME * parameters.stage.rate))
 
         return take_over
+
+    def _check_margins(self, parameters: ControllerNodeParameters) -> None:
+        missing = missing_margin(parameters.control, parameters.stage)
+        if missing is None:
+            return
+        if parameters.control.margins == "require":
+            raise ParameterError(f"{missing}; 'control.margins' set to 'warn' uses these")
+        self._node.get_logger().warning(missing)
 
     def deactivate(self) -> None:
         """Stop publishing commands, so that the driver switches off. Save what was learned."""
