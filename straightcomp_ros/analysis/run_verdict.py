@@ -27,7 +27,7 @@ from straightcomp_ros.analysis.judgement import (
     WRONG_GUIDE,
     Verdict,
 )
-from straightcomp_ros.analysis.oscillation import irregular_oscillation, sustained_oscillation
+from straightcomp_ros.analysis.oscillation import irregular_oscillation, sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.record import ReferenceMap, StrokeRecord
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
@@ -49,12 +49,6 @@ square."""
 _NOTICED = 0.05
 """Fraction of the reference's travel below which what a map leaves says nothing: the survey's own noise on a short
 stroke, where the guide hardly deviates from a line."""
-_OSCILLATION = 0.004
-"""Least amplitude of an oscillation relative to the uncompensated deviation, however fine the encoder: 0.09 µm on the
-shipped guide, where noise and quantisation ring with less."""
-_SHARE = 0.7
-"""Least amplitude of an oscillation relative to the RMS of the error, a quarter of its power; a line alone has √2.
-The law's usual error hides what is less."""
 _ACCURATE = 0.5
 """Largest error relative to the uncompensated deviation, both p-p."""
 _FEW_COUNTS = 3.0
@@ -184,12 +178,11 @@ def _wrong_guide(course: Course, bounds: Bounds) -> Verdict | None:
 
 def _oscillates(course: Course, bounds: Bounds) -> Verdict | None:
     error, reference = _on_grid(course, course.error), _on_grid(course, course.r)
-    allowed = max(course.count, _OSCILLATION * course.uncompensated)
-    least = max(allowed, _SHARE * float(np.std(course.error)))
+    allowed = tolerated_amplitude(course.error, course.count, course.uncompensated)
     found = sustained_oscillation(error, reference, course.period)
-    if found.amplitude <= least and course.pp > _largest(course):
+    if found.amplitude <= allowed and course.pp > _largest(course):
         found = irregular_oscillation(error, reference, course.period)
-    if found.amplitude <= least:
+    if found.amplitude <= allowed:
         return None
     return Verdict(
         OSCILLATES,

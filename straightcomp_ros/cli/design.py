@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     quiet = "0 for the least error, 1 for the quietest coils (default: %(default)s)"
     add("--quiet", type=float, default=SHIPPED_QUIET, metavar="Q", help=quiet)
     add("--machines", type=int, default=200, metavar="N", help="uncertain machines of the check (default: %(default)s)")
-    add("--evaluations", type=int, default=200, metavar="N", help="candidates of a search (default: %(default)s)")
+    add("--evaluations", type=int, default=400, metavar="N", help="candidates of a search (default: %(default)s)")
     add("--seed", type=int, default=1, metavar="N", help="of all that is drawn (default: 1)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 

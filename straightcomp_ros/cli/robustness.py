@@ -16,7 +16,7 @@ from straightcomp_ros.cli.law_tables import doubtful, titled_table
 from straightcomp_ros.cli.options import PICTURES, add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict
+from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict, warn_of_missing_margin
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, summarise, sweep
 from straightcomp_ros.offline.sweep.scenario import make_scenario
@@ -52,6 +52,8 @@ def run(options: argparse.Namespace) -> None:
         raise CommandFailed(f"--dask {options.dask}; allowed: HOST:PORT or tcp://HOST:PORT", exit_code=2)
     started = time.perf_counter()
     scenario = make_scenario(values, laws)
+    for control in scenario.controls.values():
+        warn_of_missing_margin(control, scenario.description)
     trials = sorted(set(options.chosen)) or range(options.trials)
     machines = f"machine {', '.join(map(str, trials))}" if options.chosen else f"{options.trials} machines"
     with working(machines) as advance:

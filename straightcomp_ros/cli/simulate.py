@@ -15,7 +15,7 @@ from straightcomp_ros.cli.law_tables import cycles_table, results_table
 from straightcomp_ros.cli.options import PICTURES, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict
+from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict, warn_of_missing_margin
 from straightcomp_ros.configuration.node_parameters import by_node, node_parameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
@@ -77,8 +77,10 @@ def run(options: argparse.Namespace) -> None:
 
         plot_run(record, straightness, cycles[-1], plot, title=f"Simulated stroke, law '{record.law}'")
     shown = [{**cycle.to_display(), **in_json(one)} for cycle, one in zip(cycles, verdicts, strict=True)]
+    controller = node_parameters("controller", values)
+    missing = warn_of_missing_margin(controller.control, controller.stage)
     delay = node_parameters("driver", values).stage.drive.delay
-    figures = {"law": record.law, "delay_samples": delay, **shown[-1], **in_json(verdict)}
+    figures = {"law": record.law, "delay_samples": delay, **shown[-1], **in_json(verdict), "missing_margin": missing}
     if options.json:
         if over_starts:
             figures["starts"] = {"count": options.starts, **{k: one._asdict() for k, one in over_starts.items()}}

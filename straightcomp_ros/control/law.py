@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from typing import Any, NamedTuple, get_type_hints
 
@@ -88,10 +88,32 @@ class Law:
         self._run(self._gains, self._state, self._answer, y, r, r_dot, r_ddot, current)
         return Command(*self._answer.tolist())
 
+    def answer_from(self, state: Sequence[float], y: float) -> tuple[list[float], Command]:
+        """The next state and the command for one sample with the reference at rest at zero and no measured current.
+
+        The law's own state stays as it is.
+
+        Args:
+            state: all numbers of a state, in order, as of :func:`flat`.
+            y: encoder reading in m.
+        """
+        if self._run is None:
+            before = _rebuilt(self.start(0.0), iter(state))
+            after, command = self.function(self.gains, before, y, 0.0, 0.0, 0.0, math.nan)
+            return flat(after), command
+        numbers, answer = np.array(state), np.zeros(len(Command._fields))
+        self._run(self._gains, numbers, answer, y, 0.0, 0.0, 0.0, math.nan)
+        return numbers.tolist(), Command(*answer.tolist())
+
 
 def flat(numbers: Any) -> list[float]:
     """All numbers of nested tuples, in order."""
     return [inner for number in numbers for inner in (flat(number) if isinstance(number, tuple) else (number,))]
+
+
+def _rebuilt(like: Any, numbers: Iterator[float]) -> Any:
+    """Nested tuples as ``like`` with other numbers: the inverse of :func:`flat`."""
+    return type(like)(*(_rebuilt(value, numbers) if isinstance(value, tuple) else next(numbers) for value in like))
 
 
 @cache

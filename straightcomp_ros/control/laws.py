@@ -60,6 +60,12 @@ class ControlParameters:
     """Law and its design."""
 
     law: str = parameter("smc_observer", "Control law", choices=LAWS)
+    margins: str = parameter(
+        "require",
+        "What the controller does with gains that lack the least margins on the stage as described. require: refuses "
+        "them. warn: uses them, with a warning",
+        choices=("require", "warn"),
+    )
     smc: SlidingDesign = group(SlidingDesign, "Laws smc and linear")
     smc_observer: ObserverDesign = group(ObserverDesign, "Law smc_observer")
 

@@ -6,8 +6,8 @@ infinite (sgn, super-twisting) has no linearisation and is refused.
 """
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,15 +92,13 @@ def linearised(law: Law) -> StateSpace:
     Raises:
         ValueError: the law is not linear there.
     """
-    rest = law.start(0.0)
-    size = len(flat(rest))
+    size = len(flat(law.start(0.0)))
 
     def disturbed(place: int, step: float) -> Matrix:
         numbers = [0.0] * (size + 1)
         numbers[place] = step
-        state = _rebuilt(rest, iter(numbers))
-        after, command = law.function(law.gains, state, numbers[size], 0.0, 0.0, 0.0, math.nan)
-        return np.array([*flat(after), command.current])
+        after, command = law.answer_from(numbers[:size], numbers[size])
+        return np.array([*after, command.current])
 
     def slopes(step: float) -> Matrix:
         places = range(size + 1)
@@ -154,10 +152,6 @@ def loop_margins(law: Law, stage: StageParameters, delay: float | None = None) -
         phase_margin(plant(), controller, period),
         last_stable(lambda x: stable(at=x), late, late + 10.0 * period),
     )
-
-
-def _rebuilt(like: Any, numbers: Iterator[float]) -> Any:
-    return type(like)(*(_rebuilt(value, numbers) if isinstance(value, tuple) else next(numbers) for value in like))
 
 
 def closed_loop(plant: StateSpace, controller: StateSpace, gain: float = 1.0) -> Matrix:

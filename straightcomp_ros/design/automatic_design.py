@@ -37,7 +37,7 @@ Progress = Callable[[str, float], None]
 
 SHIPPED_QUIET = 0.3
 """Between accuracy and quiet coils as the shipped gains."""
-_EVALUATIONS = 200
+_EVALUATIONS = 400
 _MACHINES = 200
 _ROUNDS = 3
 _TIGHTER = 1.1

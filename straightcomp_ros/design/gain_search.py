@@ -1,11 +1,13 @@
 """Search for gains by CMA-ES, in logarithms, with the same result for the same seed on one machine.
 
 CMA-ES (Hansen and Ostermeier, Evolutionary Computation 9(2), 2001; the package `cma`) ranks candidates only, so that
-neither the noise of a peak-to-peak nor the step to infeasible gains disturbs it.
+neither the noise of a peak-to-peak nor the step to infeasible gains disturbs it. The cost has several valleys: a fast
+observer with a slow surface may be worth as much as the reverse. One search begins at each of the best starts; the
+worse searches are given up on the way.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from joblib import Parallel, delayed
@@ -13,9 +15,16 @@ from joblib import Parallel, delayed
 from straightcomp_ros.design.judged_gains import Judge, Judgement
 from straightcomp_ros.design.searched_gains import SEARCHED, SearchedGain
 
-_FIRST_STEP = 0.2
-"""Standard deviation of the first candidates' logarithms: a fifth of the gain."""
+_STEP = 0.3
+"""Standard deviation of the first candidates' logarithms: a third of the gain."""
 _POPULATION = 10
+_VALLEYS = ((0.4, 4), (0.7, 2), (1.0, 1))
+"""Until each fraction of the evaluations: searches that go on."""
+_FEWEST = 60
+"""Evaluations for each search: with fewer in all, fewer begin."""
+_HOPELESS = 0.7
+"""Cost of a first stroke beyond the best candidate's cost from which gains are judged by this stroke alone: twice the
+error, which no luck in the other strokes makes up for."""
 
 
 class Found(NamedTuple):
@@ -32,10 +41,9 @@ def search(
     evaluations: int,
     seed: int = 1,
     jobs: int = -1,
-    step: float = _FIRST_STEP,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Found]:
-    """The candidates that were judged, the best first; ``starts`` are among them, and the search begins at their best.
+    """The candidates that were judged, the best first; ``starts`` are among them.
 
     Args:
         judge: of the stage.
@@ -43,42 +51,63 @@ def search(
         evaluations: candidates, about.
         seed: of the candidates.
         jobs: processes; −1 takes all cores. The result does not depend on it.
-        step: standard deviation of the first candidates' logarithms.
         progress: called with the fraction that is done.
     """
-    from cma import CMAEvolutionStrategy
-
-    rule = starts[0]
-    searched = [gain for gain in SEARCHED[judge.law] if gain.name in rule]
-    bounds = [_bounds(gain, rule[gain.name]) for gain in searched]
-
-    def gains_of(logarithms: Iterable[float]) -> dict[str, float]:
-        return {**rule, **{gain.name: math.exp(x) for gain, x in zip(searched, logarithms, strict=True)}}
-
+    different = [dict(one) for place, one in enumerate(starts) if one not in starts[:place]]
     with Parallel(n_jobs=jobs, backend="loky") as parallel:
-        found = list(map(Found, map(dict, starts), parallel(delayed(judge.judge)(one) for one in starts)))
-        begin = min(found, key=lambda one: one.judgement.cost).gains
-        first = [
-            min(max(math.log(begin[gain.name]), low), high) for gain, (low, high) in zip(searched, bounds, strict=True)
-        ]
-        strategy = CMAEvolutionStrategy(
-            first,
-            step,
-            {
-                "seed": seed,
-                "popsize": _POPULATION,
-                "bounds": [list(side) for side in zip(*bounds, strict=True)],
-                "verbose": -9,
-            },
-        )
-        while len(found) < evaluations and not strategy.stop():
-            candidates = strategy.ask()
-            gains = [gains_of(candidate) for candidate in candidates]
-            judgements = parallel(delayed(judge.judge)(one) for one in gains)
-            strategy.tell(candidates, [judgement.cost for judgement in judgements])
-            found += map(Found, gains, judgements)
+        found = list(map(Found, different, parallel(delayed(judge.judge)(one) for one in different)))
+        begins = sorted(found, key=_cost)[: max(1, min(_VALLEYS[0][1], evaluations // _FEWEST))]
+        valleys = [_Valley(judge.law, starts[0], begin, seed + place) for place, begin in enumerate(begins)]
+        while len(found) < evaluations:
+            number = next(number for until, number in _VALLEYS if len(found) < until * evaluations)
+            valleys = sorted((one for one in valleys if not one.exhausted), key=lambda valley: valley.best)[:number]
+            if not valleys:
+                break
+            bar = min(map(_cost, found)) + _HOPELESS
+            asked = [valley.ask() for valley in valleys]
+            judgements = iter(parallel(delayed(judge.judge)(one, bar) for gains in asked for one in gains))
+            for valley, gains in zip(valleys, asked, strict=True):
+                judged = [Found(one, next(judgements)) for one in gains]
+                valley.tell([_cost(one) for one in judged])
+                found += judged
             progress(min(1.0, len(found) / evaluations))
-    return sorted(found, key=lambda one: one.judgement.cost)
+    return sorted(found, key=_cost)
+
+
+def _cost(found: Found) -> float:
+    return found.judgement.cost
+
+
+class _Valley:
+    """One search, from the gains of ``begin``; the bounds of the gains are relative to those of ``rule``."""
+
+    def __init__(self, law: str, rule: Mapping[str, float], begin: Found, seed: int) -> None:
+        from cma import CMAEvolutionStrategy
+
+        searched = [gain for gain in SEARCHED[law] if gain.name in rule]
+        low, high = zip(*(_bounds(gain, rule[gain.name]) for gain in searched), strict=True)
+        first = [math.log(begin.gains[gain.name]) for gain in searched]
+        inside = [min(max(x, least), most) for x, least, most in zip(first, low, high, strict=True)]
+        options = {"seed": seed, "popsize": _POPULATION, "bounds": [list(low), list(high)], "verbose": -9}
+        self._rule, self._names = rule, [gain.name for gain in searched]
+        self._strategy = CMAEvolutionStrategy(inside, _STEP, options)
+        self._asked: list[Sequence[float]] = []
+        self.best = begin.judgement.cost
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether further candidates would be the same."""
+        return bool(self._strategy.stop())
+
+    def ask(self) -> list[dict[str, float]]:
+        """The next candidates."""
+        self._asked = self._strategy.ask()
+        return [{**self._rule, **dict(zip(self._names, map(math.exp, one), strict=True))} for one in self._asked]
+
+    def tell(self, costs: Sequence[float]) -> None:
+        """What the candidates of the last :meth:`ask` cost."""
+        self._strategy.tell(self._asked, costs)
+        self.best = min(self.best, *costs)
 
 
 def _bounds(gain: SearchedGain, start: float) -> tuple[float, float]:

@@ -35,10 +35,6 @@ _SHARE_RMS = 0.2
 _SHARE_EXTREME = 0.15
 _PP_PER_RMS = 6.0
 _WORK_WEIGHT = 2.0
-_LINE = 0.35
-"""A held line of an amplitude above this fraction of the run's p-p, and above a count, is a limit cycle: it makes most
-of the error (a pure oscillation has a half). No fixed length would serve encoders of 5 nm and of 0.5 µm. Weak machines
-hunt at some 45 Hz with up to 0.3 of the p-p after a slip, for less than a second."""
 _SILENT = 0.02
 """At rest, the RMS step of the current that is taken for silence, in units of the current that carries friction."""
 
@@ -86,8 +82,8 @@ class Judge:
         """Of a command, s."""
         return self.stage.drive.delay * self.stage.period
 
-    def judge(self, gains: Mapping[str, float]) -> Judgement:
-        """Judge ``gains``, by dotted name."""
+    def judge(self, gains: Mapping[str, float], bar: float = math.inf) -> Judgement:
+        """Judge ``gains``, by dotted name; by their first stroke alone if it costs more than ``bar``."""
         infinite = (math.inf,) * 4
         try:
             control = with_gains(self.control, self.law, gains)
@@ -97,16 +93,27 @@ class Judge:
         if violation > 0.0:
             return Judgement(_UNSTABLE + min(_UNSTABLE, violation), *infinite)
         law = make_law(control, self.stage)
-        nominal = [self.course.run(law, self.delay, start) for start in range(_STARTS)]
-        pp, rms, work, rest = (_mean(nominal, name) for name in ("pp", "rms", "work", "rest_work"))
+        nominal = [self.course.run(law, self.delay)]
+        first = self._nominal(nominal)
+        if first.cost > bar:
+            return first
+        nominal += [self.course.run(law, self.delay, start) for start in range(1, _STARTS)]
+        found = self._nominal(nominal)
+        if not math.isfinite(found.pp):
+            return found
+        return found._replace(cost=found.cost + self._extreme(law, _accuracy(found)))
+
+    def _nominal(self, runs: list[RunFigures]) -> Judgement:
+        """The judgement of ``runs`` of the stage as described."""
+        pp, rms, work, rest = (_mean(runs, name) for name in ("pp", "rms", "work", "rest_work"))
+        found = Judgement(_UNSTABLE, pp, rms, work, rest)
         if not math.isfinite(pp):
-            return Judgement(_UNSTABLE, *infinite)
-        accuracy = (1.0 - _SHARE_RMS) * math.log(pp) + _SHARE_RMS * math.log(_PP_PER_RMS * rms)
-        cost = accuracy + self.quiet * _WORK_WEIGHT * math.log1p(work / self.work_scale)
-        cost += self._penalty(nominal)
+            return found
+        cost = _accuracy(found) + self.quiet * _WORK_WEIGHT * math.log1p(work / self.work_scale)
+        cost += self._penalty(runs)
         if self.law == "smc_observer" and rest > _SILENT * self.work_scale:
             cost += 0.1 + math.log(rest / (_SILENT * self.work_scale))
-        return Judgement(cost + self._extreme(law, accuracy), pp, rms, work, rest)
+        return found._replace(cost=cost)
 
     def _extreme(self, law: Law, accuracy: float) -> float:
         """What the extreme machines add to the cost."""
@@ -119,19 +126,13 @@ class Judge:
         return _SHARE_EXTREME * (mean - accuracy) + self._penalty(runs)
 
     def _penalty(self, runs: list[RunFigures]) -> float:
-        """For each limit cycle by its size, for each platform that met its stop."""
-        plant = self.course.plant
-        lines = 0.0
-        for run in runs:
-            limit = oscillation_limit(run.pp, plant.encoder.y_resolution)
-            if run.oscillation > limit:
-                lines += 0.3 + math.log(run.oscillation / limit)
-        return lines + sum(run.excursion >= plant.platform.stop for run in runs)
+        """For each oscillation by its size, for each platform that met its stop."""
+        lines = sum(0.3 + math.log(run.oscillation) for run in runs if run.oscillation > 1.0)
+        return lines + sum(run.excursion >= self.course.plant.platform.stop for run in runs)
 
 
-def oscillation_limit(pp: float, count: float) -> float:
-    """Amplitude in m above which a held line is a limit cycle, for a run of ``pp`` and a ``count``, m."""
-    return max(count, _LINE * pp)
+def _accuracy(found: Judgement) -> float:
+    return (1.0 - _SHARE_RMS) * math.log(found.pp) + _SHARE_RMS * math.log(_PP_PER_RMS * found.rms)
 
 
 def _mean(runs: list[RunFigures], name: str) -> float:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.oscillation import sustained_oscillation
+from straightcomp_ros.analysis.oscillation import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.commanded_plant import Hold
@@ -34,7 +34,7 @@ class RunFigures(NamedTuple):
         pp, rms: true compensation error over the motion, m; infinite if the run broke off.
         work: RMS step of the commanded current from sample to sample over the motion, A; likewise.
         rest_work: the same between the strokes, A.
-        oscillation: amplitude of the strongest held line in the error, m.
+        oscillation: amplitude of the strongest held line in the error, relative to what a verdict tolerates.
         excursion: largest |y|, m.
     """
 
@@ -106,9 +106,14 @@ class PreparedStroke:
             float(np.sqrt(np.mean(error * error))),
             _rms_step(cycle.current[self.motion]),
             _rms_step(cycle.current[self.rest]),
-            sustained_oscillation(error, self.target[self.motion], period).amplitude,
+            self._oscillation(error, period),
             float(np.abs(cycle.true_y).max()),
         )
+
+    def _oscillation(self, error: NDArray[np.float64], period: float) -> float:
+        target = self.target[self.motion]
+        tolerated = tolerated_amplitude(error, self.plant.encoder.y_resolution, peak_to_peak(target))
+        return sustained_oscillation(error, target, period).amplitude / tolerated
 
 
 def _rms_step(current: NDArray[np.float64]) -> float:

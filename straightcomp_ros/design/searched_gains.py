@@ -44,10 +44,10 @@ SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
     "linear": _LINEAR,
     "smc": (*_LINEAR, SearchedGain(_SMC + "boundary_layer", 0.2, 10.0, power=-1)),
     "smc_observer": (
-        SearchedGain(_OBSERVER + "bandwidth", 0.2, 3.0),
-        SearchedGain(_OBSERVER + "third_pole", 0.3, 5.0, power=0),
-        SearchedGain(_OBSERVER + "surface", 0.2, 5.0),
-        SearchedGain(_OBSERVER + "reaching", 0.2, 5.0),
+        SearchedGain(_OBSERVER + "bandwidth", 0.1, 4.0),
+        SearchedGain(_OBSERVER + "third_pole", 0.2, 5.0, power=0),
+        SearchedGain(_OBSERVER + "surface", 0.1, 10.0),
+        SearchedGain(_OBSERVER + "reaching", 0.1, 10.0),
         SearchedGain(_OBSERVER + "gain_allowance", 1.0, 4.0, power=0),
         SearchedGain(_OBSERVER + "velocity_share", 0.05, 1.0, power=0),
     ),
@@ -62,8 +62,11 @@ _ENDS = (
     (2.19, 1.09, 0.57, 2.07, 1.59, 0.29),  # 1 kHz
     (0.53, 0.43, 1.36, 0.78, 1.77, 0.34),  # an encoder of 0.5 µm
     (2.51, 0.36, 4.42, 0.42, 1.96, 0.30),  # an amplifier of 150 Hz
-    (1.68, 0.60, 0.67, 1.04, 1.56, 0.24),  # four times the friction
+    (1.43, 0.34, 6.32, 0.31, 1.82, 0.45),  # four times the friction
     (0.20, 0.42, 0.82, 0.83, 1.12, 0.51),  # 8 kHz and an encoder of 5 nm
+    (0.47, 4.82, 0.53, 0.34, 1.59, 0.73),  # 4 kHz
+    (0.53, 1.82, 2.00, 0.45, 1.40, 0.74),  # a joint in the guide
+    (2.26, 0.72, 0.44, 1.07, 2.02, 0.24),  # 8 kHz, 5 nm, an amplifier of 2 kHz
 )
 _FACTORS = (0.5, 0.7, 1.4, 2.0)
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 
 from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.design.least_margins import missing_margin
 from straightcomp_ros.doctor.consequences import Consequences, consequences
 from straightcomp_ros.doctor.finding import Finding
 from straightcomp_ros.stage.description import StageParameters
@@ -13,7 +14,7 @@ from straightcomp_ros.straightness.survey import SurveyError
 
 EASY, FEASIBLE = 0.5, 0.65
 """Of the unstable pole times the dead time: gains with usual margins exist below the first, none beyond the second."""
-_GAIN_LOW, _GAIN_HIGH = 0.8, 1.5
+_GAIN_LOW, _GAIN_HIGH = 0.7, 1.5
 """Least gain margins of a loop that deserves trust, to either side."""
 _SHARE_OF_LIMIT = 0.7
 """Of the current limit for the largest steady demand: the rest is for the law's corrections."""
@@ -34,7 +35,7 @@ def stage_findings(
     yield _correction(stage, found)
     yield _reference(stage, found, tracking)
     yield _pole(stage, found)
-    yield _loop(control.law, found)
+    yield _loop(control, stage, found)
     yield _force(stage, found)
     yield _quanta(stage, found)
     yield _bus(stage, found)
@@ -100,17 +101,13 @@ def _pole(stage: StageParameters, found: Consequences) -> Finding:
     return Finding("instability", "fail" if found.difficulty >= FEASIBLE else "warn", detail, remedy)
 
 
-def _loop(law: str, found: Consequences) -> Finding:
-    margins = found.margins
+def _loop(control: ControlParameters, stage: StageParameters, found: Consequences) -> Finding:
+    margins, law = found.margins, control.law
     if margins is None:
         return Finding("loop", "ok", f"law {law} switches at rest: it has no linear margins there")
-    if margins.longest_delay == 0.0:
-        return Finding(
-            "loop",
-            "fail",
-            f"law {law} is unstable with its gains",
-            "Gains must follow the stage: straightcomp design finds them.",
-        )
+    missing = missing_margin(control, stage)
+    if missing is not None:
+        return Finding("loop", "fail", missing, "The controller refuses these gains: design others.")
     detail = (
         f"law {law}: stable for gains from {margins.gain_low:.2f} to {margins.gain_high:.2f}, phase "
         f"{margins.phase:.0f}°, delay up to {margins.longest_delay * 1e3:.2f} ms"

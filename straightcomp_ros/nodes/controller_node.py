@@ -10,11 +10,12 @@ from rclpy.node import Node
 
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
-from straightcomp_ros.control.law import Command
+from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
+from straightcomp_ros.design.least_margins import missing_margin
 from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
 from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
@@ -30,6 +31,7 @@ from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.node_timing import DESCRIPTION, LOST, OVERRUNS, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
+_PAUSE_S = 0.001
 _SPARE_REFERENCES = 2
 """The loop fetches references when those it holds reach fewer than so many samples ahead."""
 
@@ -50,16 +52,14 @@ class ControllerComponent:
         # `control.law` may change while the loop runs.
         prepare_all()
         lockstep = parameters.trigger == "lockstep"
-        self._learner: BesideTheLoop | None = None
-        if parameters.learning.learn and not lockstep:
-            self._learner = BesideTheLoop(node)
+        self._beside = BesideTheLoop(node)
         self._learning = make_learning(
             parameters.learning,
             parameters.control.law,
             parameters.stage.rate,
-            self._learner.run if self._learner is not None else lambda job: job(),
+            self._beside.run if not lockstep else lambda job: job(),
         )
-        self._servo = Servo(make_law(parameters.control, parameters.stage), learning=self._learning)
+        self._servo = Servo(self._made(parameters), learning=self._learning)
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()
         rate = parameters.stage.rate
@@ -104,13 +104,31 @@ class ControllerComponent:
                 f"parameter 'control.law': {parameters.control.law!r} is not the law that the learning started with; "
                 f"allowed while 'learning.learn' is true: {self._parameters.control.law}"
             )
-        law = make_law(parameters.control, parameters.stage)
+        # Eigenvalues take several cycles.
+        law = self._beside.result(lambda: self._made(parameters), self._go_on)
 
         def take_over() -> None:
             self._parameters = parameters
             self._servo.change(law, round(FADE_TIME * parameters.stage.rate))
 
         return take_over
+
+    def _made(self, parameters: ControllerNodeParameters) -> Law:
+        """The law of these parameters; ParameterError if it lacks a margin that they require."""
+        missing = missing_margin(parameters.control, parameters.stage)
+        if missing is not None:
+            if parameters.control.margins == "require":
+                raise ParameterError(f"{missing}; 'control.margins' set to 'warn' uses these")
+            self._node.get_logger().warning(missing)
+        return make_law(parameters.control, parameters.stage)
+
+    def _go_on(self) -> None:
+        """Answer samples while a job beside the loop runs."""
+        if self.loop is not None and self._node.active:
+            self._wait(self._spare_ns)
+            self._cycle()
+        else:
+            time.sleep(_PAUSE_S)
 
     def deactivate(self) -> None:
         """Stop publishing commands, so that the driver switches off. Save what was learned."""
@@ -206,8 +224,7 @@ class ControllerComponent:
 
     def close(self) -> None:
         """Wait for the running learning job, then save what was learned."""
-        if self._learner is not None:
-            self._learner.close()
+        self._beside.close()
         if self._learning is not None:
             self._learning.save()
         if self._unspun is not None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.oscillation import irregular_oscillation, sustained_oscillation
+from straightcomp_ros.analysis.oscillation import irregular_oscillation, sustained_oscillation, tolerated_amplitude
 
 T = 5e-4
 TIME = np.arange(8000) * T
@@ -67,3 +67,11 @@ def test_a_platform_that_stands_still_does_not_oscillate_irregularly():
     assert irregular_oscillation(guide, guide, T).amplitude == 0.0
     assert irregular_oscillation(np.where(TIME < 2.0, 0.0, 1e-4), guide, T).amplitude == 0.0
     assert irregular_oscillation(sine(150.0)[:400], STILL[:400], T).amplitude == 0.0
+
+
+def test_an_oscillation_may_have_a_count_or_a_part_of_the_deviation_or_of_the_error_whichever_is_most():
+    assert tolerated_amplitude(1e-9 * NOISE, 0.1e-6, 20e-6) == 0.1e-6
+    assert tolerated_amplitude(1e-9 * NOISE, 0.0, 20e-6) == pytest.approx(0.08e-6)
+    assert tolerated_amplitude(NOISE + 5e-6, 0.0, 0.0) == pytest.approx(0.7 * NOISE.std())
+    # A line alone is always one.
+    assert tolerated_amplitude(sine(100.0), 0.0, 0.0) < 0.3e-6

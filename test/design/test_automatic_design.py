@@ -11,7 +11,8 @@ from straightcomp_ros.design.automatic_design import closed_form, design_gains
 from straightcomp_ros.design.error_budget import error_budget
 from straightcomp_ros.design.extreme_machines import extreme_machines
 from straightcomp_ros.design.gain_search import search
-from straightcomp_ros.design.judged_gains import judge_of
+from straightcomp_ros.design.judged_gains import Judgement, judge_of
+from straightcomp_ros.design.least_margins import missing_margin
 from straightcomp_ros.design.prepared_stroke import prepared_stroke, shortened
 from straightcomp_ros.design.searched_gains import SEARCHED, scaled, starts, with_gains
 from straightcomp_ros.design.stability_demands import StabilityCheck
@@ -31,6 +32,7 @@ def test_a_designed_stage_keeps_its_margins(designed, shipped):
     design, _ = designed
     control = with_gains(shipped.controls["smc_observer"], "smc_observer", design.values)
     assert StabilityCheck(shipped.description, design.demands).missed(control) == []
+    assert missing_margin(control, shipped.description) is None
     quiet, stiff = design.limits["quiet"], design.limits["stiff"]
     assert quiet.gain_low < design.demands.gain_low and quiet.gain_high > design.demands.gain_high
     assert stiff.gain_low < design.demands.stiff_gain_low and stiff.gain_high > design.demands.stiff_gain_high
@@ -76,6 +78,44 @@ def test_a_search_never_ends_behind_its_start(shipped):
     begin = [closed_form(shipped, "smc_observer")]
     costs = [found.judgement.cost for found in search(judge, begin, evaluations=12, jobs=1)]
     assert costs == sorted(costs) and costs[0] <= judge.judge(begin[0]).cost
+
+
+class TwoValleys:
+    """A judge that simulates nothing: the deeper valley is not where the better start is."""
+
+    law = "linear"
+
+    def judge(self, gains, bar=math.inf):
+        phi, frequency = (math.log(gains[f"control.smc.{name}"] / 100.0) for name in ("phi", "natural_frequency"))
+        shallow = (phi - 1.0) ** 2 + frequency**2
+        deep = 4.0 * ((phi + 1.0) ** 2 + frequency**2) - 1.0
+        return Judgement(min(shallow, deep), 0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_search_finds_a_deeper_valley_than_that_of_its_best_start():
+    def gains(phi, frequency):
+        return {"control.smc.phi": 100.0 * math.exp(phi), "control.smc.natural_frequency": 100.0 * math.exp(frequency)}
+
+    begins, judge = [gains(1.2, 0.3), gains(-0.6, 0.4)], TwoValleys()
+    assert judge.judge(begins[0]).cost < judge.judge(begins[1]).cost
+    assert search(judge, begins[:1], evaluations=300, jobs=1)[0].judgement.cost == pytest.approx(0.0, abs=0.01)
+    assert search(judge, begins, evaluations=300, jobs=1)[0].judgement.cost == pytest.approx(-1.0, abs=0.01)
+
+
+def test_of_gains_whose_first_stroke_is_hopeless_nothing_else_is_run(shipped):
+    judge, begin = judge_of(shipped, "smc_observer", 0.0), closed_form(shipped, "smc_observer")
+    first = prepared_stroke(shipped).run(judge_law(judge, shipped), judge.delay)
+    known = judge.judge(begin)
+    assert judge.judge(begin, bar=known.cost - 10.0).pp == pytest.approx(first.pp) != known.pp
+    assert judge.judge(begin, bar=known.cost + 10.0) == known
+
+
+def test_an_oscillation_is_what_a_verdict_calls_one(shipped):
+    course, stage = prepared_stroke(shipped), shipped.description
+    law = judge_law(judge_of(shipped, "smc_observer", 0.0), shipped)
+    # Commands later than the loop bears.
+    for samples, oscillates in ((1.0, False), (5.0, True)):
+        assert (course.run(law, samples * stage.period).oscillation > 1.0) == oscillates
 
 
 def test_quiet_trades_error_for_the_work_of_the_coils(shipped):

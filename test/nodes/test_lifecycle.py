@@ -137,6 +137,8 @@ def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
     assert not refused.successful and "control.smc.rho" in refused.reason
     refused = loop.set("controller", control__law="linear", stage__rate=100)
     assert not refused.successful and "'stage.rate' is fixed while the node is configured" in refused.reason
+    refused = loop.set("controller", control__law="smc", control__smc__boundary_layer=5e-4)
+    assert not refused.successful and "the law 'smc' is unstable" in refused.reason
     assert loop.switching()  # the law is 'smc' as before
     assert loop.set("controller", control__law="linear", stage__actuator__current_limit=0.5).successful
     loop.until(lambda: not loop.switching())

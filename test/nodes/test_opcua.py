@@ -29,6 +29,7 @@ SLOW = {
     # At this rate no law holds the platform; what is tried here is the way of the commands.
     "driver.watch.y_limit": 0.1,
     "driver.watch.frozen_current": 100.0,
+    "controller.control.margins": "warn",
     "stage.motion.stroke": 0.02,
     "stage.motion.settle": 0.2,
     "stage.motion.pause": 0.1,

@@ -46,6 +46,7 @@ def test_an_unknown_parameter_ends_a_node_with_code_2_and_its_name(single, tmp_p
         ("feedforward", "stage.guide.file", "nowhere.csv", "nowhere.csv"),
         ("controller", "control.smc.rho", 0.1, "reaching condition (11)"),
         ("controller", "control.law", "pid", "allowed: one of linear, smc"),
+        ("controller", "stage.rate", 1000, "the law 'smc' is unstable"),
         ("cell", "stage.motion.speed", 0, "0.0 m/s is too small"),
     ],
 )
@@ -55,6 +56,13 @@ def test_a_refused_value_ends_a_node_with_code_2_and_what_is_allowed(single, tmp
     process = single.start(node, {**law, name: value})
     assert process.wait(timeout=120) == 2
     assert words in single.last_words(node)
+
+
+@UNTRACED
+def test_gains_without_margins_are_used_with_a_warning_where_that_is_asked_for(single):
+    single.start("controller", {"stage.rate": 1000, "control.margins": "warn"})
+    wait_for_line(single, "controller", "ready")
+    assert "samples late; allowed: >= 1.5" in single.log("controller").read_text()
 
 
 @UNTRACED

@@ -67,6 +67,8 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
         if survey is not None:
             values["feedforward"]["stage.guide.file"] = str(survey)
         values["controller"]["trigger"] = "lockstep"
+        # No machine follows these commands.
+        values["controller"]["control.margins"] = "warn"
         values["player"] = {
             "bag": str(Path(bag).absolute()),
             "topic": (remap or {}).get(ENCODER.topic, ENCODER.topic),
