@@ -10,8 +10,8 @@ import sys
 from collections.abc import Set
 from contextlib import suppress
 
-from straightcomp_ros.timing import guard
-from straightcomp_ros.timing.claims import claim, claimed
+from straightcomp_ros.timing import cpu_guard
+from straightcomp_ros.timing.claimed_names import claim, claimed
 from straightcomp_ros.timing.loop_cpu import loop_cpus
 from straightcomp_ros.timing.normal_priority import at_normal_priority
 
@@ -37,7 +37,7 @@ def keep_others_off(cpus: Set[int]) -> str:
         # The guard inherits the priority of this thread.
         with at_normal_priority():
             process = subprocess.Popen(
-                [sys.executable, "-I", "-S", guard.__file__, *words],
+                [sys.executable, "-I", "-S", cpu_guard.__file__, *words],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,
@@ -52,7 +52,7 @@ def keep_others_off(cpus: Set[int]) -> str:
                 one.close()
     assert process.stdout is not None
     said = process.stdout.readline().strip()
-    if not said.startswith(guard.KEPT):
+    if not said.startswith(cpu_guard.KEPT):
         raise OSError(said or f"its process ended with exit code {process.wait()}")
     _held.append(process)
     return said
@@ -67,7 +67,7 @@ def left_behind() -> set[int]:
     """The CPUs that other programs still avoid because the process that kept them off was killed. The next node of the
     same user that calls :func:`keep_others_off` for them releases them when it ends."""
     noted: set[int] = set()
-    for note in guard.NOTES.glob(guard.note_name("*", "*")):
+    for note in cpu_guard.NOTES.glob(cpu_guard.note_name("*", "*")):
         # Other users may write to that folder too.
         with suppress(OSError, ValueError):
             if note.lstat().st_uid in (0, os.getuid()):

@@ -9,7 +9,7 @@ import os
 import socket
 from collections.abc import Set
 
-from straightcomp_ros.timing.claims import claim, claimed
+from straightcomp_ros.timing.claimed_names import claim, claimed
 
 _NAME = "straightcomp_ros/loop/"
 _CHOICE = "straightcomp_ros/choice"

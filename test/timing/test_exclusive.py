@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.timing import exclusive, guard, realtime
-from straightcomp_ros.timing.claims import claim
+from straightcomp_ros.timing import cpu_guard, exclusive, realtime
+from straightcomp_ros.timing.claimed_names import claim
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 pytestmark = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one CPU has nothing to share out")
@@ -19,17 +19,17 @@ SERVER = """
 import sys
 sys.path.insert(0, {root!r})
 from pathlib import Path
-from straightcomp_ros.timing import guard
-guard._PROCESSES, guard._WORK_QUEUES = Path({processes!r}), Path({queues!r})
-guard.NOTES = Path({notes!r})
-sys.exit(guard.main(sys.argv[1:]))
+from straightcomp_ros.timing import cpu_guard
+cpu_guard._PROCESSES, cpu_guard._WORK_QUEUES = Path({processes!r}), Path({queues!r})
+cpu_guard.NOTES = Path({notes!r})
+sys.exit(cpu_guard.main(sys.argv[1:]))
 """
 NODE = """
 import sys, time
-from straightcomp_ros.timing import exclusive, guard, loop_cpu
+from straightcomp_ros.timing import cpu_guard, exclusive, loop_cpu
 exclusive._NAME, exclusive._TURN_S = {name!r}, 0.2
 loop_cpu._NAME = {loops!r}
-guard.__file__ = {server!r}
+cpu_guard.__file__ = {server!r}
 print(exclusive.keep_others_off({cpus!r}), flush=True)
 time.sleep(60)
 """
@@ -117,7 +117,7 @@ def test_others_leave_the_cpu_until_the_node_ends_in_whatever_way(stand, number)
 
 def test_what_a_killed_guard_left_behind_is_seen_and_mended_by_the_next_node(stand, monkeypatch):
     monkeypatch.setattr(exclusive, "_NAME", stand.name)
-    monkeypatch.setattr(guard, "NOTES", stand.notes)
+    monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
     rest = stand.all - {stand.cpu}
     free, elsewhere = stand.bystander(), stand.bystander(rest)
     node, _ = stand.node()
@@ -140,8 +140,8 @@ def test_what_a_killed_guard_left_behind_is_seen_and_mended_by_the_next_node(sta
 
 
 def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypatch):
-    monkeypatch.setattr(guard, "NOTES", stand.notes)
-    note = guard.Note({stand.cpu})
+    monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
+    note = cpu_guard.Note({stand.cpu})
     note.write([4, 2], "ff")
     assert note.read() == ({2, 4}, "ff") and exclusive.left_behind() == {stand.cpu}
     file = next(stand.notes.iterdir())
@@ -150,12 +150,12 @@ def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypat
         file.write_text(text)
         assert note.read() is None
     file.rename(file.with_name(file.name.replace(f"_{stand.cpu}.", "_9999.")))
-    (stand.notes / guard.note_name(os.getuid(), "x")).touch()
+    (stand.notes / cpu_guard.note_name(os.getuid(), "x")).touch()
     assert exclusive.left_behind() == set()
     note.write([], "ff")
     boot = stand.notes / "boot"
     boot.write_text("another\n")
-    monkeypatch.setattr(guard, "_BOOT", boot)
+    monkeypatch.setattr(cpu_guard, "_BOOT", boot)
     assert exclusive.left_behind() == set()
 
 
@@ -194,13 +194,13 @@ def test_the_node_that_is_started_again_takes_over_from_the_killed_one(stand):
 
 def test_what_belongs_to_other_users_stays_and_is_counted(stand, monkeypatch):
     bystander = stand.bystander()
-    monkeypatch.setattr(guard, "_PROCESSES", stand.processes)
+    monkeypatch.setattr(cpu_guard, "_PROCESSES", stand.processes)
 
     def refuse(*_):
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setaffinity", refuse)
-    assert guard._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
+    assert cpu_guard._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
     assert os.sched_getaffinity(bystander) == stand.all
 
 

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from straightcomp_ros.timing import loop_cpu
-from straightcomp_ros.timing.claims import claim, claimed
+from straightcomp_ros.timing.claimed_names import claim, claimed
 from straightcomp_ros.timing.normal_priority import at_normal_priority
 
 CPUS = {0, 1, 2, 3}
