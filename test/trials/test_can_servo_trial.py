@@ -3,6 +3,7 @@
 import pytest
 
 from straightcomp_ros.hardware.can.bus_faults import KINDS
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.trials.bench.can_servo_trial import run_servo_trial
@@ -14,7 +15,7 @@ BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 @BUSES
 def test_single_faults_are_bridged_and_the_servo_stays_on(fd):
     rates = {kind: 0.002 for kind in KINDS if kind != "cut"}
-    trial = run_servo_trial(rates, GUIDE, fd=fd, frames=3000, seed=3)
+    trial = run_servo_trial(rates, GUIDE, CanParameters(fd=fd), frames=3000, seed=3)
     assert sum(trial.injected.values()) > 50
     assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
     assert trial.unflagged_wrong == trial.unsafe == 0
@@ -22,7 +23,7 @@ def test_single_faults_are_bridged_and_the_servo_stays_on(fd):
 
 @BUSES
 def test_each_cut_latches_a_fault_and_the_servo_comes_back_after_the_reset(fd):
-    trial = run_servo_trial({"cut": 0.001}, GUIDE, fd=fd, frames=4000, seed=2)
+    trial = run_servo_trial({"cut": 0.001}, GUIDE, CanParameters(fd=fd), frames=4000, seed=2)
     assert trial.injected["cut"] >= 2
     assert 1 <= sum(trial.latched.values()) <= trial.injected["cut"]
     assert trial.unflagged_wrong == trial.unsafe == 0 and trial.on > 0.3
@@ -30,7 +31,7 @@ def test_each_cut_latches_a_fault_and_the_servo_comes_back_after_the_reset(fd):
 
 @BUSES
 def test_a_bus_that_spoils_many_frames_is_given_up_by_one_side_or_the_other(fd):
-    trial = run_servo_trial({"corrupt": 0.22}, GUIDE, fd=fd, frames=6000, seed=1)
+    trial = run_servo_trial({"corrupt": 0.22}, GUIDE, CanParameters(fd=fd), frames=6000, seed=1)
     words = {"too many frames failed their checks", "the board reports: command check"}
     assert words & set(trial.latched) and trial.on < 0.8
     assert trial.unflagged_wrong == trial.unsafe == 0

@@ -9,10 +9,9 @@ be interrupted.
 from typing import NamedTuple
 
 from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.hardware.can import frames
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.wire import Wire
 
-HEARTBEAT_PERIOD = 0.05
-"""s"""
 _FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -68,18 +67,16 @@ def fd_time(size: int, nominal: int, data: int) -> float:
     return (17 + 4 + 12) / nominal + (payload + (payload + 3) // 4 + 4 + crc + fixed_stuff + 1) / data
 
 
-def traffic(fd: bool, rate: float = DEFAULT_RATE) -> list[Traffic]:
-    """All frames on the bus while the servo runs, highest priority first."""
-    heartbeat = Traffic("heartbeat", 1, 1.0 / HEARTBEAT_PERIOD, False)
-    if fd:
-        command, encoder = frames.COMMAND_FD_BYTES, frames.ENCODER_FD_BYTES
-        return [Traffic("command", command, rate, True), Traffic("encoder", encoder, rate, True), heartbeat]
-    return [
-        Traffic("encoder", frames.ENCODER_BYTES, rate, False),
-        Traffic("command", frames.COMMAND_BYTES, rate, False),
-        Traffic("coil current", frames.CURRENT_BYTES, rate / frames.CURRENT_EVERY, False),
-        heartbeat,
+def traffic(wire: Wire, rate: float) -> list[Traffic]:
+    """All frames on the bus while the servo runs at ``rate`` in Hz, highest priority first."""
+    sent = [(wire.command, rate), *((frames, rate / frames.every) for frames in wire.reports.values())]
+    found = [
+        (frames.identifier, Traffic(frames.signals.message.name, frames.size, each, frames.fd)) for frames, each in sent
     ]
+    if wire.heartbeat:
+        beat = wire.heartbeat
+        found.append((beat.identifier, Traffic("Heartbeat", beat.size, 1.0 / beat.period, beat.fd)))
+    return [frame for _, frame in sorted(found, key=lambda one: one[0])]
 
 
 def load(sent: list[Traffic], bitrate: Bitrate) -> float:
@@ -87,22 +84,23 @@ def load(sent: list[Traffic], bitrate: Bitrate) -> float:
     return sum(frame.time(bitrate) * frame.rate for frame in sent)
 
 
-def round_trip(sent: list[Traffic], bitrate: Bitrate) -> float:
-    """Longest time in s on the bus from sample to command: each of the two waits for the longest other frame.
+def round_trip(sent: list[Traffic], bitrate: Bitrate, pair: tuple[str, str]) -> float:
+    """Longest time in s on the bus from sample to command, the two frames ``pair``: each waits for the longest other.
 
     It holds while it is shorter than a control period. The host's computing time comes on top.
     """
     times = {frame.name: frame.time(bitrate) for frame in sent}
-    return sum(times[own] + max(time for name, time in times.items() if name != own) for own in ("encoder", "command"))
+    return sum(times[own] + max(time for name, time in times.items() if name != own) for own in pair)
 
 
 def table() -> str:
     """Load and latency of both kinds of bus, as docs/can.md shows them."""
     lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
     for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
-        sent = traffic(fd)
+        wire = CanParameters(fd=fd).make_wire()
+        sent, pair = traffic(wire, DEFAULT_RATE), (wire.sample.signals.message.name, wire.command.signals.message.name)
         rows = [(frame.name, f"{frame.size} B", frame.time(bitrate), load([frame], bitrate)) for frame in sent]
-        rows.append(("all; sample to command", "", round_trip(sent, bitrate), load(sent, bitrate)))
+        rows.append(("all; sample to command", "", round_trip(sent, bitrate, pair), load(sent, bitrate)))
         for what, payload, time, share in rows:
             lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
     return "\n".join(lines)
