@@ -69,9 +69,10 @@ def fd_time(size: int, nominal: int, data: int) -> float:
 
 def traffic(wire: Wire, rate: float) -> list[Traffic]:
     """All frames on the bus while the servo runs at ``rate`` in Hz, highest priority first."""
-    sent = [(wire.command, rate), *((frames, rate / frames.every) for frames in wire.reports.values())]
+    rates = [(wire.command.signals, rate), *((one.signals, rate / one.every) for one in wire.reports.values())]
     found = [
-        (frames.identifier, Traffic(frames.signals.message.name, frames.size, each, frames.fd)) for frames, each in sent
+        (signals.identifier, Traffic(signals.message.name, signals.message.length, each, signals.fd))
+        for signals, each in rates
     ]
     if wire.heartbeat:
         beat = wire.heartbeat

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Iterable
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -112,7 +111,6 @@ def _found(file: str) -> Path:
     return path
 
 
-@lru_cache(maxsize=16)
 def _database(path: Path) -> Database:
     # Half a second, which only a driver with a bus needs.
     import cantools
