@@ -1,7 +1,7 @@
 """The board on CAN behind the hardware interface: handshake, monitoring, latched faults."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
@@ -9,6 +9,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, Command
 from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
+from straightcomp_ros.hardware.can.wire_gaps import gaps
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault, Finding
@@ -144,6 +145,9 @@ class CanHardware(Hardware):
     def newest_arrival_ns(self) -> int:
         return self._receiver.newest_ns
 
+    def remarks(self) -> Sequence[str]:
+        return gaps(self._wire)
+
     def counters(self) -> Mapping[str, object]:
         receiver, sequence, link = self._receiver, self._receiver.sequence, self._link
         counters: dict[str, object] = {
@@ -258,6 +262,8 @@ class CanHardware(Hardware):
         command = Command(self._alive, self._wanted, self._resetting, current if self._wanted else 0.0, echo)
         sent = self._link.send(frames.identifier, frames.pack(command), fd=frames.fd)
         if sent:
+            if self._wire.current is None:
+                self._receiver.current = command.current
             self._alive = (self._alive + 1) % self._alive_modulus
         return sent
 

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 _LARGEST = {False: 0x7FF, True: 0x1FFFFFFF}
-_SIZES = {False: tuple(range(9)), True: (*range(9), 12, 16, 20, 24, 32, 48, 64)}
-"""Bytes of a classic frame, and of one for CAN FD."""
+FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""Bytes of a frame of CAN FD."""
+_SIZES = {False: tuple(range(9)), True: FD_SIZES}
 _LARGEST_FLOAT = {16: 65504.0, 32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
 
 

@@ -51,7 +51,7 @@ class HeartbeatFrames:
     """The heartbeat of a board."""
 
     def __init__(self, signals: Signals, boot_up: int, operational: int) -> None:
-        self.identifier, self.fd, self.size = signals.identifier, signals.fd, signals.message.length
+        self.signals, self.identifier, self.fd = signals, signals.identifier, signals.fd
         self.boot_up, self.operational = boot_up, operational
         self.period = (signals.message.cycle_time or 0) * 1e-3 or _HEARTBEAT_PERIOD
         self.unpack: Callable[[bytes], Report] = signals.unpacking_report(0)

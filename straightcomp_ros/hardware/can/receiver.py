@@ -30,6 +30,7 @@ class Receiver:
     """Samples of one board; the caller empties :attr:`samples`.
 
     Attributes:
+        current: newest coil current; for a board that does not measure it, set it to the commanded one.
         samples: new samples, oldest first: number, sample, and an emulated board's truth.
         amplifier: state in the newest good frame; None before the first.
         board_fault: the board's code of why it switched off; None before it was told.
@@ -69,7 +70,7 @@ class Receiver:
         self._accepted: Report | None = None
         self._good: tuple[Report, int] | None = None
         self._alive = self._stamp_ns = 0
-        self._current = math.nan
+        self.current = 0.0
         self._truth: tuple[int, Truth | None] = (-1, None)
         self._handlers: dict[int, Callable[[bytes, int], None]] = {
             identifier: partial(self._hear, frames) for identifier, frames in wire.reports.items()
@@ -182,7 +183,7 @@ class Receiver:
         if report.fault is not None:
             self.board_fault = report.fault
         if report.current is not None:
-            self._current = report.current
+            self.current = report.current
 
     def _deliver(self, report: Report, index: int, arrival_ns: int) -> None:
         stamp_ns = self.clock.stamp(index)
@@ -192,7 +193,7 @@ class Receiver:
         self._stamp_ns, self.newest_ns = stamp_ns, arrival_ns
         if arrival_ns - stamp_ns > self._stale_ns:
             self.stale += 1
-        current = self._current if self.amplifier is Amplifier.ON else math.nan
+        current = self.current if self.amplifier is Amplifier.ON else math.nan
         sample = Sample(stamp_ns, report.x, report.y, current)
         counter, truth = self._truth
         told = truth is not None and (not self._modulus or (counter - index) % self._modulus == 0)

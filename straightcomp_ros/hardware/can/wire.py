@@ -39,6 +39,7 @@ class Wire:
         reports: all frames of the board but the heartbeat, by identifier.
         counting: frames with the sample's number: ``sample``, others, or None.
         status: frames with the amplifier's state.
+        current: frames with the measured current; None for a board without.
         heartbeat: None for a board without.
 
     Raises:
@@ -56,6 +57,7 @@ class Wire:
                 inside = {role: signals[role] for role in OF_BOARD if homes.get(role) == name}
                 reports[name] = ReportFrames(self._signals(name, inside, *protected), meaning.fault.none_value)
         self.sample, self.status = reports[homes["x"]], reports[homes["amplifier"]]
+        self.current = reports[homes["current"]] if "current" in homes else None
         self.counting = reports[homes["counter"]] if "counter" in homes else None
         self.reports: Mapping[int, ReportFrames] = {frames.identifier: frames for frames in reports.values()}
         inside = {"current" if role == "command" else role: signals[role] for role in OF_HOST if role in signals}
