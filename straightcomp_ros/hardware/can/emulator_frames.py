@@ -16,7 +16,7 @@ from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.settings.declaration import ParameterError
 
-_FILE = "config/emulator.dbc"
+FILE = "config/emulator.dbc"
 _POINTS = "Points"
 
 
@@ -28,7 +28,7 @@ class EmulatorFrames:
     """
 
     def __init__(self, node: int, wire: Wire) -> None:
-        dbc = Dbc(_FILE)
+        dbc = Dbc(FILE)
         self._messages: dict[str, Signals] = {}
         taken = {*wire.identifiers, wire.command.identifier}
         for name in ("StageTime", "StageMotion", "StageStart", "Truth"):

@@ -66,5 +66,12 @@ def test_can_fd_halves_load_and_latency():
                 fd_time(size, 10**6, 5 * 10**6)
 
 
+def test_an_identifier_of_29_bits_takes_longer():
+    # SRR, IDE and 18 more bits of the identifier, all stuffed with the rest.
+    assert classic_bits(8, extended=True) == 160 and classic_bits(0, extended=True) == 80
+    assert fd_time(8, 1, 10**9, extended=True) == pytest.approx(36 + 8 + 12, abs=1e-3)
+    assert Traffic("one", 8, 1.0, False, True).time(CLASSIC_1M) == pytest.approx(160e-6)
+
+
 def test_the_document_shows_what_the_code_computes():
     assert table() in DOCUMENT.read_text()

@@ -7,6 +7,7 @@ import pytest
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.settings.share import share_path
@@ -163,6 +164,17 @@ def test_a_message_that_fits_no_frame_and_a_node_that_no_identifier_has_are_refu
         ParameterError, match=r"'can.node': 127 moves message 'DSP_STATUS' .* to 0x826; allowed: <= 0x7ff"
     ):
         driver(dbc=edited(" 801 ", " 1960 "), node=127)
+
+
+def test_a_frame_with_an_identifier_of_the_emulators_is_refused_where_a_stage_is_simulated(edited):
+    wire = foreign(dbc=edited(" 801 ", " 1153 "))
+    with pytest.raises(ParameterError, match=r"'can.simulated_stage': .* frame 0x481 .* emulator's 'StageMotion'"):
+        EmulatorFrames(1, wire)
+
+
+def test_a_file_that_was_edited_is_read_again(edited):
+    assert foreign(dbc=edited(" 801 ", " 802 ")).status.identifier == 802
+    assert foreign(dbc=edited(" 801 ", " 803 ")).status.identifier == 803
 
 
 def test_an_echo_needs_a_count_of_the_samples():
