@@ -63,11 +63,11 @@ class Signals:
         lines += reading.lines
         for field in ("alive", "counter"):
             if field in self.signals:
-                signal, least = self.signals[field], self.counts(field)
+                signal, counts = self.signals[field], self.counts(field)
                 lines.append(f"{field} = {self._raw(reading, field)}")
-                if least < 2**signal.length:
+                if counts < 2**signal.length:
                     there = reading.shown[signal.name] and f"{field} is not None and "
-                    lines.append(f"if {there}{field} >= {least}: raise FrameError('alive')")
+                    lines.append(f"if {there}{field} >= {counts}: raise FrameError('alive')")
         return lines
 
     def _raw(self, reading: Reading, field: str) -> str:
@@ -77,15 +77,12 @@ class Signals:
         signal = self.signals[field]
         return reading.expression(signal, physical(signal, reading.raw[signal.name], self.factors[field]))
 
-    def _compiled(self, name: str, reading: Reading, lines: Sequence[str], **names: Any) -> Callable[[bytes], Any]:
-        space = {
-            **reading.names,
-            **(self.crc.names if self.crc else {}),
-            "FrameError": FrameError,
-            "new": _NEW,
-            **names,
-        }
-        return compiled(name, "payload", lines, space)
+    def _compiled(self, reading: Reading, lines: Sequence[str], **names: Any) -> Callable[[bytes], Any]:
+        known = {"FrameError": FrameError, "Report": Report, "Command": Command, "new": _NEW}
+        return compiled("unpack", "payload", lines, {**reading.names, **self._crc_names(), **known, **names})
+
+    def _crc_names(self) -> dict[str, Any]:
+        return self.crc.names if self.crc else {}
 
     def unpacking(self, fields: Sequence[str]) -> Callable[[bytes], tuple[Any, ...]]:
         """The function from a payload to the values of ``fields``; it raises FrameError."""
@@ -93,7 +90,7 @@ class Signals:
         values = [
             self._value(reading, field) if field in self.factors else self._raw(reading, field) for field in fields
         ]
-        return self._compiled("unpack", reading, [*self._checks(reading), f"return {', '.join(values)},"])
+        return self._compiled(reading, [*self._checks(reading), f"return {', '.join(values)},"])
 
     def unpacking_report(self, no_fault: int) -> Callable[[bytes], Report]:
         """The function from a payload to what the board reports; it raises FrameError.
@@ -111,13 +108,13 @@ class Signals:
                 values[field] = field
         if "fault" in self.signals:
             lines.append(f"fault = {self._raw(reading, 'fault')}")
-        names: dict[str, Any] = {"Report": Report}
+        names: dict[str, Any] = {}
         if "amplifier" in self.signals:
             lines += self._amplifier(reading, no_fault, names)
             values["amplifier"] = "amplifier"
         values["good"] = self._good(reading)
         lines.append(f"return new(Report, ({', '.join(values.values())}))")
-        return self._compiled("unpack", reading, lines, **names)
+        return self._compiled(reading, lines, **names)
 
     def _amplifier(self, reading: Reading, no_fault: int, names: dict[str, Any]) -> list[str]:
         signal, values = self.signals["amplifier"], self.values["amplifier"]
@@ -165,7 +162,7 @@ class Signals:
                 lines.append(f"if {field} != {no} and {field} != {yes}: raise FrameError('pattern')")
                 values[field] = f"{field} == {yes}"
         lines.append(f"return new(Command, ({', '.join(values.values())}))")
-        return self._compiled("unpack", reading, lines, Command=Command)
+        return self._compiled(reading, lines)
 
     def packings(self, fields: Sequence[str]) -> list[Callable[[tuple[Any, ...]], bytes]]:
         """Functions from a tuple of ``fields`` to a payload, one for each page of a multiplexed message.
@@ -183,7 +180,7 @@ class Signals:
             {signal.name: self.factors[field] for field, signal in shown.items() if field in self.factors},
             page,
         )
-        names: dict[str, Any] = {**writing.names, "refuse": self._refuse}
+        names: dict[str, Any] = {**writing.names, **self._crc_names(), "refuse": self._refuse}
         lines = [f"{', '.join(fields)}, = values"]
         for field in shown:
             if field in self.values:
@@ -191,15 +188,13 @@ class Signals:
                 names[f"values_of_{field}"] = _sent(self.values[field])
         lines += writing.lines
         if self.crc:
-            names |= self.crc.names
             lines += [f"crc = {self.crc.computed}", f"return {self.crc.sealed}"]
         else:
             lines.append("return payload")
         return compiled("pack", "values", lines, names)
 
     def _refuse(self, name: str, value: float) -> NoReturn:
-        signal = next(one for one in self.signals.values() if one.name == name)
-        field = next(field for field, one in self.signals.items() if one is signal)
+        field, signal = next((field, one) for field, one in self.signals.items() if one.name == name)
         ends = self.span(field) if field in self.factors else limits(signal)
         unit = {"x": " m", "y": " m", "current": " A"}.get(field, "")
         raise ValueError(
@@ -209,6 +204,10 @@ class Signals:
 
 
 def _sent(values: Mapping[Any, int]) -> dict[Any, int]:
-    """The raw value that says each meaning, also for those that have none of their own (-1): any that is free."""
+    """The raw value that says each meaning, also for those that have none of their own (-1).
+
+    For "off" that is any that is free; for "fault", which the fault code says, that for "off".
+    """
     free = next(raw for raw in range(len(values) + 1) if raw not in values.values())
-    return {meaning: raw if raw >= 0 else free for meaning, raw in values.items()}
+    sent = {meaning: raw if raw >= 0 else free for meaning, raw in values.items()}
+    return sent | {Amplifier.FAULT: sent[Amplifier.OFF]} if values.get(Amplifier.FAULT, 0) < 0 else sent

@@ -19,6 +19,11 @@ OF_HOST = ("command", "enable", "reset", "echo")
 _NEEDED = ("x", "y", "amplifier", "command", "enable")
 _SAYING = ("amplifier", "good", "enable", "reset")
 """Roles whose values have a meaning each."""
+_COUNTS = (
+    "wire.counter.signal",
+    "wire.echo.signal",
+    *(f"wire.protection.{part}.alive" for part in ("sample", "status", "current", "command")),
+)
 _LENGTHS = {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 _CURRENTS = {"": 1.0, "A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "μA": 1e-6}
 _UNITS = {"x": _LENGTHS, "y": _LENGTHS, "current": _CURRENTS, "command": _CURRENTS}
@@ -65,9 +70,19 @@ class Roles:
     def find(self, message: Message, name: str, parameter: str) -> Signal:
         """The signal ``name`` that ``parameter`` asks for."""
         try:
-            return self._dbc.signal(message, name)
+            signal = self._dbc.signal(message, name)
         except DbcError as error:
             raise RefusedParameter(parameter, str(error)) from None
+        if parameter in _COUNTS and (signal.is_signed or signal.is_float):
+            raise RefusedParameter(parameter, f"'{name}' is signed or a float; allowed: an unsigned integer")
+        return signal
+
+    def in_every_frame(self, message: Message, name: str, parameter: str) -> Signal:
+        """As :meth:`find`, for a signal that must not be multiplexed."""
+        signal = self.find(message, name, parameter)
+        if selectors(message, signal):
+            raise RefusedParameter(parameter, f"'{name}' is multiplexed; allowed: a signal that is in every frame")
+        return signal
 
     def factor(self, role: str) -> float:
         """From the file's unit of the role's signal to SI units, with the factor that the parameters give."""
@@ -117,13 +132,18 @@ class Roles:
                 raise RefusedParameter(f"wire.{role}.message", text)
         if homes["command"] in (homes[role] for role in homes if role not in OF_HOST):
             raise RefusedParameter("wire.command.message", f"'{homes['command']}' is a message of the board already")
-        if homes.get("heartbeat") in (homes[role] for role in homes if role != "heartbeat"):
+        if "heartbeat" in homes and homes["heartbeat"] in (homes[role] for role in homes if role != "heartbeat"):
             text = f"'{homes['heartbeat']}' has other signals of the board; allowed: a message of its own"
             raise RefusedParameter("wire.heartbeat.message", text)
-        for role in OF_HOST:
-            if role in homes and selectors(self.message(role), self.signals[role]):
-                text = f"'{self.signals[role].name}' is multiplexed; allowed: a signal that is in every frame"
+        for role in ("y", "good", "counter", *OF_HOST):
+            main = "command" if role in OF_HOST else "x"
+            if homes.get(role) == homes[main] and self._page(role) != ([] if main == "command" else self._page("x")):
+                text = f"'{self.signals[role].name}' is not in all frames that it must be in; allowed: one that is"
                 raise RefusedParameter(f"wire.{role}.signal", text)
+
+    def _page(self, role: str) -> list[tuple[Signal, list[int]]]:
+        """The multiplexer pages that have the role's signal."""
+        return selectors(self.message(role), self.signals[role])
 
     def _check_values(self) -> None:
         signals = self.signals
@@ -137,7 +157,6 @@ class Roles:
                     raise RefusedParameter(f"wire.{role}.{name}", f"{text}; allowed: {least} to {largest}")
         if self._meaning.amplifier.fault_value < 0:
             message = self.message("amplifier")
-            together = self.homes.get("fault") == message.name
-            if not together or selectors(message, signals["fault"]) != selectors(message, signals["amplifier"]):
+            if self.homes.get("fault") != message.name or self._page("fault") != self._page("amplifier"):
                 text = "-1 needs a signal for 'fault' in the same frames as the amplifier's"
                 raise RefusedParameter("wire.amplifier.fault_value", text)

@@ -18,6 +18,8 @@ _KEPT_MISSING = 256
 _OLDEST = 1000
 _ROW, _LATE = 8, 0.75
 """Frames without count in a row, and the periods by which all are late when samples before them are lost."""
+_SILENCE = 10
+"""Samples after which the numbers of frames without count start anew."""
 
 
 class Sequence:
@@ -32,7 +34,7 @@ class Sequence:
     def __init__(self, elapsed: Callable[[int, int], float], modulus: int, full_modulus: int = 0) -> None:
         self._elapsed, self._modulus, self._full_modulus = elapsed, modulus, full_modulus
         self._early = min(_EARLY, (modulus - 1) // 3)
-        self._ambiguous = modulus - 1 - self._early
+        self._ambiguous = modulus - 1 - self._early if modulus else _SILENCE
         self.lost = self.repeated = self.out_of_order = self.unplaced = self.jumps = 0
         self._missing: dict[int, None] = {}
         self.reset()
@@ -57,14 +59,14 @@ class Sequence:
         if self.index is None or self._waiting:
             return None if self._full_modulus else 1
         passed = self._elapsed(self.index, arrival_ns)
-        if count is None:
-            return self._in_order(passed)
         if passed >= self._ambiguous:
             if self._full_modulus:
                 return None
             self.jumps += 1
             self.reset()
             return 1
+        if count is None:
+            return self._in_order(passed)
         ahead = (count - self.index) % self._modulus
         return ahead if ahead <= passed + self._early else ahead - self._modulus
 

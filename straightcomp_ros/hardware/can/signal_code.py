@@ -79,18 +79,18 @@ class Reading:
         sign, name = _ORDERS[order]
         code, end = sign, 0
         taken = []
-        for begin, signal in sorted((_first_byte(signal), signal.name) for signal in signals if _aligned(signal)):
-            found = next(one for one in signals if one.name == signal)
+        for signal in sorted(filter(_aligned, signals), key=lambda signal: signal.start):
+            begin = signal.start // 8
             if begin >= end:
-                letter = _FLOAT[found.length] if found.is_float else _INTEGER[found.length]
-                code += f"{begin - end}x" + (letter if found.is_float or found.is_signed else letter.upper())
-                end = begin + found.length // 8
-                taken.append(signal)
+                letter = _FLOAT[signal.length] if signal.is_float else _INTEGER[signal.length]
+                code += f"{begin - end}x" + (letter if signal.is_float or signal.is_signed else letter.upper())
+                end = begin + signal.length // 8
+                taken.append(signal.name)
         if taken:
             layout = struct.Struct(f"{code}{self._message.length - end}x")
             self.names[f"unpack_{name}"] = layout.unpack
-            self.raw |= {signal: f"{name}_{index}" for index, signal in enumerate(taken)}
-            self.lines.append(f"{', '.join(self.raw[signal] for signal in taken)}, = unpack_{name}(payload)")
+            self.raw |= {one: f"{name}_{index}" for index, one in enumerate(taken)}
+            self.lines.append(f"{', '.join(self.raw[one] for one in taken)}, = unpack_{name}(payload)")
 
     def _shift_out(self, signal: Signal) -> None:
         sign, name = _ORDERS[signal.byte_order]
@@ -182,7 +182,7 @@ class Writing:
 
 def _initial(signal: Signal, selected: int | None, sign: str, order: Literal["little", "big"]) -> int:
     """Bits of a signal that nobody gives a value: the page that it selects, or its initial value in the file."""
-    value = signal.raw_initial or 0 if selected is None else selected
+    value: float = (signal.raw_initial or 0) if selected is None else selected
     if signal.is_float:
         return int.from_bytes(struct.pack(sign + _FLOAT[signal.length], value), order)
     return int(value) & 2**signal.length - 1
@@ -229,7 +229,3 @@ def _aligned(signal: Signal) -> bool:
     whole = _FLOAT if signal.is_float else _INTEGER
     first = 0 if signal.byte_order == "little_endian" else 7
     return signal.length in whole and signal.start % 8 == first
-
-
-def _first_byte(signal: Signal) -> int:
-    return signal.start // 8

@@ -131,7 +131,7 @@ class Wire:
         except DbcError as error:
             raise RefusedParameter("node", str(error)) from None
         crc, everything = None, dict(inside)
-        alive = self._roles.find(message, protected.alive, f"{place}.alive") if protected.alive else None
+        alive = self._roles.in_every_frame(message, protected.alive, f"{place}.alive") if protected.alive else None
         if alive is not None:
             everything["alive"] = alive
         if protected.profile != "none":
@@ -139,7 +139,7 @@ class Wire:
                 ids = data_ids(protected.data_id, protected.profile, identifier)
             except DbcError as error:
                 raise RefusedParameter(f"{place}.data_id", str(error)) from None
-            crc_signal = self._roles.find(message, protected.crc, f"{place}.crc")
+            crc_signal = self._roles.in_every_frame(message, protected.crc, f"{place}.crc")
             try:
                 crc = Crc(message, crc_signal, alive, protected.profile, ids)
             except DbcError as error:

@@ -14,7 +14,10 @@ def gaps(wire: Wire) -> list[str]:
     if sample.crc is None:
         found.append(f"{name} has no CRC: a damaged sample is found only where it is not plausible")
     if not wire.sample_modulus:
-        found.append(f"{name} has no counter: repeated samples are not found, lost ones only after eight more")
+        found.append(
+            f"{name} has no counter: repeated samples are not found, lost ones only after eight more; after a silence of "
+            "ten the numbers start anew, which is a fault while the amplifier is on"
+        )
     elif wire.number_modulus <= _SHORT:
         found.append(
             f"{name} counts to {wire.sample_modulus} only: after a silence of as many samples the numbers start anew, "

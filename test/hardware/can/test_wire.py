@@ -129,6 +129,12 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
             {"wire/enable/yes_value": 2},
             "'can.wire.enable.yes_value': 2 does not fit signal 'SET_ENABLE'.*allowed: 0 to 1",
         ),
+        ({"wire/echo/signal": "SET_CURRENT"}, "'can.wire.echo.signal': 'SET_CURRENT' is signed or a float"),
+        ({"wire/counter/signal": "POS_X"}, "'can.wire.counter.signal': 'POS_X' is signed or a float"),
+        (
+            {"wire/protection/status/crc": "ERROR_CODE"},
+            "'can.wire.protection.status.crc': 'ERROR_CODE' is multiplexed; allowed: a signal that is in every frame",
+        ),
         ({"wire/protection/sample/crc": ""}, "'can.wire.protection.sample.crc': '' is not a signal"),
         (
             {"wire/protection/sample/profile": "e2e_1"},

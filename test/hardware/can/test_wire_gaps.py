@@ -69,6 +69,13 @@ def test_the_servo_holds_the_platform_by_a_board_that_says_only_what_it_must():
     assert lossy.injected["drop"] > 0 and lossy.state is State.ON and lossy.on > 0.9 and lossy.unsafe == 0
 
 
+def test_a_fault_that_only_the_code_tells_is_latched_and_cleared():
+    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
+    trial = run_servo_trial({"cut": 0.001}, guide, BARE, frames=4000, seed=2)
+    assert trial.injected["cut"] >= 2 and trial.latched and trial.unsafe == trial.unflagged_wrong == 0
+    assert trial.on > 0.3
+
+
 def feed(receiver, numbers):
     wire = receiver.wire
     for number in numbers:
