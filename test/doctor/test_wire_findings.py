@@ -53,6 +53,13 @@ def test_a_range_a_resolution_and_a_bus_that_do_not_do_are_found(check, changes,
     assert finding["state"] == state and words in finding["detail"] and finding["remedy"]
 
 
+def test_a_scale_that_is_coarser_than_the_encoder_is_found(check):
+    found = check(OWN, driver={"hardware": "can"}, stage={"encoder.y_resolution": 1e-9})
+    (finding,) = (one for one in found if one["name"] == "wire y")
+    assert finding["state"] == "warn" and "in steps of 1e-07 m; the stage needs" in finding["detail"]
+    assert "too coarse" in finding["remedy"]
+
+
 def test_protection_that_is_missing_is_found(check):
     missing = [one["detail"] for one in check(FOREIGN) if one["name"] == "wire protection"]
     assert len(missing) == 2 and "counts to 256 only" in missing[0]

@@ -145,7 +145,7 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
         watch.until(lambda frame: frame.amplifier is Amplifier.ON and watch.commanded_s > 0)
         processes["driver"].send_signal(signal.SIGKILL)
         frame, sampled_s = watch.until(lambda frame: frame.amplifier is Amplifier.FAULT)
-    assert frame.fault == wire.fault_code(BoardFault.COMMAND_TIMEOUT)
+    assert frame.fault == wire.fault_codes[BoardFault.COMMAND_TIMEOUT]
     # By the board's own clock, so that a computer that stands still takes no part.
     timeout = values["driver"]["simulated.command_timeout"]
     assert timeout - 0.1 < sampled_s - watch.commanded_s < timeout + 0.1

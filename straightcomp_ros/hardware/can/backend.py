@@ -47,7 +47,6 @@ class CanHardware(Hardware):
         self._receiver = Receiver(parameters, stage)
         self._wire = wire = self._receiver.wire
         self._stage_frames = EmulatorFrames(parameters.node, wire) if parameters.simulated_stage else None
-        self._alive_modulus = wire.command.signals.counts("alive") or 1
         self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._alive = self._deadline_ns = 0
@@ -264,7 +263,7 @@ class CanHardware(Hardware):
         if sent:
             if self._wire.current is None:
                 self._receiver.current = command.current
-            self._alive = (self._alive + 1) % self._alive_modulus
+            self._alive = (self._alive + 1) % frames.alive_modulus
         return sent
 
 

@@ -144,14 +144,14 @@ class Board:
         self._newest_ns = sample.stamp_ns
         number = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns)
         self._counter = number % (wire.number_modulus or _COUNTED)
-        x, y = (_within(value, wire.sample.signals.span(name)) for name, value in (("x", sample.x), ("y", sample.y)))
+        x, y = (_within(value, wire.sample.spans[name]) for name, value in (("x", sample.x), ("y", sample.y)))
         report = Report(
             counter=self._counter,
             x=x,
             y=y,
             current=0.0 if math.isnan(sample.current) else sample.current,
             amplifier=self.amplifier,
-            fault=wire.fault_code(self.fault),
+            fault=wire.fault_codes[self.fault],
             good=(x, y) == (sample.x, sample.y),
         )
         if self._tells_truth and self._emulator:
@@ -162,11 +162,11 @@ class Board:
                 self._send_report(frames, report)
 
     def _send_report(self, frames: ReportFrames, report: Report) -> None:
-        signals, turn = frames.signals, self._sent[frames.identifier]
+        turn, span = self._sent[frames.identifier], frames.spans.get("current")
         self._sent[frames.identifier] = turn + 1
-        report = report._replace(alive=turn % (signals.counts("alive") or 1))
-        if "current" in signals.signals and report.current is not None:
-            report = report._replace(current=_within(report.current, signals.span("current")))
+        report = report._replace(alive=turn % frames.alive_modulus)
+        if span is not None and report.current is not None:
+            report = report._replace(current=_within(report.current, span))
         self._send(frames.identifier, frames.pack(report, turn), frames.fd)
 
 

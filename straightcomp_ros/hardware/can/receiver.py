@@ -62,10 +62,8 @@ class Receiver:
         self._memory, self._strike_limit = parameters.sample_memory, parameters.strike_limit
         self._stale_ns = round(parameters.sample_timeout * 1e9)
         # Two counts of noise; half a one more for the rounding of numbers in metres.
-        self._x_step, self._y_step = (
-            stage.motion.highest_speed * period_ns * 1e-9,
-            parameters.y_speed * period_ns * 1e-9,
-        )
+        self._x_step = stage.motion.highest_speed * period_ns * 1e-9
+        self._y_step = parameters.y_speed * period_ns * 1e-9
         self._x_noise, self._y_noise = 2.5 * signals.step("x"), 2.5 * signals.step("y")
         self._accepted: Report | None = None
         self._good: tuple[Report, int] | None = None
@@ -228,7 +226,7 @@ class Receiver:
     def _heartbeat(self, payload: bytes, arrival_ns: int) -> None:
         heartbeat = self.wire.heartbeat
         assert heartbeat is not None
-        self.node_state = heartbeat.unpack(payload).fault
+        self.node_state = heartbeat.unpack(payload)
         self.heartbeat_ns = arrival_ns
         if self.node_state == heartbeat.boot_up:
             self.boot_ups += 1

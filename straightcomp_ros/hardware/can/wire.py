@@ -41,6 +41,11 @@ class Wire:
         status: frames with the amplifier's state.
         current: frames with the measured current; None for a board without.
         heartbeat: None for a board without.
+        sample_modulus: of the count in each sample's own frame, by which samples are numbered; 0 without one.
+        number_modulus: of the numbers of samples that board and host agree on; 0 without any.
+        echo_modulus: of the echo in a command; 0 for a command without.
+        fault_codes: the board's code of each fault: that with its name in the DBC file, else its number as far as it
+            fits.
 
     Raises:
         RefusedParameter: file and meaning do not fit together; the names begin with ``wire.``.
@@ -64,10 +69,14 @@ class Wire:
         self.command = CommandFrames(self._signals(homes["command"], inside, *protection[homes["command"]]))
         self.heartbeat: HeartbeatFrames | None = None
         if "heartbeat" in signals:
-            inside = {"fault": signals["heartbeat"]}
+            inside = {"state": signals["heartbeat"]}
             beat = self._signals(homes["heartbeat"], inside, "", ProtectionParameters())
             self.heartbeat = HeartbeatFrames(beat, meaning.heartbeat.boot_up_value, meaning.heartbeat.operational_value)
+        self.sample_modulus = self.sample.signals.counts("counter") or self.sample.signals.counts("alive")
+        self.number_modulus = self.counting.signals.counts("counter") if self.counting else self.sample_modulus
+        self.echo_modulus = min(self.command.signals.counts("echo"), self.number_modulus)
         self._fault_words = {int(raw): str(words) for raw, words in _choices(signals.get("fault")).items()}
+        self.fault_codes = {fault: self._fault_code(fault) for fault in BoardFault}
         self._set_rates()
         self._check_numbers()
 
@@ -76,28 +85,11 @@ class Wire:
         """Of all frames that the board sends."""
         return [*self.reports, *([self.heartbeat.identifier] if self.heartbeat else [])]
 
-    @property
-    def sample_modulus(self) -> int:
-        """Of the count in each sample's own frame, by which samples are numbered; 0 if there is none."""
-        return self.sample.signals.counts("counter") or self.sample.signals.counts("alive")
-
-    @property
-    def number_modulus(self) -> int:
-        """Of the numbers of samples that board and host agree on; 0 if there are none."""
-        return self.counting.signals.counts("counter") if self.counting else self.sample_modulus
-
-    @property
-    def echo_modulus(self) -> int:
-        """Of the echo in a command; 0 for a command without."""
-        counts = self.command.signals.counts("echo")
-        return min(counts, self.number_modulus)
-
     def fault_words(self, code: int) -> str:
         """What the DBC file calls a fault code of the board."""
         return self._fault_words.get(code, f"fault {code}")
 
-    def fault_code(self, fault: BoardFault) -> int:
-        """The board's code of a fault: that with its name in the DBC file, else its number as far as it fits."""
+    def _fault_code(self, fault: BoardFault) -> int:
         for raw, words in self._fault_words.items():
             if words.lower().replace("_", " ") == fault.words:
                 return raw
@@ -116,7 +108,7 @@ class Wire:
             ("command", ("command",)),
         ):
             protected = getattr(self.meaning.protection, part)
-            names = {homes[role] for role in roles if role in homes} - set(found)
+            names = [homes[role] for role in roles if role in homes and homes[role] not in found]
             if not names and protected != ProtectionParameters():
                 text = "is given, but the signals are in a message that is protected by another part"
                 raise RefusedParameter(f"wire.protection.{part}", text)

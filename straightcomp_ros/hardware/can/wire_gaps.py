@@ -15,8 +15,8 @@ def gaps(wire: Wire) -> list[str]:
         found.append(f"{name} has no CRC: a damaged sample is found only where it is not plausible")
     if not wire.sample_modulus:
         found.append(
-            f"{name} has no counter: repeated samples are not found, lost ones only after eight more; after a silence of "
-            "ten the numbers start anew, which is a fault while the amplifier is on"
+            f"{name} has no counter: repeated samples are not found, lost ones only after eight more; after a silence "
+            "of ten the numbers start anew, which is a fault while the amplifier is on"
         )
     elif wire.number_modulus <= _SHORT:
         found.append(

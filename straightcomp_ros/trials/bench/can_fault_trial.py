@@ -110,7 +110,7 @@ def run_trial(
 def _frames(wire: Wire, index: int, stamp_ns: int) -> list[Frame]:
     x, y = (counts * _COUNT for counts in position(index))
     counter = index % wire.number_modulus
-    report = Report(0, counter, x, y, _CURRENT, Amplifier.ON, wire.fault_code(BoardFault.NONE), True)
+    report = Report(0, counter, x, y, _CURRENT, Amplifier.ON, wire.fault_codes[BoardFault.NONE], True)
     due = [frames for frames in wire.reports.values() if index % frames.every == 0]
     return [
         addressed(
@@ -121,7 +121,7 @@ def _frames(wire: Wire, index: int, stamp_ns: int) -> list[Frame]:
 
 
 def _counted(frames: ReportFrames, report: Report, index: int) -> Report:
-    return report._replace(alive=index // frames.every % (frames.signals.counts("alive") or 1))
+    return report._replace(alive=index // frames.every % frames.alive_modulus)
 
 
 def _hand_over(receiver: Receiver, frame: Frame) -> None:

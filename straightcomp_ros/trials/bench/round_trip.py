@@ -153,7 +153,7 @@ class _Host:
             echo = number % self.wire.echo_modulus
             self.sent_s[echo] = frame.stamp_ns * 1e-9
             frames = self.wire.command
-            command = Command(self.answers % (frames.signals.counts("alive") or 1), False, False, 0.0, echo)
+            command = Command(self.answers % frames.alive_modulus, False, False, 0.0, echo)
             self.link.send(frames.identifier, frames.pack(command), fd=frames.fd)
             self.answers += 1
 

@@ -69,7 +69,7 @@ def test_pages_of_a_multiplexed_status_take_turns_and_tell_what_they_have():
     assert [one.amplifier for one in told] == [Amplifier.ON, None, Amplifier.ON, None]
     assert [one.fault for one in told] == [None, 34, None, 34]
     assert wire.fault_words(34) == "SUPPLY" and wire.fault_words(99) == "fault 99"
-    assert wire.fault_code(BoardFault.COMMAND_TIMEOUT) == 17 and wire.fault_code(BoardFault.NONE) == 0
+    assert wire.fault_codes[BoardFault.COMMAND_TIMEOUT] == 17 and wire.fault_codes[BoardFault.NONE] == 0
 
 
 def test_values_without_a_meaning_of_their_own_are_off_where_the_parameters_say_so():
