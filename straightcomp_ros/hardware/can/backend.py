@@ -17,6 +17,7 @@ from straightcomp_ros.stage.description import StageParameters
 
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
+_UNNAMED = "the board reports: a fault"
 _TURNS = 3
 """Reads of the bus without a sample after which monitoring must run."""
 
@@ -165,6 +166,8 @@ class CanHardware(Hardware):
             "overloads": link.overloads,
             **receiver.counts,
         }
+        if receiver.amplifier is Amplifier.FAULT and receiver.board_fault is not None:
+            counters["board_fault"] = self._wire.fault_words(receiver.board_fault)
         if link.problem:
             counters["link"] = link.problem
         if link.log:
@@ -196,15 +199,22 @@ class CanHardware(Hardware):
                 self._send(self._newest_number)
                 return
             self._resetting = False
-        if reported is Amplifier.FAULT and not self.fault:
-            code = self._receiver.board_fault
-            words = "a fault" if code is None else self._wire.fault_words(code)
-            self._latch(Fault.BOARD, f"the board reports: {words}")
+        if reported is Amplifier.FAULT and self.fault in ("", _UNNAMED):
+            self._take_board_fault()
         if self._wanted:
             self._watch_running(now_ns, reported)
         elif reported is Amplifier.ON:
             # The frame that said "off" may be lost.
             self._send(self._newest_number)
+
+    def _take_board_fault(self) -> None:
+        """Latch the board's fault at once, and name it as soon as its code has come, which may be in a later frame."""
+        code = self._receiver.board_fault
+        named = code is not None and code != self._wire.meaning.fault.none_value
+        reason = f"the board reports: {self._wire.fault_words(code or 0)}" if named else _UNNAMED
+        if not self.fault:
+            self._latch(Fault.BOARD, reason)
+        self.fault = reason
 
     def _watch_running(self, now_ns: int, reported: Amplifier | None) -> None:
         for words, count in self._upsets().items():

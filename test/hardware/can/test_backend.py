@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import pytest
 from forgery import forged
 
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
@@ -14,11 +16,12 @@ from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
-from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, REMOTE, Frame
+from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, addressed
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
@@ -30,13 +33,14 @@ TIMEOUT = 0.005
 
 
 class World:
-    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut."""
+    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut, and frames be ``unheard``."""
 
-    def __init__(self, fd):
+    def __init__(self, fd, **parameters):
         self.now = START
         self.to_board = self.to_host = True
         self.board = None
-        parameters = CanParameters(fd=fd, simulated_stage=True)
+        self.unheard = set()
+        parameters = CanParameters(fd=fd, simulated_stage=True, **parameters)
         self.wire = parameters.make_wire()
         self.host = CanHardware(parameters, STAGE, lambda: self.now, self._link)
         self.host.start(self.now)
@@ -61,8 +65,8 @@ class World:
         return True
 
     def _from_board(self, identifier, payload, fd):
-        if self.to_host and identifier in self._identifiers:
-            self._receive(Frame(self.now, identifier, FD_FRAME if fd else 0, payload), self.now + 100_000)
+        if self.to_host and identifier in set(self._identifiers) - self.unheard:
+            self._receive(addressed(identifier, payload, fd=fd, stamp_ns=self.now), self.now + 100_000)
 
     def run(self, seconds, current=0.0):
         for _ in range(round(seconds * 2000)):
@@ -172,6 +176,50 @@ def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(world):
     assert world.board.amplifier is Amplifier.OFF
     world.run(0.3)
     assert world.board.amplifier is Amplifier.OFF
+
+
+def foreign():
+    """A board with another DBC file: its amplifier's state comes in frames of their own, and there is no heartbeat."""
+    values = shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))
+    can = node_parameters("driver", values).can
+    return World(True, dbc=can.dbc, wire=can.wire)
+
+
+def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_words():
+    world = foreign()
+    world.on()
+    world.run(0.05, current=0.2)
+    assert world.samples[-1].current == pytest.approx(0.2, abs=0.01)
+    world.to_board = False
+    world.run(TIMEOUT + 0.006)
+    # The page with the code comes after the one with the state.
+    assert world.host.fault == "the board reports: a fault" and world.host.state is State.FAULT
+    world.run(0.01)
+    assert world.host.fault == "the board reports: COMMAND_TIMEOUT"
+    assert world.host.counters()["can_board_fault"] == "COMMAND_TIMEOUT"
+    world.to_board = True
+    world.host.reset_fault()
+    world.run(0.05)
+    world.on()
+    world.host.disable()
+    world.run(0.05)
+    assert world.board.amplifier is Amplifier.OFF and world.host.state is State.OFF and world.host.fault == ""
+
+
+def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on():
+    world = foreign()
+    world.on()
+    world.unheard = {world.wire.status.identifier}
+    world.run(0.14)
+    assert world.host.state is State.ON
+    world.run(0.03)
+    assert "no state of the amplifier for" in world.host.fault and world.host.heartbeat_losses == 0
+    assert world.board.amplifier is Amplifier.OFF
+
+
+def test_what_the_frames_of_a_board_lack_is_said_of_the_machine(world):
+    assert list(world.host.remarks()) == []
+    assert any("no heartbeat" in remark for remark in foreign().host.remarks())
 
 
 def test_bus_off_latches_a_fault_and_error_passive_is_counted(world):
