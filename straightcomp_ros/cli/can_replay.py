@@ -1,8 +1,8 @@
 """Send the frames of a recorded board again, at their recorded intervals, to a driver that listens.
 
-LOG is a candump log, a BLF file, or another format of python-can. The bus and the board's node id are those of the
-node `driver` in the parameter file (can.*). The host's frames in LOG are left out. The driver numbers and dates the
-samples as it did then; with --speed other than 1 its can.rate has to be the recorded one times that speed."""
+LOG is a candump log, a BLF file, or another format of python-can. The bus, the board's DBC file and its node id are
+those of the node `driver` in the parameter file (can.*). The host's frames in LOG are left out. The driver numbers and
+dates the samples as it did then; with --speed other than 1 stage.rate has to be the recorded one times that speed."""
 
 import argparse
 from collections.abc import Iterator
