@@ -39,7 +39,9 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=[
+        "cantools>=39",
         "cma>=4",
+        "fastcrc>=0.3.4",
         "joblib>=1.4",
         "lz4",
         "matplotlib",
@@ -82,7 +84,8 @@ setup(
             # The tests without live nodes, one process a core.
             "pytest-xdist",
             *OPCUA,
-            "cantools",
+            # Another implementation of the CRCs; cantools brings it too.
+            "crccheck",
             "dask[distributed]",
             "mypy",
             # The peer of benchmarks/peer_opensmc.py; MIT, needs numpy only.

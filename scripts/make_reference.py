@@ -1,4 +1,4 @@
-"""Writes docs/reference.md: topics, services and parameters, from the code that defines them."""
+"""Writes docs/reference.md: topics, services, CAN frames and parameters, from the files that define them."""
 
 import ast
 import inspect
@@ -7,9 +7,12 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import cantools
+
 from straightcomp_ros import contract
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.configuration.parameter_file import DEFAULT_FILE, DEFAULT_STAGE
+from straightcomp_ros.hardware.can import emulator_frames, shipped_wire
 from straightcomp_ros.messages.batch import BATCH_TYPE
 from straightcomp_ros.settings.declaration import Declaration, declarations
 from straightcomp_ros.stage.description import StageParameters
@@ -22,8 +25,8 @@ ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime")
 HEAD = """\
 # Reference
 
-Made by `scripts/make_reference.py` from `contract.py`, `configuration/node_parameters.py` and the nodes; a test holds
-it to them. All numbers are SI. All names are relative: a namespace or a remapping moves them.
+Made by `scripts/make_reference.py` from `contract.py`, `configuration/node_parameters.py`, the nodes and the DBC files;
+a test holds it to them. All numbers are SI. All names are relative: a namespace or a remapping moves them.
 
 ## Topics
 
@@ -33,6 +36,7 @@ said otherwise.
 | topic | type | numbers, in the order of the message | content |
 |---|---|---|---|
 """
+DBC_FILES = (shipped_wire.FILE, emulator_frames.FILE)
 SLOW_TOPIC = re.compile(r"(\w+_msgs)/(\w+)[:,] (.*)", re.DOTALL)
 """How contract.py begins the text below a constant that names a topic which is no stream."""
 
@@ -53,7 +57,10 @@ def reference() -> str:
             lines.append(f"| `{getattr(contract, constant)}` | {found[1]}/msg/{found[2]} | | {content} |")
     lines += ["", "## Services", "", "| service | type | what it does |", "|---|---|---|"]
     lines += [f"| `{node}/{name}` | std_srvs/srv/{kind} | {text} |" for node, name, kind, text in services()]
-    lines += ["", "## Parameters", ""]
+    lines += ["", "## CAN frames", "", "Identifiers are those of node 1; node n adds n − 1.", ""]
+    for file in DBC_FILES:
+        lines += _frames(file)
+    lines += ["## Parameters", ""]
     lines += [f"`{DEFAULT_FILE}` and `{DEFAULT_STAGE}` have them all, with the values that are shipped.", ""]
     described = ", ".join(node for node, kind in NODE_PARAMETERS.items() if STAGE in kind.__annotations__)
     lines += [
@@ -67,6 +74,25 @@ def reference() -> str:
         own = (one for one in declarations(parameter_set) if not one.name.startswith(f"{STAGE}."))
         lines += [f"### Node {node}", "", *_parameters(own)]
     return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _frames(file: str) -> list[str]:
+    """The messages of a DBC file, each with the places of its signals."""
+    lines = [f"`{file}`, bits in Intel order:", "", "| frame | id | bytes | bits | signal | step | unit | from, to |"]
+    lines.append("|---|---|---|---|---|---|---|---|")
+    for message in cantools.database.load_file(REPOSITORY / file).messages:
+        frame = f"{message.name}{', CAN FD' if message.is_fd else ''} | {message.frame_id:#x} | {message.length}"
+        for signal in message.signals:
+            bits = f"{signal.start}–{signal.start + signal.length - 1}" if signal.length > 1 else str(signal.start)
+            choices = (f"{raw} {words}" for raw, words in (signal.choices or {}).items())
+            span = (
+                ", ".join(choices) or f"{signal.minimum:.10g}, {signal.maximum:.10g}"
+                if signal.minimum is not None
+                else ""
+            )
+            lines.append(f"| {frame} | {bits} | {signal.name} | {signal.scale:g} | {signal.unit or ''} | {span} |")
+            frame = "| |"
+    return [*lines, ""]
 
 
 def _parameters(declared: Iterable[Declaration]) -> list[str]:

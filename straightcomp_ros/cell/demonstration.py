@@ -21,7 +21,6 @@ from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, run_cycle
 from straightcomp_ros.cell.launcher import LaunchError, executable_command, in_namespace, verb_command
 from straightcomp_ros.configuration.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
-from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
@@ -166,7 +165,8 @@ def free_port() -> int:
 
 def on_hub(values: Values, socket: str) -> dict[str, Any]:
     """Driver parameters that replace its simulated machine by an emulated board on a hub at ``socket``."""
-    timeout = node_parameters("driver", values).simulated.command_timeout
+    driver = node_parameters("driver", values)
+    timeout, heartbeat = driver.simulated.command_timeout, driver.can.make_wire().heartbeat
     return {
         "hardware": "can",
         "can.interface": INTERFACE,
@@ -175,7 +175,7 @@ def on_hub(values: Values, socket: str) -> dict[str, Any]:
         # The driver's timeouts must be as long as the board's, which tolerates a stalled desktop.
         "can.command_timeout": timeout,
         "can.sample_timeout": timeout,
-        "can.heartbeat_timeout": max(timeout, 3.0 * HEARTBEAT_PERIOD),
+        "can.heartbeat_timeout": max(timeout, 3.0 * heartbeat.period if heartbeat else 0.0),
     }
 
 

@@ -1,8 +1,8 @@
 """Send the frames of a recorded board again, at their recorded intervals, to a driver that listens.
 
-LOG is a candump log, a BLF file, or another format of python-can. The bus and the board's node id are those of the
-node `driver` in the parameter file (can.*). The host's frames in LOG are left out. The driver numbers and dates the
-samples as it did then; with --speed other than 1 its can.rate has to be the recorded one times that speed."""
+LOG is a candump log, a BLF file, or another format of python-can. The bus, the board's DBC file and its node id are
+those of the node `driver` in the parameter file (can.*). The host's frames in LOG are left out. The driver numbers and
+dates the samples as it did then; with --speed other than 1 stage.rate has to be the recorded one times that speed."""
 
 import argparse
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, of_the_board, play, recorded_frames
 from straightcomp_ros.hardware.can.link import check_interface, opened_bus
 
@@ -43,9 +44,11 @@ def run(options: argparse.Namespace) -> None:
             damage = str(error)
 
     check_interface(parameters)
+    wire = parameters.make_wire()
+    identifiers = [*wire.identifiers, EmulatorFrames(parameters.node, wire).truth_id]
     try:
         with opened_bus(parameters) as bus, working("sending"):
-            sent = play(of_the_board(frames(), parameters.node), bus, options.speed)
+            sent = play(of_the_board(frames(), identifiers), bus, options.speed)
     except (can.CanError, OSError) as error:
         place = f"CAN {parameters.interface} {parameters.channel}"
         raise CommandFailed(f"{place}: {error}; straightcomp doctor says what CAN this machine has") from error

@@ -1,13 +1,16 @@
-"""Check the description of a stage as an engineer would read it: survey, travel, reference, stability, force, quanta.
+"""Check the description of a stage as an engineer would read it: survey, travel, reference, stability, force, quanta,
+and the DBC file of a board on CAN.
 
 Each finding is ok, warn (it works, but less well) or fail. The exit code is 1 if one fails."""
 
 import argparse
+import itertools
 
 from straightcomp_ros.cli.findings import show_findings
 from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.doctor.stage_findings import stage_findings
+from straightcomp_ros.doctor.wire_findings import wire_findings
 
 SUMMARY = "check a description: what does not fit together, why, and what helps"
 
@@ -21,4 +24,8 @@ def run(options: argparse.Namespace) -> int:
     values = stage_values(options)
     controller = node_parameters("controller", values)
     tracking = node_parameters("feedforward", values).feedforward
-    return show_findings(stage_findings(controller.stage, controller.control, tracking), json=options.json)
+    driver = node_parameters("driver", values)
+    found = stage_findings(controller.stage, controller.control, tracking)
+    if driver.hardware == "can" or driver.can.dbc:
+        found = itertools.chain(found, wire_findings(driver.stage, driver.can))
+    return show_findings(found, json=options.json)

@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.learning import LearningParameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import CURRENT_COUNT, CURRENT_LIMIT
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.commanded_plant import Hold
 from straightcomp_ros.model.plant import PlantParameters
@@ -56,7 +55,8 @@ class DriverNodeParameters:
             raise RefusedParameter(
                 "lockstep", "True needs a simulated machine; allowed: false ('{group}hardware' is 'can')"
             )
-        largest, limit = CURRENT_LIMIT * CURRENT_COUNT, self.stage.actuator.current_limit
+        command, limit = self.can.make_wire().command, self.stage.actuator.current_limit
+        largest = min(-command.span[0], command.span[1])
         if limit > largest:
             raise RefusedParameter(
                 "stage.actuator.current_limit", f"{limit!r} A is too large for CAN; allowed: <= {largest:g} A"

@@ -16,8 +16,8 @@ _PARAMETERS = "ros__parameters"
 DEFAULT_FILE = "config/straightcomp.yaml"
 DEFAULT_STAGE = "config/stage_synthetic.yaml"
 """Installed files: settings of the nodes, and the description of the synthetic stage."""
-_SURVEYS = {STAGE: "guide.file", "driver": "simulated.truth.guide"}
-"""Parameters of a stage file that name a survey."""
+_FILES = ((STAGE, "guide.file"), ("driver", "simulated.truth.guide"), ("driver", "can.dbc"))
+"""Node and parameter of what a stage file may name: surveys, and the DBC file of its board."""
 
 
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -69,21 +69,21 @@ def _read_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
 
 
 def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
-    """As :func:`read_parameter_file`; the survey of a relative name is looked for beside the file first."""
+    """As :func:`read_parameter_file`; a survey or DBC file of a relative name is looked for beside it first."""
     values = read_parameter_file(path)
-    for node, found in surveys_beside(path, values).items():
+    for node, found in files_beside(path, values).items():
         values[node].update(found)
     return values
 
 
-def surveys_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
-    """Full names, by node and parameter, of the surveys that lie beside the stage file ``path`` with ``values``."""
+def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """Full names, by node and parameter, of the files that lie beside the stage file ``path`` with ``values``."""
     folder = Path(path).resolve().parent
     found: dict[str, dict[str, str]] = {}
-    for node, name in _SURVEYS.items():
-        survey = values[node].get(name)
-        if isinstance(survey, str) and survey and (folder / survey).is_file():
-            found[node] = {name: str(folder / survey)}
+    for node, name in _FILES:
+        file = values[node].get(name)
+        if isinstance(file, str) and file and (folder / file).is_file():
+            found.setdefault(node, {})[name] = str(folder / file)
     return found
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import Margins, loop_margins
 from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, load, traffic
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
@@ -85,8 +86,8 @@ def consequences(stage: StageParameters, control: ControlParameters, straightnes
         reference_acceleration=acceleration,
         encoder_floor=FLOOR_COUNTS * stage.encoder.y_resolution,
         margins=_margins(stage, control),
-        can_load=load(traffic(False, stage.rate), CLASSIC_1M),
-        can_fd_load=load(traffic(True, stage.rate), FD_1M_5M),
+        can_load=load(traffic(CanParameters(fd=False).make_wire(), stage.rate), CLASSIC_1M),
+        can_fd_load=load(traffic(CanParameters(fd=True).make_wire(), stage.rate), FD_1M_5M),
     )
 
 

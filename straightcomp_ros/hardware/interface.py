@@ -120,6 +120,10 @@ class Hardware(ABC):
         """Receive for :meth:`read` what a machine sends by itself, waiting up to ``timeout_ns`` for the first of it."""
         raise NotImplementedError
 
+    def remarks(self) -> Sequence[str]:
+        """What a user must know of this machine before it runs, one sentence each."""
+        return ()
+
     def counters(self) -> Mapping[str, object]:
         """Further counters of this backend, for diagnostics."""
         return {}

@@ -68,6 +68,8 @@ class DriverComponent:
         self._node, self._system_ns = node, system_ns
         self._command_timeout_ns = round(parameters.machine.command_timeout * 1e9)
         self._hardware = hardware or make_hardware(parameters)
+        for remark in self._hardware.remarks():
+            node.get_logger().warning(remark)
         period_ns = parameters.stage.period_ns
         rate = parameters.stage.rate
         self._publish_sample = CopiedPublisher(node, ENCODER, None if parameters.lockstep else rate, LOOK_AHEAD_S)

@@ -8,7 +8,7 @@ import time
 from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.board_line import BusLine, HubLine, Line
-from straightcomp_ros.hardware.can.frames import Codec
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.runtime.periodic import PeriodicLoop
 from straightcomp_ros.timing import realtime
@@ -38,6 +38,8 @@ class Emulator:
         """Frames that the bus did not accept."""
         self._parameters = parameters
         self._machine = SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
+        self._wire = parameters.can.make_wire()
+        self._stage_frames = EmulatorFrames(parameters.can.node, self._wire)
         self._board: Board | None = None
         self.loop = PeriodicLoop(round(self._machine.period_ns / self._rate), self._cycle)
 
@@ -52,11 +54,12 @@ class Emulator:
         # The board samples at this loop's wake-up times, so that a sample is not up to a period old when it is sent.
         return Board(
             self._machine,
-            Codec(self._parameters.can.node, self._parameters.can.fd),
+            self._wire,
             self._parameters.stage.drive.current_range,
             self._send,
             self._board_ns(wake_ns) + _LEAD_NS,
-            tells_truth=self._parameters.can.simulated_stage,
+            emulator=self._stage_frames,
+            tells_truth=self._parameters.can.simulated_stage and self._parameters.can.fd,
         )
 
     def _cycle(self, wake_ns: int) -> None:

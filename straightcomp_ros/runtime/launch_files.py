@@ -19,7 +19,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from straightcomp_ros.configuration.node_parameters import STAGE
-from straightcomp_ros.configuration.parameter_file import read_parameter_file, surveys_beside
+from straightcomp_ros.configuration.parameter_file import files_beside, read_parameter_file
 from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.settings.declaration import ParameterError
 
@@ -93,7 +93,7 @@ def starting(
             return []
         # The arguments' values are known only now. An empty one leaves the parameter to the file or the default.
         given = {argument: LaunchConfiguration(argument).perform(context) for argument in overrides}
-        parameters = _surveys_beside_stage(LaunchConfiguration("stage").perform(context), name) | {
+        parameters = _files_beside_stage(LaunchConfiguration("stage").perform(context), name) | {
             overrides[argument].parameter: ParameterValue(value, value_type=overrides[argument].kind)
             for argument, value in given.items()
             if value
@@ -121,10 +121,10 @@ def starting(
     return OpaqueFunction(function=actions)
 
 
-def _surveys_beside_stage(stage: str, node: str) -> dict[str, ParameterValue]:
+def _files_beside_stage(stage: str, node: str) -> dict[str, ParameterValue]:
     """Parameters of ``node`` that name a survey beside the stage file: a node alone would not look there."""
     try:
-        found = surveys_beside(stage, read_parameter_file(stage))
+        found = files_beside(stage, read_parameter_file(stage))
     except ParameterError:
         # The node refuses the file, and says why.
         return {}

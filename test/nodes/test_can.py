@@ -19,8 +19,9 @@ from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, recorded_frames
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, amplifier_of, fault_of
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
@@ -73,8 +74,8 @@ def values(short_cycle, tmp_path):
 class Watch:
     """A node on the bus that follows a board and its host; times in s on the system's clock."""
 
-    def __init__(self, bus, codec):
-        self._bus, self._codec = bus, codec
+    def __init__(self, bus, wire):
+        self._bus, self._wire = bus, wire
         self._start_s, self.commanded_s = math.inf, math.nan
 
     def until(self, condition):
@@ -84,10 +85,10 @@ class Watch:
             message = self._bus.recv(1.0)
             if message is None:
                 continue
-            if message.arbitration_id == self._codec.command_id:
+            if message.arbitration_id == self._wire.command.identifier:
                 self.commanded_s = message.timestamp
-            elif message.arbitration_id == self._codec.encoder_id:
-                frame = self._codec.unpack_encoder(bytes(message.data))
+            elif message.arbitration_id == self._wire.sample.identifier:
+                frame = self._wire.sample.unpack(bytes(message.data))
                 # Frames may be sent late, but never early.
                 self._start_s = min(self._start_s, message.timestamp - frame.counter / RATE)
                 if condition(frame):
@@ -137,14 +138,14 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     operator.until(operator.enabled)
     operator.until(operator.on)
 
-    codec = Codec(values["driver"].get("can.node", 1), fd=True)
+    wire = CanParameters(node=values["driver"].get("can.node", 1)).make_wire()
     with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus:
-        watch = Watch(bus, codec)
+        watch = Watch(bus, wire)
         # On, and commanded, before the kill: what follows is an answer to it.
-        watch.until(lambda frame: amplifier_of(frame.status) == Amplifier.ON and watch.commanded_s > 0)
+        watch.until(lambda frame: frame.amplifier is Amplifier.ON and watch.commanded_s > 0)
         processes["driver"].send_signal(signal.SIGKILL)
-        frame, sampled_s = watch.until(lambda frame: amplifier_of(frame.status) == Amplifier.FAULT)
-    assert fault_of(frame.status) is BoardFault.COMMAND_TIMEOUT
+        frame, sampled_s = watch.until(lambda frame: frame.amplifier is Amplifier.FAULT)
+    assert frame.fault == wire.fault_codes[BoardFault.COMMAND_TIMEOUT]
     # By the board's own clock, so that a computer that stands still takes no part.
     timeout = values["driver"]["simulated.command_timeout"]
     assert timeout - 0.1 < sampled_s - watch.commanded_s < timeout + 0.1
@@ -152,7 +153,7 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     frames = []
     with contextlib.suppress(DamagedLog):
         frames += recorded_frames(Path(frame_log))
-    assert {codec.encoder_id, codec.command_id, codec.ids.heartbeat} <= {frame.arbitration_id for frame in frames}
+    assert {*wire.identifiers, wire.command.identifier} <= {frame.arbitration_id for frame in frames}
     assert graph.stop(["logger"]) == {"logger": 0}
     recorded = read_streams(bag, {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp
     # From both sides of the board's death.

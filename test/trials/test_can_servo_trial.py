@@ -2,35 +2,42 @@
 
 import pytest
 
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.hardware.can.bus_faults import KINDS
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.interface import State
+from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.trials.bench.can_servo_trial import run_servo_trial
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
-BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+FOREIGN = node_parameters("driver", shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))).can
+BUSES = pytest.mark.parametrize(
+    "board", [CanParameters(fd=False), CanParameters(fd=True), FOREIGN], ids=["classic", "fd", "foreign"]
+)
 
 
 @BUSES
-def test_single_faults_are_bridged_and_the_servo_stays_on(fd):
+def test_single_faults_are_bridged_and_the_servo_stays_on(board):
     rates = {kind: 0.002 for kind in KINDS if kind != "cut"}
-    trial = run_servo_trial(rates, GUIDE, fd=fd, frames=3000, seed=3)
+    trial = run_servo_trial(rates, GUIDE, board, frames=3000, seed=3)
     assert sum(trial.injected.values()) > 50
     assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
     assert trial.unflagged_wrong == trial.unsafe == 0
 
 
 @BUSES
-def test_each_cut_latches_a_fault_and_the_servo_comes_back_after_the_reset(fd):
-    trial = run_servo_trial({"cut": 0.001}, GUIDE, fd=fd, frames=4000, seed=2)
+def test_each_cut_latches_a_fault_and_the_servo_comes_back_after_the_reset(board):
+    trial = run_servo_trial({"cut": 0.001}, GUIDE, board, frames=4000, seed=2)
     assert trial.injected["cut"] >= 2
     assert 1 <= sum(trial.latched.values()) <= trial.injected["cut"]
     assert trial.unflagged_wrong == trial.unsafe == 0 and trial.on > 0.3
 
 
 @BUSES
-def test_a_bus_that_spoils_many_frames_is_given_up_by_one_side_or_the_other(fd):
-    trial = run_servo_trial({"corrupt": 0.22}, GUIDE, fd=fd, frames=6000, seed=1)
+def test_a_bus_that_spoils_many_frames_is_given_up_by_one_side_or_the_other(board):
+    trial = run_servo_trial({"corrupt": 0.22}, GUIDE, board, frames=6000, seed=1)
     words = {"too many frames failed their checks", "the board reports: command check"}
     assert words & set(trial.latched) and trial.on < 0.8
     assert trial.unflagged_wrong == trial.unsafe == 0

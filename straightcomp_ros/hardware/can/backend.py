@@ -1,15 +1,15 @@
 """The board on CAN behind the hardware interface: handshake, monitoring, latched faults."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
-from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator_frames import stage_payloads
-from straightcomp_ros.hardware.can.frames import Amplifier, Switch
-from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
+from straightcomp_ros.hardware.can.frames import Amplifier, Command
+from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
+from straightcomp_ros.hardware.can.wire_gaps import gaps
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault, Finding
@@ -17,6 +17,7 @@ from straightcomp_ros.stage.description import StageParameters
 
 _REMEMBERED = 512
 """Samples whose numbers are kept for the echo in a command."""
+_UNNAMED = "the board reports: a fault"
 _TURNS = 3
 """Reads of the bus without a sample after which monitoring must run."""
 
@@ -45,7 +46,8 @@ class CanHardware(Hardware):
         self._parameters = parameters
         self._clock = clock
         self._receiver = Receiver(parameters, stage)
-        self._codec = self._receiver.codec
+        self._wire = wire = self._receiver.wire
+        self._stage_frames = EmulatorFrames(parameters.node, wire) if parameters.simulated_stage else None
         self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._alive = self._deadline_ns = 0
@@ -78,13 +80,14 @@ class CanHardware(Hardware):
     def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
-        counts = round(current / frames.CURRENT_COUNT)
-        if abs(counts) > frames.CURRENT_LIMIT:
-            largest = frames.CURRENT_LIMIT * frames.CURRENT_COUNT
-            raise ValueError(f"control current {current} A does not fit its frame; allowed: ±{largest:g} A")
+        command = self._wire.command
+        if not command.fits(current):
+            least, largest = command.span
+            allowed = f"{least:.6g} to {largest:.6g} A"
+            raise ValueError(f"control current {current} A does not fit its frame; allowed: {allowed}")
         number = self._newest_number if sample_ns is None else self._numbers.get(sample_ns, self._newest_number)
-        if self._send(number, counts):
-            self._current = counts * frames.CURRENT_COUNT
+        if self._send(number, current):
+            self._current = current
 
     def enable(self) -> None:
         if self.fault:
@@ -112,9 +115,9 @@ class CanHardware(Hardware):
             self._send(self._newest_number)
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        if not self._parameters.simulated_stage:
+        if self._stage_frames is None:
             raise HardwareError("the stage takes no orders over CAN; 'can.simulated_stage' is for the emulator's")
-        for identifier, payload in stage_payloads(self._codec.ids, trajectory.waypoints):
+        for identifier, payload in self._stage_frames.stage_payloads(trajectory.waypoints):
             if not self._link.send(identifier, payload, fd=False):
                 raise HardwareError(f"stage trajectory was not sent: {self._link.problem or 'transmit queue full'}")
 
@@ -142,6 +145,9 @@ class CanHardware(Hardware):
     def newest_arrival_ns(self) -> int:
         return self._receiver.newest_ns
 
+    def remarks(self) -> Sequence[str]:
+        return gaps(self._wire)
+
     def counters(self) -> Mapping[str, object]:
         receiver, sequence, link = self._receiver, self._receiver.sequence, self._link
         counters: dict[str, object] = {
@@ -160,6 +166,8 @@ class CanHardware(Hardware):
             "overloads": link.overloads,
             **receiver.counts,
         }
+        if receiver.amplifier is Amplifier.FAULT and receiver.board_fault is not None:
+            counters["board_fault"] = self._wire.fault_words(receiver.board_fault)
         if link.problem:
             counters["link"] = link.problem
         if link.log:
@@ -169,11 +177,10 @@ class CanHardware(Hardware):
         return {f"can_{name}": value for name, value in counters.items()}
 
     def _receive(self, frame: Frame, arrival_ns: int) -> None:
-        _, identifier, flags, data = frame
-        if flags & ERROR:
-            self._receiver.receive_error_frame(identifier, data)
-        elif not flags & REMOTE:
-            self._receiver.receive(identifier, data, arrival_ns)
+        if frame.flags & ERROR:
+            self._receiver.receive_error_frame(frame.identifier, frame.data)
+        elif not frame.flags & REMOTE:
+            self._receiver.receive(address(frame), frame.data, arrival_ns)
 
     def _upsets(self) -> dict[str, int]:
         """Counters of events that must not happen while the amplifier is on, by the text of the fault."""
@@ -192,13 +199,22 @@ class CanHardware(Hardware):
                 self._send(self._newest_number)
                 return
             self._resetting = False
-        if reported is Amplifier.FAULT and not self.fault:
-            self._latch(Fault.BOARD, f"the board reports: {self._receiver.board_fault.name.lower().replace('_', ' ')}")
+        if reported is Amplifier.FAULT and self.fault in ("", _UNNAMED):
+            self._take_board_fault()
         if self._wanted:
             self._watch_running(now_ns, reported)
         elif reported is Amplifier.ON:
             # The frame that said "off" may be lost.
             self._send(self._newest_number)
+
+    def _take_board_fault(self) -> None:
+        """Latch the board's fault at once, and name it as soon as its code has come, which may be in a later frame."""
+        code = self._receiver.board_fault
+        named = code is not None and code != self._wire.meaning.fault.none_value
+        reason = f"the board reports: {self._wire.fault_words(code or 0)}" if named else _UNNAMED
+        if not self.fault:
+            self._latch(Fault.BOARD, reason)
+        self.fault = reason
 
     def _watch_running(self, now_ns: int, reported: Amplifier | None) -> None:
         for words, count in self._upsets().items():
@@ -216,23 +232,29 @@ class CanHardware(Hardware):
             self._latch(Fault.BOARD, f"the board did not switch on within {self._parameters.answer_timeout * 1e3:g} ms")
 
     def _silence(self, now_ns: int) -> Finding | None:
-        """The fault if heartbeat or samples have stopped."""
+        """The fault if heartbeat, state or samples have stopped."""
         parameters, receiver = self._parameters, self._receiver
-        heartbeat_age, sample_age = (now_ns - then for then in (receiver.heartbeat_ns, receiver.newest_ns))
+        heartbeat_age, status_age, sample_age = (
+            now_ns - then for then in (receiver.heartbeat_ns, receiver.status_ns, receiver.newest_ns)
+        )
         problem = f" ({self._link.problem})" if self._link.problem else ""
-        if heartbeat_age > parameters.heartbeat_timeout * 1e9:
+        if self._wire.heartbeat and heartbeat_age > parameters.heartbeat_timeout * 1e9:
             self.heartbeat_losses += self._wanted
             return Fault.HEARTBEAT_LOST, f"no heartbeat for {_ms(heartbeat_age)} ms{problem}"
         if sample_age > parameters.sample_timeout * 1e9:
             return Fault.SAMPLE_TIMEOUT, f"no good sample for {_ms(sample_age)} ms{problem}"
+        # The amplifier's state may come in frames of its own, which can stop while the samples go on.
+        if status_age > max(parameters.heartbeat_timeout, parameters.sample_timeout) * 1e9:
+            return Fault.HEARTBEAT_LOST, f"no state of the amplifier for {_ms(status_age)} ms{problem}"
         return None
 
     def _not_ready(self, now_ns: int) -> str:
         receiver = self._receiver
-        if not receiver.heartbeat_ns or not receiver.newest_ns:
+        heartbeat = self._wire.heartbeat
+        if (heartbeat and not receiver.heartbeat_ns) or not receiver.status_ns or not receiver.newest_ns:
             return f"nothing has come from the board yet{': ' if self._link.problem else ''}{self._link.problem}"
-        if receiver.node_state != frames.OPERATIONAL:
-            return f"the board's heartbeat says state {receiver.node_state}, not {frames.OPERATIONAL} (operational)"
+        if heartbeat and receiver.node_state != heartbeat.operational:
+            return f"the board's heartbeat says state {receiver.node_state}, not {heartbeat.operational} (operational)"
         silence = self._silence(now_ns)
         return silence[1] if silence is not None else ""
 
@@ -243,13 +265,15 @@ class CanHardware(Hardware):
     def _await_answer(self) -> None:
         self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
 
-    def _send(self, number: int, counts: int = 0) -> bool:
-        enable, reset = (Switch.YES if asked else Switch.NO for asked in (self._wanted, self._resetting))
-        echo = number % frames.COUNTER_MODULUS
-        frame = frames.Command(self._alive, enable, reset, counts if self._wanted else 0, echo)
-        sent = self._link.send(self._codec.command_id, self._codec.pack_command(frame), fd=self._codec.fd)
+    def _send(self, number: int, current: float = 0.0) -> bool:
+        frames = self._wire.command
+        echo = number % (self._wire.echo_modulus or 1)
+        command = Command(self._alive, self._wanted, self._resetting, current if self._wanted else 0.0, echo)
+        sent = self._link.send(frames.identifier, frames.pack(command), fd=frames.fd)
         if sent:
-            self._alive = (self._alive + 1) % frames.ALIVE_MODULUS
+            if self._wire.current is None:
+                self._receiver.current = command.current
+            self._alive = (self._alive + 1) % frames.alive_modulus
         return sent
 
 

@@ -7,17 +7,18 @@ clock, in ns, and passed in by the caller.
 import math
 from collections.abc import Callable
 
-from straightcomp_ros.hardware.can import frames
-from straightcomp_ros.hardware.can.budget import HEARTBEAT_PERIOD
-from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, truth_payload
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Switch
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, FrameError, Report
+from straightcomp_ros.hardware.can.message_frames import ReportFrames
+from straightcomp_ros.hardware.can.wire import Wire
 from straightcomp_ros.hardware.interface import HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 
 _STRIKE, _STRIKE_LIMIT = 4, 16
-_OLDEST_ECHO = 200
-"""Samples: the oldest that the eight bits of a classic frame distinguish from a future one."""
-_PATTERNS = frozenset(Switch)
+_COUNTED = 2**32
+"""Modulus of what the emulator counts: the count in a frame is its remainder."""
+_SHARE_OF_ECHO = 0.8
+"""Of what an echo can tell apart: an older sample than that is not distinguished from a future one."""
 _AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amplifier.FAULT}
 
 
@@ -26,7 +27,8 @@ class Board:
 
     ``machine`` is plant and stage, with the board's ``command_timeout``; ``current_range`` the largest control current
     in A that the board accepts; ``send(identifier, payload, fd)`` sends a frame; ``now_ns`` is the time of the first
-    sample. ``tells_truth`` sends the simulation's truth before each sample, on CAN FD only.
+    sample. ``emulator`` has the frames of a simulated stage, None for a board without; ``tells_truth`` sends the
+    simulation's truth before each sample, which needs CAN FD.
     """
 
     refused_commands = 0
@@ -37,47 +39,51 @@ class Board:
     def __init__(
         self,
         machine: SimulatedHardware,
-        codec: Codec,
+        wire: Wire,
         current_range: float,
         send: Callable[[int, bytes, bool], None],
         now_ns: int,
         *,
+        emulator: EmulatorFrames | None = None,
         tells_truth: bool = False,
     ) -> None:
         self.machine = machine
-        self._codec = codec
+        self._wire = wire
         self._range = current_range
         self._send = send
-        self._tells_truth = tells_truth and codec.fd
+        self._emulator, self._tells_truth = emulator, tells_truth and emulator is not None
         self._start_ns = now_ns
         # An answer to a sample older than the timeout counts as no answer.
         oldest = machine.command_timeout_ns // machine.period_ns
-        self._oldest_echo = oldest if codec.fd else min(oldest, _OLDEST_ECHO)
+        self._oldest_echo = min(oldest, int(_SHARE_OF_ECHO * wire.echo_modulus)) if wire.echo_modulus else 0
         self._fault = BoardFault.NONE
         self._seen_off = False
         self._command_alive: int | None = None
-        self._strikes = self._counter = self._current_alive = 0
+        self._strikes = self._counter = 0
+        self._sent = dict.fromkeys(wire.reports, 0)
         self._newest_ns = self._next_heartbeat_ns = now_ns
-        self._stage = StageReceiver(codec.ids)
+        self._stage = StageReceiver(emulator) if emulator else None
         machine.start(now_ns)
-        send(codec.ids.heartbeat, bytes((frames.BOOT_UP,)), False)
+        if wire.heartbeat:
+            self._beat(wire.heartbeat.boot_up)
 
     def cycle(self, now_ns: int) -> None:
         """Take and send the samples up to ``now_ns``."""
         for sample, truth in self.machine.read(now_ns):
             self._send_sample(sample, truth)
-        if now_ns >= self._next_heartbeat_ns:
-            self._next_heartbeat_ns = now_ns + round(HEARTBEAT_PERIOD * 1e9)
-            self._send(self._codec.ids.heartbeat, bytes((frames.OPERATIONAL,)), False)
+        heartbeat = self._wire.heartbeat
+        if heartbeat and now_ns >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now_ns + round(heartbeat.period * 1e9)
+            self._beat(heartbeat.operational)
 
     def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
         """Take a frame that arrived at ``at_ns``."""
         try:
-            if identifier == self._codec.command_id:
-                self._obey(self._codec.unpack_command(payload), at_ns)
-            elif trajectory := self._stage.add(identifier, payload):
+            if identifier == self._wire.command.identifier:
+                self._obey(self._wire.command.unpack(payload), at_ns)
+            elif self._stage and (trajectory := self._stage.add(identifier, payload)):
                 self.machine.move(trajectory, at_ns)
-        except frames.FrameError:
+        except FrameError:
             self._strike()
         except (HardwareError, ValueError) as error:
             self.refused_trajectory = str(error)
@@ -104,48 +110,65 @@ class Board:
         self.machine.disable()
         self._seen_off = False
 
-    def _obey(self, command: frames.Command, at_ns: int) -> None:
-        if not {command.enable, command.reset} <= _PATTERNS:
-            raise frames.FrameError("pattern")
-        if command.enable == Switch.NO:
+    def _obey(self, command: Command, at_ns: int) -> None:
+        if not command.enable:
             # "Off" is obeyed from any frame that passes its CRC, even an old one.
             self._seen_off = True
             self.machine.disable()
-            if command.reset == Switch.YES:
+            if command.reset or "reset" not in self._wire.command.signals.signals:
                 self.machine.reset_fault()
                 self._fault, self._strikes = BoardFault.NONE, 0
-        repeated = command.alive == self._command_alive
+        repeated = command.alive is not None and command.alive == self._command_alive
         self._command_alive = command.alive
-        age = (self._counter - command.echo) % (frames.COUNTER_MODULUS if self._codec.fd else 256)
+        age = 0 if command.echo is None else (self._counter - command.echo) % self._wire.echo_modulus
         if repeated or age > self._oldest_echo:
             self.refused_commands += 1
             return
         self._strikes = max(0, self._strikes - 1)
-        current = command.current * frames.CURRENT_COUNT
-        if abs(current) > self._range:
+        if abs(command.current) > self._range:
             self._trip(BoardFault.CURRENT_RANGE)
             return
-        if command.enable == Switch.YES and self._seen_off and self.amplifier is Amplifier.OFF:
+        if command.enable and self._seen_off and self.amplifier is Amplifier.OFF:
             # Only an edge from off to on switches on, so a host that goes on saying "on" after a fault has no effect.
             self.machine.enable()
-        self._seen_off = self._seen_off and command.enable == Switch.NO
-        self.machine.write(current, at_ns, self._newest_ns - age * self.machine.period_ns)
+        self._seen_off = self._seen_off and not command.enable
+        self.machine.write(command.current, at_ns, self._newest_ns - age * self.machine.period_ns)
+
+    def _beat(self, state: int) -> None:
+        heartbeat = self._wire.heartbeat
+        if heartbeat:
+            self._send(heartbeat.identifier, heartbeat.pack(state), heartbeat.fd)
 
     def _send_sample(self, sample: Sample, truth: Truth) -> None:
-        codec = self._codec
+        wire = self._wire
         self._newest_ns = sample.stamp_ns
-        self._counter = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns) % frames.COUNTER_MODULUS
-        x, y = round(sample.x / frames.POSITION_COUNT), round(sample.y / frames.POSITION_COUNT)
-        valid = abs(x) <= frames.X_LIMIT and abs(y) <= frames.Y_LIMIT
-        current = 0 if math.isnan(sample.current) else round(sample.current / frames.CURRENT_COUNT)
-        current = min(max(current, -frames.CURRENT_LIMIT), frames.CURRENT_LIMIT)
-        status = frames.status_bits(self.amplifier, self.fault, valid)
-        alive = self._counter % frames.ALIVE_MODULUS
-        frame = frames.Encoder(alive, status, x if valid else 0, y if valid else 0, current, self._counter)
-        if self._tells_truth:
-            self._send(codec.ids.truth, truth_payload(self._counter, truth), True)
-        self._send(codec.encoder_id, codec.pack_encoder(frame), codec.fd)
-        if not codec.fd and self._counter % frames.CURRENT_EVERY == 0:
-            coil_current = frames.Current(self._current_alive, current, self._counter)
-            self._send(codec.ids.current, codec.pack_current(coil_current), False)
-            self._current_alive = (self._current_alive + 1) % frames.ALIVE_MODULUS
+        number = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns)
+        self._counter = number % (wire.number_modulus or _COUNTED)
+        x, y = (_within(value, wire.sample.spans[name]) for name, value in (("x", sample.x), ("y", sample.y)))
+        report = Report(
+            counter=self._counter,
+            x=x,
+            y=y,
+            current=0.0 if math.isnan(sample.current) else sample.current,
+            amplifier=self.amplifier,
+            fault=wire.fault_codes[self.fault],
+            good=(x, y) == (sample.x, sample.y),
+        )
+        if self._tells_truth and self._emulator:
+            self._send(self._emulator.truth_id, self._emulator.truth_payload(self._counter, truth), True)
+        self._send_report(wire.sample, report)
+        for frames in wire.reports.values():
+            if frames is not wire.sample and number % frames.every == 0:
+                self._send_report(frames, report)
+
+    def _send_report(self, frames: ReportFrames, report: Report) -> None:
+        turn, span = self._sent[frames.identifier], frames.spans.get("current")
+        self._sent[frames.identifier] = turn + 1
+        report = report._replace(alive=turn % frames.alive_modulus)
+        if span is not None and report.current is not None:
+            report = report._replace(current=_within(report.current, span))
+        self._send(frames.identifier, frames.pack(report, turn), frames.fd)
+
+
+def _within(value: float, span: tuple[float, float]) -> float:
+    return min(max(value, span[0]), span[1])

@@ -10,8 +10,8 @@ import time
 import can
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, Frame, Hub, from_packet, to_packet
-from straightcomp_ros.hardware.can.hub_bus import message_of
+from straightcomp_ros.hardware.can.hub import ERROR, Hub, address, addressed, from_packet, to_packet
+from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.link import opened_bus
 
 _AT_ONCE = 64
@@ -36,7 +36,7 @@ class BusLine:
         if self._bus is None:
             return False
         try:
-            self._bus.send(message_of(Frame(0, identifier, FD_FRAME if fd else 0, payload)))
+            self._bus.send(message_of(addressed(identifier, payload, fd=fd)))
         except (can.CanError, OSError):
             return False
         return True
@@ -52,7 +52,8 @@ class BusLine:
                 if message is None:
                     break
                 if not message.is_error_frame:
-                    frames.append((message.arbitration_id, bytes(message.data), round(message.timestamp * 1e9)))
+                    frame = frame_of(message)
+                    frames.append((address(frame), frame.data, frame.stamp_ns))
         except (can.CanError, OSError):
             self.close()
         return frames
@@ -85,7 +86,7 @@ class HubLine:
 
     def send(self, identifier: int, payload: bytes, fd: bool) -> bool:
         """Send a frame; a node that does not read loses it silently."""
-        self._hub.put(to_packet(Frame(time.time_ns(), identifier, FD_FRAME if fd else 0, payload)))
+        self._hub.put(to_packet(addressed(identifier, payload, fd=fd, stamp_ns=time.time_ns())))
         return True
 
     def receive(self) -> list[Received]:
@@ -93,7 +94,7 @@ class HubLine:
         self._hub.serve(0)
         frames = [from_packet(packet) for packet in self._packets]
         self._packets.clear()
-        return [(frame.identifier, frame.data, frame.stamp_ns) for frame in frames if not frame.flags & ERROR]
+        return [(address(frame), frame.data, frame.stamp_ns) for frame in frames if not frame.flags & ERROR]
 
     def close(self) -> None:
         self._hub.close()

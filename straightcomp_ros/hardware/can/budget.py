@@ -9,11 +9,15 @@ be interrupted.
 from typing import NamedTuple
 
 from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.hardware.can import frames
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.dbc_file import FD_SIZES
+from straightcomp_ros.hardware.can.frames import EXTENDED_ID
+from straightcomp_ros.hardware.can.hub import addressed, priority, to_packet
+from straightcomp_ros.hardware.can.message_code import Signals
+from straightcomp_ros.hardware.can.wire import Wire
 
-HEARTBEAT_PERIOD = 0.05
-"""s"""
-_FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+_MORE_CLASSIC, _MORE_FD = 20, 19
+"""Bits that an identifier of 29 bits adds."""
 
 
 class Bitrate(NamedTuple):
@@ -28,58 +32,66 @@ FD_1M_5M = Bitrate(1_000_000, 5_000_000)
 
 
 class Traffic(NamedTuple):
-    """A frame that is sent again and again: payload in bytes, frames per second; ``fd`` in the format of CAN FD."""
+    """A frame that is sent again and again: payload in bytes, frames per second; ``fd`` in the format of CAN FD.
+
+    ``extended`` is for an identifier of 29 bits.
+    """
 
     name: str
     size: int
     rate: float
     fd: bool
+    extended: bool = False
 
     def time(self, bitrate: Bitrate) -> float:
         """Longest time on the wire in s, with the space to the next frame."""
         if self.fd and bitrate.data:
-            return fd_time(self.size, bitrate.nominal, bitrate.data)
-        return classic_bits(self.size) / bitrate.nominal
+            return fd_time(self.size, bitrate.nominal, bitrate.data, extended=self.extended)
+        return classic_bits(self.size, extended=self.extended) / bitrate.nominal
 
 
-def classic_bits(size: int) -> int:
-    """Most bits of a classic frame with an 11-bit identifier and ``size`` bytes, with intermission.
+def classic_bits(size: int, *, extended: bool = False) -> int:
+    """Most bits of a classic frame with ``size`` bytes, with intermission.
 
-    There are 47 bits besides the payload; 34 of them are stuffed with it, at worst with one bit after every four.
+    With an identifier of 11 bits there are 47 bits besides the payload; 34 of them are stuffed with it, at worst with
+    one bit after every four. An identifier of 29 bits adds 20 to both.
     """
-    return 47 + 8 * size + (34 + 8 * size - 1) // 4
+    more = _MORE_CLASSIC if extended else 0
+    return 47 + more + 8 * size + (34 + more + 8 * size - 1) // 4
 
 
-def fd_time(size: int, nominal: int, data: int) -> float:
-    """Longest time in s of an FD frame with an 11-bit identifier and bit rate switch.
+def fd_time(size: int, nominal: int, data: int, *, extended: bool = False) -> float:
+    """Longest time in s of an FD frame with bit rate switch.
 
-    Nominal rate: SOF, identifier, RRS, IDE, FDF, res and BRS, 17 bits and up to 4 stuff bits; ACK, its delimiter, EOF
-    and intermission, 12 bits. Data rate: ESI, DLC and payload, at worst with a stuff bit after every four; stuff count,
-    CRC and their fixed stuff bits; the CRC delimiter.
+    Nominal rate: SOF, identifier of 11 bits, RRS, IDE, FDF, res and BRS, 17 bits and up to 4 stuff bits; an identifier
+    of 29 bits adds 19; ACK, its delimiter, EOF and intermission, 12 bits. Data rate: ESI, DLC and payload, at worst
+    with a stuff bit after every four; stuff count, CRC and their fixed stuff bits; the CRC delimiter.
 
     Raises:
         ValueError: CAN FD has no frames of this size.
     """
-    if size not in _FD_SIZES:
-        raise ValueError(f"CAN FD has no frames of {size} bytes; allowed: {_FD_SIZES}")
+    if size not in FD_SIZES:
+        raise ValueError(f"CAN FD has no frames of {size} bytes; allowed: {FD_SIZES}")
     crc = 17 if size <= 16 else 21
     payload = 5 + 8 * size
     fixed_stuff = 1 + (4 + crc - 1) // 4
-    return (17 + 4 + 12) / nominal + (payload + (payload + 3) // 4 + 4 + crc + fixed_stuff + 1) / data
+    arbitration = 17 + (_MORE_FD if extended else 0)
+    slow = arbitration + (arbitration - 1) // 4 + 12
+    return slow / nominal + (payload + (payload + 3) // 4 + 4 + crc + fixed_stuff + 1) / data
 
 
-def traffic(fd: bool, rate: float = DEFAULT_RATE) -> list[Traffic]:
-    """All frames on the bus while the servo runs, highest priority first."""
-    heartbeat = Traffic("heartbeat", 1, 1.0 / HEARTBEAT_PERIOD, False)
-    if fd:
-        command, encoder = frames.COMMAND_FD_BYTES, frames.ENCODER_FD_BYTES
-        return [Traffic("command", command, rate, True), Traffic("encoder", encoder, rate, True), heartbeat]
-    return [
-        Traffic("encoder", frames.ENCODER_BYTES, rate, False),
-        Traffic("command", frames.COMMAND_BYTES, rate, False),
-        Traffic("coil current", frames.CURRENT_BYTES, rate / frames.CURRENT_EVERY, False),
-        heartbeat,
-    ]
+def traffic(wire: Wire, rate: float) -> list[Traffic]:
+    """All frames on the bus while the servo runs at ``rate`` in Hz, highest priority first."""
+    rates = [(wire.command.signals, rate), *((one.signals, rate / one.every) for one in wire.reports.values())]
+    found = [(signals.identifier, _traffic(signals, each)) for signals, each in rates]
+    if wire.heartbeat:
+        found.append((wire.heartbeat.identifier, _traffic(wire.heartbeat.signals, 1.0 / wire.heartbeat.period)))
+    return [frame for _, frame in sorted(found, key=lambda one: priority(to_packet(addressed(one[0], b"", fd=False))))]
+
+
+def _traffic(signals: Signals, rate: float) -> Traffic:
+    extended = bool(signals.identifier & EXTENDED_ID)
+    return Traffic(signals.message.name, signals.message.length, rate, signals.fd, extended)
 
 
 def load(sent: list[Traffic], bitrate: Bitrate) -> float:
@@ -87,22 +99,23 @@ def load(sent: list[Traffic], bitrate: Bitrate) -> float:
     return sum(frame.time(bitrate) * frame.rate for frame in sent)
 
 
-def round_trip(sent: list[Traffic], bitrate: Bitrate) -> float:
-    """Longest time in s on the bus from sample to command: each of the two waits for the longest other frame.
+def round_trip(sent: list[Traffic], bitrate: Bitrate, pair: tuple[str, str]) -> float:
+    """Longest time in s on the bus from sample to command, the two frames ``pair``: each waits for the longest other.
 
     It holds while it is shorter than a control period. The host's computing time comes on top.
     """
     times = {frame.name: frame.time(bitrate) for frame in sent}
-    return sum(times[own] + max(time for name, time in times.items() if name != own) for own in ("encoder", "command"))
+    return sum(times[own] + max(time for name, time in times.items() if name != own) for own in pair)
 
 
 def table() -> str:
     """Load and latency of both kinds of bus, as docs/can.md shows them."""
     lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
     for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
-        sent = traffic(fd)
+        wire = CanParameters(fd=fd).make_wire()
+        sent, pair = traffic(wire, DEFAULT_RATE), (wire.sample.signals.message.name, wire.command.signals.message.name)
         rows = [(frame.name, f"{frame.size} B", frame.time(bitrate), load([frame], bitrate)) for frame in sent]
-        rows.append(("all; sample to command", "", round_trip(sent, bitrate), load(sent, bitrate)))
+        rows.append(("all; sample to command", "", round_trip(sent, bitrate, pair), load(sent, bitrate)))
         for what, payload, time, share in rows:
             lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
     return "\n".join(lines)

@@ -1,54 +1,111 @@
 """Frames that only an emulated board uses: a trajectory for its stage, and the simulation's truth.
 
 A real stage moves by its own controller; the emulator's stage has to be commanded. Each waypoint takes two frames; a
-last frame with a checksum starts the motion. These are classic frames on either kind of bus.
-
-The truth of a sample comes right before its encoder frame, on CAN FD only: it fills the longest frame there is.
+last frame with a checksum starts the motion. These are classic frames on either kind of bus. The truth of a sample
+comes right before it, on CAN FD only: it fills the longest frame there is. config/emulator.dbc describes them.
 """
 
-import struct
 import zlib
 from collections.abc import Sequence
 
-from straightcomp_ros.hardware.can.frames import FrameError, Identifiers
+from straightcomp_ros.hardware.can.dbc_file import Dbc
+from straightcomp_ros.hardware.can.frames import EXTENDED_ID, FrameError
+from straightcomp_ros.hardware.can.message_code import Signals
+from straightcomp_ros.hardware.can.wire import Wire
 from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.motion import Trajectory, Waypoint
+from straightcomp_ros.settings.declaration import ParameterError
 
-_POSITION, _VELOCITY = 1e-8, 1e-5
-"""m and m/s"""
-_START = struct.Struct("<BI")
-_MOST_POINTS = 255
-_HEAD, _CONTENT = struct.Struct("<II"), struct.Struct("<6d8x")
+FILE = "config/emulator.dbc"
+_POINTS = "Points"
 
 
-def stage_payloads(ids: Identifiers, waypoints: Sequence[Waypoint]) -> list[tuple[int, bytes]]:
-    """Identifier and payload of each frame that moves a simulated stage, in the order of sending.
+class EmulatorFrames:
+    """These frames for the board ``node`` on ``wire``.
 
     Raises:
-        HardwareError: too many points, or one that does not fit its frame.
+        ParameterError: the wire has a frame with an identifier of these.
     """
-    if len(waypoints) > _MOST_POINTS:
-        raise HardwareError(f"stage trajectory has {len(waypoints)} points; allowed over CAN: <= {_MOST_POINTS}")
-    frames = []
-    for number, point in enumerate(waypoints):
+
+    def __init__(self, node: int, wire: Wire) -> None:
+        dbc = Dbc(FILE)
+        self._messages: dict[str, Signals] = {}
+        taken = {*wire.identifiers, wire.command.identifier}
+        for name in ("StageTime", "StageMotion", "StageStart", "Truth"):
+            message = dbc.message(name)
+            identifier = dbc.identifier(message, node)
+            if identifier in taken:
+                raise ParameterError(
+                    f"parameter 'can.simulated_stage': {wire.dbc.file} has a frame {identifier & ~EXTENDED_ID:#x} of "
+                    f"its own, which is the emulator's '{name}'; allowed: false, or another 'can.node'"
+                )
+            signals = {signal.name: signal for signal in message.signals}
+            physical = {name: 1.0 for name, signal in signals.items() if signal.unit}
+            self._messages[name] = Signals(message, identifier, signals, physical, {})
+        fields = {name: list(message.signals) for name, message in self._messages.items()}
+        self._packings = {name: one.packings(fields[name])[0] for name, one in self._messages.items()}
+        self._unpackings = {name: one.unpacking(fields[name]) for name, one in self._messages.items()}
+        self.time_id, self.motion_id, self.start_id, self.truth_id = (
+            message.identifier for message in self._messages.values()
+        )
+        crc = self._messages["Truth"].signals["TruthCrc"]
+        self._content = (crc.start + crc.length) // 8
+        self._most_points = int(self._messages["StageStart"].signals[_POINTS].maximum or 0)
+
+    def stage_payloads(self, waypoints: Sequence[Waypoint]) -> list[tuple[int, bytes]]:
+        """Identifier and payload of each frame that moves a simulated stage, in the order of sending.
+
+        Raises:
+            HardwareError: too many points, or one that does not fit its frame.
+        """
+        most = self._most_points
+        if len(waypoints) > most:
+            raise HardwareError(f"stage trajectory has {len(waypoints)} points; allowed over CAN: <= {most}")
+        frames = []
+        for number, point in enumerate(waypoints):
+            try:
+                frames.append((self.time_id, self._packings["StageTime"]((number, point.time_ns))))
+                motion = self._packings["StageMotion"]((number, point.position, point.velocity))
+                frames.append((self.motion_id, motion))
+            except ValueError as error:
+                raise HardwareError(f"stage trajectory, point {number}: {error}") from None
+        seal = zlib.crc32(b"".join(payload for _, payload in frames))
+        return [*frames, (self.start_id, self._packings["StageStart"]((len(waypoints), seal)))]
+
+    def unpack(self, identifier: int, payload: bytes) -> tuple[str, tuple[int | float, ...]] | None:
+        """Message and values of one of the stage's frames; None for any other."""
+        for name, message in self._messages.items():
+            if identifier == message.identifier and name != "Truth":
+                try:
+                    return name, self._unpackings[name](payload)
+                except FrameError:
+                    return None
+        return None
+
+    def truth_payload(self, counter: int, truth: Truth) -> bytes:
+        """The counter of the sample, CRC-32 of the rest with the counter as start value, and the truth."""
+        pack = self._packings["Truth"]
+        seal = zlib.crc32(pack((counter, 0, *truth))[self._content :], counter)
+        return pack((counter, seal, *truth))
+
+    def truth_of(self, payload: bytes) -> tuple[int, Truth]:
+        """Sample counter and truth; raises FrameError if the frame is damaged."""
         try:
-            motion = round(point.position / _POSITION).to_bytes(4, "little", signed=True)
-            motion += round(point.velocity / _VELOCITY).to_bytes(3, "little", signed=True)
-            frames.append((ids.stage_time, bytes((number,)) + point.time_ns.to_bytes(7, "little")))
-        except OverflowError as error:
-            raise HardwareError(f"stage trajectory, point {number}: {point} does not fit its CAN frames") from error
-        frames.append((ids.stage_motion, bytes((number,)) + motion))
-    seal = zlib.crc32(b"".join(payload for _, payload in frames))
-    return [*frames, (ids.stage_start, _START.pack(len(waypoints), seal))]
+            counter, seal, *numbers = self._unpackings["Truth"](payload)
+        except FrameError:
+            raise FrameError("truth") from None
+        if seal != zlib.crc32(payload[self._content :], counter):
+            raise FrameError("truth")
+        return counter, Truth(*numbers)
 
 
 class StageReceiver:
-    """Collects the frames of :func:`stage_payloads` on the simulated machine's side."""
+    """Collects the frames of :meth:`EmulatorFrames.stage_payloads` on the simulated machine's side."""
 
-    def __init__(self, ids: Identifiers) -> None:
-        self._ids = ids
-        self._times: dict[int, bytes] = {}
-        self._motions: dict[int, bytes] = {}
+    def __init__(self, frames: EmulatorFrames) -> None:
+        self._frames = frames
+        self._points: dict[str, dict[int, tuple[bytes, tuple[int | float, ...]]]] = {}
+        self._forget()
 
     def add(self, identifier: int, payload: bytes) -> Trajectory | None:
         """Take one frame; return the trajectory with the frame that starts the motion.
@@ -57,46 +114,25 @@ class StageReceiver:
             HardwareError: frames before it were lost or damaged.
             ValueError: the points make no trajectory.
         """
-        if identifier == self._ids.stage_time and len(payload) == 8:
-            self._times[payload[0]] = payload
-        elif identifier == self._ids.stage_motion and len(payload) == 8:
-            self._motions[payload[0]] = payload
-        elif identifier == self._ids.stage_start and len(payload) == _START.size:
-            return self._trajectory(*_START.unpack(payload))
-        return None
+        found = self._frames.unpack(identifier, payload)
+        if found is None:
+            return None
+        name, (number, *values) = found
+        if name in self._points:
+            self._points[name][int(number)] = payload, tuple(values)
+            return None
+        return self._trajectory(int(number), int(values[0]))
+
+    def _forget(self) -> None:
+        self._points = {"StageTime": {}, "StageMotion": {}}
 
     def _trajectory(self, points: int, seal: int) -> Trajectory:
-        times, motions = self._times, self._motions
-        self._times, self._motions = {}, {}
+        times, motions = self._points.values()
+        self._forget()
         try:
             frames = [(times[number], motions[number]) for number in range(points)]
         except KeyError as error:
             raise HardwareError(f"stage trajectory of {points} points is refused: frames of it are missing") from error
-        if zlib.crc32(b"".join(time + motion for time, motion in frames)) != seal:
+        if zlib.crc32(b"".join(payload for frame in frames for payload, _ in frame)) != seal:
             raise HardwareError(f"stage trajectory of {points} points is refused: its CRC-32 is wrong")
-        return Trajectory([_waypoint(*frame) for frame in frames])
-
-
-def _waypoint(time: bytes, motion: bytes) -> Waypoint:
-    return Waypoint(
-        int.from_bytes(time[1:], "little"),
-        int.from_bytes(motion[1:5], "little", signed=True) * _POSITION,
-        int.from_bytes(motion[5:], "little", signed=True) * _VELOCITY,
-    )
-
-
-def truth_payload(counter: int, truth: Truth) -> bytes:
-    """Sample counter, CRC-32 of the rest with the counter as start value, six doubles in SI units, 8 bytes of zero."""
-    content = _CONTENT.pack(*truth)
-    return _HEAD.pack(counter, zlib.crc32(content, counter)) + content
-
-
-def truth_of(payload: bytes) -> tuple[int, Truth]:
-    """Sample counter and truth; raises FrameError if the frame is damaged."""
-    head, content = payload[: _HEAD.size], payload[_HEAD.size :]
-    if len(content) != _CONTENT.size:
-        raise FrameError("truth")
-    counter, seal = _HEAD.unpack(head)
-    if seal != zlib.crc32(content, counter):
-        raise FrameError("truth")
-    return counter, Truth(*_CONTENT.unpack(content))
+        return Trajectory([Waypoint(int(time[0]), *motion) for (_, time), (_, motion) in frames])

@@ -8,7 +8,7 @@ import threading
 import time
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import can
 from can.io.blf import BLFParseError
 
-from straightcomp_ros.hardware.can.frames import Identifiers
+from straightcomp_ros.hardware.can.frames import EXTENDED_ID
 from straightcomp_ros.hardware.interface import HardwareError
 
 _QUEUE_LIMIT = 20_000
@@ -133,12 +133,11 @@ def recorded_frames(file: Path) -> Iterator[can.Message]:
         raise DamagedLog(f"log '{file}': damaged after frame {number}") from error
 
 
-def of_the_board(frames: Iterable[can.Message], node: int) -> Iterator[can.Message]:
-    """The frames that the board ``node`` sends."""
-    ids = Identifiers(node)
-    sent = {ids.encoder, ids.encoder_fd, ids.current, ids.truth, ids.heartbeat}
+def of_the_board(frames: Iterable[can.Message], identifiers: Collection[int]) -> Iterator[can.Message]:
+    """The frames with one of these identifiers; EXTENDED_ID is set in those of 29 bits."""
     for frame in frames:
-        if frame.arbitration_id in sent and not (frame.is_extended_id or frame.is_error_frame or frame.is_remote_frame):
+        identifier = frame.arbitration_id | (EXTENDED_ID if frame.is_extended_id else 0)
+        if identifier in identifiers and not (frame.is_error_frame or frame.is_remote_frame):
             yield frame
 
 

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from straightcomp_ros.hardware.can.frames import EXTENDED_ID
 from straightcomp_ros.hardware.interface import HardwareError
 
 _AT_ONCE = 16
@@ -46,6 +47,17 @@ class Frame(NamedTuple):
     identifier: int
     flags: int
     data: bytes
+
+
+def address(frame: Frame) -> int:
+    """Identifier of a frame, with EXTENDED_ID set in one of 29 bits."""
+    return frame.identifier | EXTENDED_ID if frame.flags & EXTENDED else frame.identifier
+
+
+def addressed(address: int, payload: bytes, *, fd: bool, stamp_ns: int = 0) -> Frame:
+    """The frame to an :func:`address`."""
+    extended = EXTENDED if address & EXTENDED_ID else 0
+    return Frame(stamp_ns, address & ~EXTENDED_ID, extended | (FD_FRAME if fd else 0), payload)
 
 
 def to_packet(frame: Frame) -> bytes:

@@ -16,7 +16,8 @@ import can
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import FrameLog
-from straightcomp_ros.hardware.can.hub import ERROR, EXTENDED, FD_FRAME, Frame
+from straightcomp_ros.hardware.can.frames import EXTENDED_ID
+from straightcomp_ros.hardware.can.hub import ERROR, Frame, address, addressed
 from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
 from straightcomp_ros.settings.declaration import ParameterError
 
@@ -50,7 +51,8 @@ def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | No
 class Link:
     """Receives in :meth:`wait`, which calls back, and sends by :meth:`send`; one thread calls both.
 
-    ``receive(frame, arrival_ns)`` is called for each frame with one of ``identifiers`` and for each error frame;
+    ``receive(frame, arrival_ns)`` is called for each frame with one of ``identifiers`` and for each error frame; in
+    identifiers of 29 bits EXTENDED_ID is set;
     ``clock`` is the host's time in ns.
 
     Raises:
@@ -76,7 +78,7 @@ class Link:
         self._parameters = parameters
         self.log = FrameLog(Path(parameters.log).expanduser(), parameters.channel) if parameters.log else None
         self._identifiers = frozenset(identifiers)
-        self._filters = [{"can_id": identifier, "can_mask": 0x7FF, "extended": False} for identifier in identifiers]
+        self._filters = [filter_of(identifier) for identifier in identifiers]
         self._receive = receive
         self._clock = clock
         self._bus: can.BusABC | None = None
@@ -112,12 +114,12 @@ class Link:
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
         """Hand a frame to the bus without waiting; False if it was not taken."""
-        bus, flags = self._bus, FD_FRAME if fd else 0
+        bus, frame = self._bus, addressed(identifier, payload, fd=fd)
         try:
             if isinstance(bus, HubBus):
-                bus.send_frame(identifier, flags, payload)
+                bus.send_frame(*frame[1:])
             elif bus is not None:
-                bus.send(message_of(Frame(0, identifier, flags, payload)), timeout=0)
+                bus.send(message_of(frame), timeout=0)
         except (can.CanError, OSError, ValueError):
             # If it is more than a full queue, reading finds the error.
             bus = None
@@ -125,7 +127,7 @@ class Link:
             self.transmit_full += 1
             return False
         if self.log:
-            message = message_of(Frame(time.time_ns(), identifier, flags, payload))
+            message = message_of(frame._replace(stamp_ns=time.time_ns()))
             message.is_rx = False
             self.log.put(message)
         return True
@@ -175,7 +177,7 @@ class Link:
         taken = 0
         while frame is not None:
             # recv_frame() of the hub's interface does not filter, and an error frame has no identifier.
-            if (frame.identifier in self._identifiers and not frame.flags & EXTENDED) or frame.flags & ERROR:
+            if address(frame) in self._identifiers or frame.flags & ERROR:
                 self._receive(frame, self._arrival(frame.stamp_ns))
                 if self.log:
                     self.log.put(message_of(frame))
@@ -192,6 +194,13 @@ class Link:
         """When the frame was on the bus: the adapter's stamp if it is of the system's clock, else now."""
         now_ns, late_ns = self._clock(), time.time_ns() - stamp_ns
         return now_ns - late_ns if 0 <= late_ns < _SAME_CLOCK_NS else now_ns
+
+
+def filter_of(identifier: int) -> dict[str, Any]:
+    """python-can's filter that passes the frames with this identifier alone."""
+    extended = bool(identifier & EXTENDED_ID)
+    mask = 0x1FFFFFFF if extended else 0x7FF
+    return {"can_id": identifier & mask, "can_mask": mask, "extended": extended}
 
 
 def _next_frame(bus: can.BusABC, timeout_s: float) -> Frame | None:

@@ -1,16 +1,18 @@
 """From frames to samples: every check between the wire and a number that may be used.
 
 Payloads and times of arrival go in, samples come out; neither python-can nor threads are involved. The checks in their
-order: length, CRC with data id, range of the alive counter, state, number, plausibility.
+order: length, CRC with data id, range of the counters, state, number, plausibility.
 """
 
 import math
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 
-from straightcomp_ros.hardware.can import frames
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator_frames import truth_of
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, FrameError
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
+from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Report
+from straightcomp_ros.hardware.can.message_frames import ReportFrames
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
 from straightcomp_ros.hardware.interface import Sample, Truth
@@ -19,7 +21,6 @@ from straightcomp_ros.stage.description import StageParameters
 _REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth")
 _ERRORS = ("error_frames", "error_passive", "bus_off")
 _STRIKE = 4
-_UNSETTLED = 9.0
 _CONTROLLER, _BUS_OFF = 0x04, 0x40
 """Error classes of linux/can/error.h: with the first, the payload's second byte is the controller's state."""
 _PASSIVE = 0x10 | 0x20
@@ -29,10 +30,12 @@ class Receiver:
     """Samples of one board; the caller empties :attr:`samples`.
 
     Attributes:
+        current: newest coil current; for a board that does not measure it, set it to the commanded one.
         samples: new samples, oldest first: number, sample, and an emulated board's truth.
         amplifier: state in the newest good frame; None before the first.
-        board_fault: why the board switched off.
+        board_fault: the board's code of why it switched off; None before it was told.
         newest_ns: time of arrival of the newest usable sample.
+        status_ns: time of arrival of the newest state of the amplifier.
         heartbeat_ns: time of arrival of the newest heartbeat; ``node_state`` is its content.
         boot_ups: boot-up messages since the start.
         strikes: error counter of bad frames, see ``strike_limit``; ``strike_outs``: how often it reached the limit.
@@ -41,38 +44,47 @@ class Receiver:
     """
 
     def __init__(self, parameters: CanParameters, stage: StageParameters) -> None:
-        self.codec = frames.Codec(parameters.node, parameters.fd)
+        self.wire = wire = parameters.make_wire()
         self._period_ns = period_ns = stage.period_ns
         self.clock = SampleClock(period_ns)
-        self.sequence = Sequence(self._elapsed)
+        self._modulus = wire.sample_modulus
+        slow = wire.counting is not None and wire.counting is not wire.sample
+        self.sequence = Sequence(self._elapsed, self._modulus, wire.number_modulus if slow else 0)
+        signals = wire.sample.signals
+        self._alive_modulus = signals.counts("alive") if signals.counts("counter") else 0
         self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
         self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
         self.counts = dict.fromkeys(_REASONS + _ERRORS, 0)
         self.amplifier: Amplifier | None = None
-        self.board_fault = BoardFault.NONE
-        self.newest_ns = self.heartbeat_ns = self._arrival_ns = 0
+        self.board_fault: int | None = None
+        self.newest_ns = self.status_ns = self.heartbeat_ns = self._arrival_ns = 0
         self.node_state: int | None = None
         self._memory, self._strike_limit = parameters.sample_memory, parameters.strike_limit
         self._stale_ns = round(parameters.sample_timeout * 1e9)
-        self._x_step = stage.motion.highest_speed * period_ns * 1e-9 / frames.POSITION_COUNT
-        self._y_step = parameters.y_speed * period_ns * 1e-9 / frames.POSITION_COUNT
-        self._accepted: frames.Encoder | None = None
+        # Two counts of noise; half a one more for the rounding of numbers in metres.
+        self._x_step = stage.motion.highest_speed * period_ns * 1e-9
+        self._y_step = parameters.y_speed * period_ns * 1e-9
+        self._x_noise, self._y_noise = 2.5 * signals.step("x"), 2.5 * signals.step("y")
+        self._accepted: Report | None = None
+        self._good: tuple[Report, int] | None = None
         self._alive = self._stamp_ns = 0
-        self._current = 0.0
+        self.current = 0.0
         self._truth: tuple[int, Truth | None] = (-1, None)
-        ids = self.codec.ids
-        self._handlers = {self.codec.encoder_id: self._encoder, ids.heartbeat: self._heartbeat}
-        if not self.codec.fd:
-            self._handlers[ids.current] = self._coil_current
-        elif parameters.simulated_stage:
-            self._handlers[ids.truth] = self._hear_truth
+        self._handlers: dict[int, Callable[[bytes, int], None]] = {
+            identifier: partial(self._hear, frames) for identifier, frames in wire.reports.items()
+        }
+        if wire.heartbeat:
+            self._handlers[wire.heartbeat.identifier] = self._heartbeat
+        if parameters.fd and parameters.simulated_stage:
+            self._emulator = EmulatorFrames(parameters.node, wire)
+            self._handlers[self._emulator.truth_id] = self._hear_truth
         self.identifiers = list(self._handlers)
 
     def restart(self) -> None:
         """Forget the board's samples, as after its restart; counters stay."""
         self.clock.reset()
         self.sequence.reset()
-        self._accepted = self.amplifier = None
+        self._accepted = self._good = self.amplifier = None
         self.strikes = 0
 
     def receive(self, identifier: int, payload: bytes, arrival_ns: int) -> None:
@@ -105,43 +117,73 @@ class Receiver:
         if self.clock.settled:
             return self.clock.elapsed(index, arrival_ns)
         # The first frames may all be late, so the time between two of them is not yet meaningful.
-        return max((arrival_ns - self._arrival_ns) / self._period_ns, _UNSETTLED)
+        return max((arrival_ns - self._arrival_ns) / self._period_ns, self.sequence.unsettled)
 
-    def _encoder(self, payload: bytes, arrival_ns: int) -> None:
-        frame = self.codec.unpack_encoder(payload)
-        if not frames.amplifier_of(frame.status):
-            raise FrameError("state")
-        self._alive = frame.alive
-        ahead = self.sequence.ahead(frame, arrival_ns)
+    def _hear(self, frames: ReportFrames, payload: bytes, arrival_ns: int) -> None:
+        report = frames.unpack(payload)
+        if report.x is None:
+            self._hear_slow(report, arrival_ns)
+            return
+        if report.alive is not None:
+            self._alive = report.alive
+        jumps = self.sequence.jumps
+        ahead = self.sequence.ahead(_count(report), arrival_ns)
+        self._follow_jump(jumps)
         if ahead is None:
-            self.sequence.wait(frame, arrival_ns)
+            self.sequence.wait(report, arrival_ns)
         else:
-            self._place(frame, ahead, arrival_ns)
+            self._place(report, ahead, arrival_ns)
 
-    def _place(self, frame: frames.Encoder, ahead: int, arrival_ns: int) -> None:
+    def _follow_jump(self, jumps: int) -> None:
+        """Forget what belongs to the old numbers if there are new ones since ``jumps``."""
+        if self.sequence.jumps > jumps:
+            self.clock.reset()
+            self._accepted = self._good = None
+
+    def _place(self, report: Report, ahead: int, arrival_ns: int) -> None:
         if not self.sequence.plausible(ahead, arrival_ns):
             raise FrameError("implausible")
+        last = self._accepted
+        if last and self._alive_modulus and (report.alive - last.alive - ahead) % self._alive_modulus:
+            # Frames and samples do not count alike.
+            raise FrameError("alive")
         if ahead <= 0:
             self.sequence.count_old(ahead)
             return
-        last = self._accepted or frame
-        if abs(frame.x - last.x) > 2 + self._x_step * ahead or abs(frame.y - last.y) > 2 + self._y_step * ahead:
+        if report.good and self._good and not self._is_near(report, *self._good, ahead):
             raise FrameError("implausible")
-        self._accepted = frame
-        index = self.sequence.accept(frame, ahead)
+        self._accepted = report
+        index = self.sequence.accept(_count(report), ahead)
         self.clock.observe(index, arrival_ns)
         self.received += 1
         self._arrival_ns = arrival_ns
-        self.amplifier = Amplifier(frames.amplifier_of(frame.status))
-        self.board_fault = frames.fault_of(frame.status)
+        self._take_status(report, arrival_ns)
         if self.strikes:
             self.strikes -= 1
-        if not frames.encoders_valid(frame.status):
+        if not report.good:
             self.counts["encoders"] += 1
-        elif self.clock.settled:
-            self._deliver(frame, index, arrival_ns)
+            return
+        self._good = report, index
+        if self.clock.settled:
+            self._deliver(report, index, arrival_ns)
 
-    def _deliver(self, frame: frames.Encoder, index: int, arrival_ns: int) -> None:
+    def _is_near(self, report: Report, last: Report, number: int, ahead: int) -> bool:
+        """Whether stage and platform can have come here since the good reading ``last`` of the sample ``number``."""
+        ahead += (self.sequence.index or 0) - number
+        return (
+            abs(report.x - last.x) <= self._x_noise + self._x_step * ahead
+            and abs(report.y - last.y) <= self._y_noise + self._y_step * ahead
+        )
+
+    def _take_status(self, report: Report, arrival_ns: int) -> None:
+        if report.amplifier is not None:
+            self.amplifier, self.status_ns = report.amplifier, arrival_ns
+        if report.fault is not None:
+            self.board_fault = report.fault
+        if report.current is not None:
+            self.current = report.current
+
+    def _deliver(self, report: Report, index: int, arrival_ns: int) -> None:
         stamp_ns = self.clock.stamp(index)
         if stamp_ns <= self._stamp_ns:
             # After a reset of the clock, stamps must still not run backwards.
@@ -149,23 +191,23 @@ class Receiver:
         self._stamp_ns, self.newest_ns = stamp_ns, arrival_ns
         if arrival_ns - stamp_ns > self._stale_ns:
             self.stale += 1
-        if frame.current is not None:
-            self._current = frame.current * frames.CURRENT_COUNT
-        current = self._current if self.amplifier is Amplifier.ON else math.nan
-        sample = Sample(stamp_ns, frame.x * frames.POSITION_COUNT, frame.y * frames.POSITION_COUNT, current)
+        current = self.current if self.amplifier is Amplifier.ON else math.nan
+        sample = Sample(stamp_ns, report.x, report.y, current)
         counter, truth = self._truth
-        self.samples.append((index, sample, truth if counter == frame.counter else None))
+        told = truth is not None and (not self._modulus or (counter - index) % self._modulus == 0)
+        self.samples.append((index, sample, truth if told else None))
         if len(self.samples) > self._memory:
             self.samples.popleft()
             self.overflowed += 1
 
-    def _coil_current(self, payload: bytes, arrival_ns: int) -> None:
-        frame = self.codec.unpack_current(payload)
-        self._current = frame.current * frames.CURRENT_COUNT
+    def _hear_slow(self, report: Report, arrival_ns: int) -> None:
+        """Take a frame that does not come with each sample."""
+        self._take_status(report, arrival_ns)
+        if report.counter is None:
+            return
         jumps = self.sequence.jumps
-        placed = self.sequence.place(frame.counter, self._alive)
-        if self.sequence.jumps > jumps:
-            self.clock.reset()
+        placed = self.sequence.place(report.counter, self._alive)
+        self._follow_jump(jumps)
         for number, (waiting, waiting_ns) in placed:
             if self.sequence.index is None:
                 self.sequence.index = number - 1
@@ -176,16 +218,21 @@ class Receiver:
 
     def _hear_truth(self, payload: bytes, _: int) -> None:
         try:
-            self._truth = truth_of(payload)
+            self._truth = self._emulator.truth_of(payload)
         except FrameError as error:
             # Nothing acts on the truth, so a damaged one does not count as a bad frame.
             self.counts[str(error)] += 1
 
     def _heartbeat(self, payload: bytes, arrival_ns: int) -> None:
-        if len(payload) != 1:
-            raise FrameError("length")
-        self.node_state = payload[0] & 0x7F
+        heartbeat = self.wire.heartbeat
+        assert heartbeat is not None
+        self.node_state = heartbeat.unpack(payload)
         self.heartbeat_ns = arrival_ns
-        if payload[0] == frames.BOOT_UP:
+        if self.node_state == heartbeat.boot_up:
             self.boot_ups += 1
             self.restart()
+
+
+def _count(report: Report) -> int | None:
+    """What numbers the sample: the counter in its own frame, else the count of the frames."""
+    return report.alive if report.counter is None else report.counter

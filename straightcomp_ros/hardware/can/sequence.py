@@ -1,62 +1,91 @@
-"""The number of a frame's sample, from a counter that wraps.
+"""The number of a frame's sample, from a count that wraps.
 
-A frame for CAN FD has the sample counter itself. A classic one has only its remainder by 15, which gives the number
-while by the host's clock fewer than ten samples passed since the last frame. After a longer silence, frames wait for
-the next frame with the full counter, at most ten samples later: numbers are never guessed.
+A count in the sample's own frame gives the number while by the host's clock fewer samples passed since the last frame
+than the count can tell apart. After a longer silence, frames wait for the next frame with the full counter, if the
+board has such; otherwise the numbers start anew: they are never guessed. Frames without any count are numbered in
+their order; if a row of them comes late by a whole period and more, samples before them were lost.
 """
 
+from collections import deque
 from collections.abc import Callable
 
-from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, COUNTER_MODULUS, Encoder
+from straightcomp_ros.hardware.can.frames import Report
 
-_AMBIGUOUS = 10
-_EARLY = ALIVE_MODULUS - 1 - _AMBIGUOUS
+_EARLY = 4
 """Samples by which a frame may seem early: late frames may have set the clock."""
-_MOST_WAITING = ALIVE_MODULUS - 1
+_UNSETTLED = 9.0
 _KEPT_MISSING = 256
+_OLDEST = 1000
+_ROW, _LATE = 8, 0.75
+"""Frames without count in a row, and the periods by which all are late when samples before them are lost."""
+_SILENCE = 10
+"""Samples after which the numbers of frames without count start anew."""
 
 
 class Sequence:
     """Numbers of the samples, and what is missing between them.
 
-    ``elapsed(index, arrival_ns)`` is the number of samples taken since ``index``, by the clock.
+    Args:
+        elapsed: ``elapsed(index, arrival_ns)`` is the number of samples taken since ``index``, by the clock.
+        modulus: of the count in each sample's frame, 0 without one.
+        full_modulus: of the full counter in frames of its own, which ``modulus`` divides; 0 without one.
     """
 
-    def __init__(self, elapsed: Callable[[int, int], float]) -> None:
-        self._elapsed = elapsed
+    def __init__(self, elapsed: Callable[[int, int], float], modulus: int, full_modulus: int = 0) -> None:
+        self._elapsed, self._modulus, self._full_modulus = elapsed, modulus, full_modulus
+        self._early = min(_EARLY, (modulus - 1) // 3)
+        self._ambiguous = modulus - 1 - self._early if modulus else _SILENCE
         self.lost = self.repeated = self.out_of_order = self.unplaced = self.jumps = 0
         self._missing: dict[int, None] = {}
         self.reset()
+
+    @property
+    def unsettled(self) -> float:
+        """Samples that may have passed while the clock is not settled: no more than the count can tell apart."""
+        return min(_UNSETTLED, self._ambiguous - 1.0) if self._modulus else 1.0
 
     def reset(self) -> None:
         """Start anew: the next frame with a full counter gives the number."""
         self.index: int | None = None
         self._missing.clear()
-        self._waiting: list[tuple[Encoder, int]] = []
+        self._waiting: list[tuple[Report, int]] = []
+        self._lateness: deque[float] = deque(maxlen=_ROW)
 
-    def ahead(self, frame: Encoder, arrival_ns: int) -> int | None:
+    def ahead(self, count: int | None, arrival_ns: int) -> int | None:
         """How many samples a frame is ahead of the newest accepted one, 1 for the next; None if it has to wait.
 
         With zero or less it carries no new sample, see :meth:`count_old`.
         """
-        if frame.counter is not None:
-            return 1 if self.index is None else _signed(frame.counter - self.index, COUNTER_MODULUS)
         if self.index is None or self._waiting:
-            return None
+            return None if self._full_modulus else 1
         passed = self._elapsed(self.index, arrival_ns)
-        if passed >= _AMBIGUOUS:
-            return None
-        ahead = (frame.alive - self.index) % ALIVE_MODULUS
-        return ahead if ahead <= passed + _EARLY else ahead - ALIVE_MODULUS
+        if passed >= self._ambiguous:
+            if self._full_modulus:
+                return None
+            self.jumps += 1
+            self.reset()
+            return 1
+        if count is None:
+            return self._in_order(passed)
+        ahead = (count - self.index) % self._modulus
+        return ahead if ahead <= passed + self._early else ahead - self._modulus
+
+    def _in_order(self, passed: float) -> int:
+        self._lateness.append(passed - 1.0)
+        late = min(self._lateness)
+        if len(self._lateness) < _ROW or late < _LATE:
+            return 1
+        self._lateness.clear()
+        return 1 + round(late)
 
     def plausible(self, ahead: int, arrival_ns: int) -> bool:
-        """Whether a full counter fits the clock: not in the future, and not more than 1000 samples old."""
-        return self.index is None or -1000 < ahead <= self._elapsed(self.index, arrival_ns) + _EARLY
+        """Whether a number fits the clock: not in the future, and not more than 1000 samples old."""
+        return self.index is None or -_OLDEST < ahead <= self._elapsed(self.index, arrival_ns) + _EARLY
 
-    def accept(self, frame: Encoder, ahead: int) -> int:
-        """Take the frame as the newest sample; return its number, and count those lost before it."""
+    def accept(self, count: int | None, ahead: int) -> int:
+        """Take a frame as the newest sample; return its number, and count those lost before it."""
         if self.index is None:
-            self.index = frame.counter or 0
+            self.index = count or 0
             return self.index
         self._missing |= dict.fromkeys(range(self.index + 1, self.index + min(ahead, _KEPT_MISSING)))
         while len(self._missing) > _KEPT_MISSING:
@@ -75,31 +104,33 @@ class Sequence:
         else:
             self.repeated += 1
 
-    def wait(self, frame: Encoder, arrival_ns: int) -> None:
+    def wait(self, report: Report, arrival_ns: int) -> None:
         """Keep a frame until its number is known; the oldest of too many is given up."""
-        self._waiting.append((frame, arrival_ns))
-        if len(self._waiting) > _MOST_WAITING:
+        self._waiting.append((report, arrival_ns))
+        if len(self._waiting) > self._modulus - 1:
             del self._waiting[0]
             self.unplaced += 1
 
-    def place(self, counter: int, alive: int) -> list[tuple[int, tuple[Encoder, int]]]:
-        """Number the waiting frames; returns (number, (frame, arrival_ns)), oldest first.
+    def place(self, counter: int, alive: int) -> list[tuple[int, tuple[Report, int]]]:
+        """Number the waiting frames; returns (number, (report, arrival_ns)), oldest first.
 
-        ``counter`` is the number of the newest encoder frame's sample or of one before it, ``alive`` that frame's own.
+        ``counter`` is the number of the newest sample frame or of one before it, ``alive`` that frame's own count.
         """
-        ahead = 0 if self.index is None else _signed(counter - self.index, COUNTER_MODULUS)
+        modulus = self._modulus
+        ahead = 0 if self.index is None else _signed(counter - self.index, self._full_modulus)
         if not self._waiting:
-            if self.index is not None and not -1 <= ahead < ALIVE_MODULUS - 1:
+            if self.index is not None and not -1 <= ahead < modulus - 1:
                 self.jumps += 1
                 self.reset()
             return []
         full = counter if self.index is None else self.index + ahead
-        number = full - (full - alive) % ALIVE_MODULUS
+        number = full - (full - alive) % modulus
         placed = []
         later = alive
         for waiting in reversed(self._waiting):
-            number -= (later - waiting[0].alive) % ALIVE_MODULUS
-            later = waiting[0].alive
+            count = waiting[0].alive or 0
+            number -= (later - count) % modulus
+            later = count
             placed.append((number, waiting))
         self._waiting = []
         return placed[::-1]

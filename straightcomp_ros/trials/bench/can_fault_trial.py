@@ -1,33 +1,28 @@
 """Sends a known machine's frames through faults to the receiver, and compares the received samples with the truth."""
 
+import dataclasses
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from straightcomp_ros.hardware.can.bus_faults import FLOOD, Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import (
-    ALIVE_MODULUS,
-    CURRENT_EVERY,
-    POSITION_COUNT,
-    Amplifier,
-    BoardFault,
-    Codec,
-    Current,
-    Encoder,
-    status_bits,
-)
-from straightcomp_ros.hardware.can.hub import Flag, Frame
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Report
+from straightcomp_ros.hardware.can.hub import Flag, Frame, addressed
+from straightcomp_ros.hardware.can.message_frames import ReportFrames
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.can.wire import Wire
 from straightcomp_ros.stage.description import StageParameters
 
-_STATUS = status_bits(Amplifier.ON, BoardFault.NONE, True)
+_COUNT, _CURRENT = 1e-7, 0.01
+"""m of a count of the positions here, and A."""
+_ROUNDED = 2e-7
+"""m; what a float of 32 bits leaves of a position of 2 m. From sample to sample y changes by more."""
 _LEAD_IN = 4 * BLOCK
 _START_NS = 1_700_000_000_000_000_000
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Trial:
     """Faults of the encoder's frames, and what the receiver made of the frames.
 
@@ -68,21 +63,28 @@ def _to_and_fro(way: int, length: int) -> int:
 
 
 def run_trial(
-    rates: Mapping[str, float], *, fd: bool, frames: int = 20_000, first: int = 0, drift: float = 100e-6, seed: int = 1
+    rates: Mapping[str, float],
+    board: CanParameters,
+    *,
+    frames: int = 20_000,
+    first: int = 0,
+    drift: float = 100e-6,
+    seed: int = 1,
 ) -> Trial:
     """Send ``frames`` samples, and inject faults after the clock has settled.
 
     Args:
         rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
-        fd: frames of CAN FD.
+        board: its DBC file and kind of bus.
         frames: samples to send.
         first: number of the first sample.
         drift: of the board's clock.
         seed: of jitter and faults.
     """
     # The error counter would end a real run; here every single fault must be seen.
-    parameters = CanParameters(fd=fd, strike_limit=1000, sample_memory=100_000)
-    receiver, codec = Receiver(parameters, StageParameters()), Codec(parameters.node, fd)
+    parameters = dataclasses.replace(board, strike_limit=1000, sample_memory=100_000)
+    receiver = Receiver(parameters, StageParameters())
+    wire = receiver.wire
     faults, chance = Faults(rates, seed), random.Random(seed)
     period_ns = 500_000 * (1.0 + drift)
     taken: dict[int, int] = {}
@@ -91,30 +93,35 @@ def run_trial(
         sampled_ns = _START_NS + round(k * period_ns)
         taken[index] = sampled_ns
         arrival_ns = sampled_ns + 110_000 + round(chance.expovariate(1 / 40e3))
-        for frame in _frames(codec, index, arrival_ns):
+        for frame in _frames(wire, index, arrival_ns):
             # Count only the faults of the encoder's frame, not those of the slow one.
-            hurt = k > _LEAD_IN and frame.identifier == codec.encoder_id and k < frames - 2
+            hurt = k > _LEAD_IN and frame.identifier == wire.sample.identifier and k < frames - 2
             for arrived in faults(frame) if hurt else [frame]:
                 _hand_over(receiver, arrived)
     wrong = 0
     for index, sample, _ in receiver.samples:
         x, y = position(index)
         true_ns = taken.get(index, 0)
-        good = (sample.x, sample.y) == (x * POSITION_COUNT, y * POSITION_COUNT)
+        good = abs(sample.x - x * _COUNT) < _ROUNDED and abs(sample.y - y * _COUNT) < _ROUNDED
         wrong += not (good and abs(sample.stamp_ns - true_ns - 110_000) < 100_000)
     return Trial(frames, faults.injected, len(receiver.samples), wrong, receiver)
 
 
-def _frames(codec: Codec, index: int, stamp_ns: int) -> list[Frame]:
-    x, y = position(index)
-    alive = index % ALIVE_MODULUS
-    flags = Flag.FD | Flag.BIT_RATE_SWITCH if codec.fd else Flag(0)
-    payload = codec.pack_encoder(Encoder(alive, _STATUS, x, y, 100, index))
-    frames = [Frame(stamp_ns, codec.encoder_id, flags, payload)]
-    if not codec.fd and index % CURRENT_EVERY == 0:
-        payload = codec.pack_current(Current(index // CURRENT_EVERY % ALIVE_MODULUS, 100, index))
-        frames.append(Frame(stamp_ns, codec.ids.current, Flag(0), payload))
-    return frames
+def _frames(wire: Wire, index: int, stamp_ns: int) -> list[Frame]:
+    x, y = (counts * _COUNT for counts in position(index))
+    counter = index % wire.number_modulus
+    report = Report(0, counter, x, y, _CURRENT, Amplifier.ON, wire.fault_codes[BoardFault.NONE], True)
+    due = [frames for frames in wire.reports.values() if index % frames.every == 0]
+    return [
+        addressed(
+            frames.identifier, frames.pack(_counted(frames, report, index), index), fd=frames.fd, stamp_ns=stamp_ns
+        )
+        for frames in due
+    ]
+
+
+def _counted(frames: ReportFrames, report: Report, index: int) -> Report:
+    return report._replace(alive=index // frames.every % frames.alive_modulus)
 
 
 def _hand_over(receiver: Receiver, frame: Frame) -> None:

@@ -17,7 +17,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.bus_faults import Faults, LinkCut
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import POSITION_COUNT, Amplifier, Codec
+from straightcomp_ros.hardware.can.frames import Amplifier
 from straightcomp_ros.hardware.can.hub import ERROR, Flag, Frame
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
@@ -61,7 +61,7 @@ class ServoTrial:
 
 
 def run_servo_trial(
-    rates: Mapping[str, float], guide: StraightnessMap, *, fd: bool, frames: int = 20_000, seed: int = 1
+    rates: Mapping[str, float], guide: StraightnessMap, board: CanParameters, *, frames: int = 20_000, seed: int = 1
 ) -> ServoTrial:
     """Hold the platform for ``frames`` samples while the stage moves, with faults in the frames of both sides.
 
@@ -70,11 +70,11 @@ def run_servo_trial(
     Args:
         rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
         guide: of the simulated machine.
-        fd: frames of CAN FD.
+        board: its DBC file and kind of bus.
         frames: samples to take.
         seed: of the faults.
     """
-    trial = _Trial(rates, guide, fd, seed)
+    trial = _Trial(rates, guide, board, seed)
     for _ in range(frames):
         trial.period()
     injected = Counter(trial.to_host.injected) + Counter(trial.to_board.injected)
@@ -94,15 +94,15 @@ class _Trial:
 
     openings, transmit_full, overloads, problem, log = 1, 0, 0, "", None
 
-    def __init__(self, rates: Mapping[str, float], guide: StraightnessMap, fd: bool, seed: int) -> None:
+    def __init__(self, rates: Mapping[str, float], guide: StraightnessMap, board: CanParameters, seed: int) -> None:
         self.now, stage = _START_NS, StageParameters()
         self.to_host, self.to_board = Faults(rates, seed), Faults(rates, seed + 1)
         self._dead_until = 0
-        self._codec = Codec(1, fd)
-        self.host = CanHardware(CanParameters(fd=fd), stage, lambda: self.now, self._link)
+        self._wire = board.make_wire()
+        self.host = CanHardware(board, stage, lambda: self.now, self._link)
         machine = SimulatedHardware(SimulatedParameters(), stage, guide)
         self._period_ns = machine.period_ns
-        self._board = Board(machine, self._codec, stage.drive.current_range, self._from_board, self.now)
+        self._board = Board(machine, self._wire, stage.drive.current_range, self._from_board, self.now)
         machine.move(Trajectory(forward_and_back(stage.motion)), self.now)
         self._servo = Servo(make_law(ControlParameters(), stage))
         self._answers: list[tuple[int, float]] = []
@@ -132,9 +132,10 @@ class _Trial:
         return True
 
     def _from_board(self, identifier: int, payload: bytes, fd: bool) -> None:
-        if identifier == self._codec.encoder_id:
-            sent = self._codec.unpack_encoder(payload)
-            self._taken.append((sent.x * POSITION_COUNT, sent.y * POSITION_COUNT))
+        if identifier == self._wire.sample.identifier:
+            sent = self._wire.sample.unpack(payload)
+            if sent.x is not None and sent.y is not None:
+                self._taken.append((sent.x, sent.y))
         for frame in self._arriving(self.to_host, identifier, payload, fd):
             if frame.flags & ERROR or frame.identifier in self._identifiers:
                 self._receive(frame, self.now + _TRANSIT_NS)

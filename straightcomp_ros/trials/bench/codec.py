@@ -1,30 +1,24 @@
-"""Measures the cost of packing and unpacking the frames of the wire contract."""
+"""Measures the cost of packing and unpacking the frames that the DBC file describes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from straightcomp_ros.hardware.can.frames import Codec, Command, Current, Encoder, Switch
+from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
+from straightcomp_ros.hardware.can.wire import Wire
 from straightcomp_ros.trials.bench.step_costs import cost
 
 _CALLS = 1000
-_OF_A_CYCLE = {True: ("EncoderFd", "CommandFd"), False: ("Encoder", "Command")}
+_REPORT = Report(4, 4, 1.2345678, -67.8e-6, -0.09, Amplifier.ON, 0, True)
+_COMMAND = Command(3, True, False, -0.05, 4)
 
 
-def codec_costs(repeats: int) -> dict[str, dict[str, float]]:
+def codec_costs(wires: Iterable[Wire], repeats: int) -> dict[str, dict[str, float]]:
     """Median µs to pack (``pack_us``) and to unpack (``unpack_us``) each frame, by its name in the DBC file."""
-    encoder, command, current = (
-        Encoder(4, 33, 12_345_678, -678, -900, 4),
-        Command(3, Switch.YES, Switch.NO, -500, 77),
-        Current(3, -500, 770),
-    )
-    fd, classic = Codec(1, fd=True), Codec(1, fd=False)
-    frames: dict[str, tuple[Callable[[Any], bytes], Callable[[bytes], object], Any]] = {
-        "EncoderFd": (fd.pack_encoder, fd.unpack_encoder, encoder),
-        "CommandFd": (fd.pack_command, fd.unpack_command, command),
-        "Encoder": (classic.pack_encoder, classic.unpack_encoder, encoder),
-        "Command": (classic.pack_command, classic.unpack_command, command),
-        "CoilCurrent": (classic.pack_current, classic.unpack_current, current),
-    }
+    frames: dict[str, tuple[Callable[[Any], bytes], Callable[[bytes], object], Any]] = {}
+    for wire in wires:
+        for one in wire.reports.values():
+            frames[one.signals.message.name] = _first_page(one.pack), one.unpack, _REPORT
+        frames[wire.command.signals.message.name] = wire.command.pack, wire.command.unpack, _COMMAND
     return {
         name: {
             "pack_us": cost(_calls(pack, frame), _CALLS, repeats).median,
@@ -34,9 +28,13 @@ def codec_costs(repeats: int) -> dict[str, dict[str, float]]:
     }
 
 
-def per_frame(costs: Mapping[str, Mapping[str, float]], key: str, *, fd: bool) -> float:
+def per_frame(costs: dict[str, dict[str, float]], key: str, wire: Wire) -> float:
     """Mean of ``key`` in :func:`codec_costs` over the two frames of a control cycle."""
-    return sum(costs[name][key] for name in _OF_A_CYCLE[fd]) / 2.0
+    return sum(costs[frames.signals.message.name][key] for frames in (wire.sample, wire.command)) / 2.0
+
+
+def _first_page(pack: Callable[[Report, int], bytes]) -> Callable[[Report], bytes]:
+    return lambda report: pack(report, 0)
 
 
 def _calls(work: Callable[[Any], object], argument: Any) -> Callable[[], None]:

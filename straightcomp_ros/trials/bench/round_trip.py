@@ -20,10 +20,10 @@ from straightcomp_ros.cell.launcher import Graph, LaunchError, verb_command
 from straightcomp_ros.configuration.node_parameters import STAGE, node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import ALIVE_MODULUS, Command, Switch
-from straightcomp_ros.hardware.can.hub import Frame
+from straightcomp_ros.hardware.can.frames import Command
+from straightcomp_ros.hardware.can.hub import Frame, address
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
-from straightcomp_ros.hardware.can.link import Link
+from straightcomp_ros.hardware.can.link import Link, filter_of
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.trials.bench.processes import cores, usage
@@ -118,12 +118,13 @@ class _Host:
 
     def __init__(self, parameters: CanParameters, stage: StageParameters) -> None:
         self.receiver = Receiver(parameters, stage)
-        self.codec = self.receiver.codec
+        self.wire = self.receiver.wire
         self.link = Link(parameters, self.receiver.identifiers, self._receive, time.time_ns)
         self.answers = 0
         self.sent_s: dict[int, float] = {}
         """When the board sent a sample, by the echo in the answer."""
-        self._echoes = 2**32 if parameters.fd else 256
+        if not self.wire.echo_modulus:
+            raise RoundTripFailed(f"{self.wire.dbc.file} has no echo of the sample in a command: nothing to time by")
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="host", daemon=True)
 
@@ -144,19 +145,21 @@ class _Host:
             self.link.wait(_LOOK_S)
 
     def _receive(self, frame: Frame, arrival_ns: int) -> None:
-        self.receiver.receive(frame.identifier, frame.data, arrival_ns)
+        self.receiver.receive(address(frame), frame.data, arrival_ns)
         samples = self.receiver.samples
         if samples:
             number, *_ = samples.pop()
             samples.clear()
-            self.sent_s[number % self._echoes] = frame.stamp_ns * 1e-9
-            command = Command(self.answers % ALIVE_MODULUS, Switch.NO, Switch.NO, 0, number)
-            self.link.send(self.codec.command_id, self.codec.pack_command(command), fd=self.codec.fd)
+            echo = number % self.wire.echo_modulus
+            self.sent_s[echo] = frame.stamp_ns * 1e-9
+            frames = self.wire.command
+            command = Command(self.answers % frames.alive_modulus, False, False, 0.0, echo)
+            self.link.send(frames.identifier, frames.pack(command), fd=frames.fd)
             self.answers += 1
 
 
 def _bus(parameters: CanParameters, identifier: int) -> can.BusABC:
-    filters: list[Any] = [{"can_id": identifier, "can_mask": 0x7FF, "extended": False}]
+    filters: list[Any] = [filter_of(identifier)]
     return can.Bus(interface=INTERFACE, channel=parameters.channel, fd=parameters.fd, can_filters=filters)
 
 
@@ -188,14 +191,14 @@ def _costs(parameters: CanParameters) -> tuple[float, float]:
 
 
 def _times(parameters: CanParameters, host: _Host, seconds: float) -> NDArray[np.float64]:
-    codec, times = host.codec, []
-    with _bus(parameters, codec.command_id) as node:
+    command, times = host.wire.command, []
+    with _bus(parameters, command.identifier) as node:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             message = node.recv(0.1)
             if message is not None:
                 now = time.time()
-                sent = host.sent_s.pop(codec.unpack_command(bytes(message.data)).echo, None)
+                sent = host.sent_s.pop(command.unpack(bytes(message.data)).echo or 0, None)
                 if sent is not None:
                     times.append(now - sent)
     return np.array(times)

@@ -16,7 +16,7 @@ from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import console, print_json, progress_bar
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.trials.bench.bus_faults_found import fault_run
+from straightcomp_ros.trials.bench.bus_faults_found import buses, fault_run
 from straightcomp_ros.trials.bench.codec import codec_costs, per_frame
 from straightcomp_ros.trials.bench.round_trip import measure_round_trip
 
@@ -54,22 +54,23 @@ def run(options: argparse.Namespace) -> int:
 
 def _figures(values: dict[str, dict[str, Any]], options: argparse.Namespace) -> dict[str, Any]:
     driver = node_parameters("driver", values)
-    fd = driver.can.fd
+    wire, wires = driver.can.make_wire(), [board.make_wire() for board in buses(driver.can).values()]
     guide = driver.guide()
-    costs = codec_costs(_REPEATS)
+    costs = codec_costs(wires, _REPEATS)
     # The path of a Unix socket is limited to about a hundred characters.
     with tempfile.TemporaryDirectory(prefix="straightcomp_") as folder, progress_bar() as bar:
         task = bar.add_task("round trip", total=None)
         trip = measure_round_trip(values, Path(folder), options.seconds, options.cuts)
         bar.update(task, description="faults", total=1.0)
         counts, loops, wrong = fault_run(
-            guide, options.frames, options.seed, lambda done: bar.update(task, completed=done)
+            guide, driver.can, options.frames, options.seed, lambda done: bar.update(task, completed=done)
         )
     times_us = trip.times * 1e6
     return {
-        "fd": fd,
-        "pack_us": per_frame(costs, "pack_us", fd=fd),
-        "unpack_us": per_frame(costs, "unpack_us", fd=fd),
+        "dbc": wire.dbc.file,
+        "fd": driver.can.fd,
+        "pack_us": per_frame(costs, "pack_us", wire),
+        "unpack_us": per_frame(costs, "unpack_us", wire),
         "codec": costs,
         "send_us": trip.send_us,
         "receive_us": trip.receive_us,

@@ -5,18 +5,23 @@ import math
 from types import SimpleNamespace
 
 import pytest
+from forgery import forged
 
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Codec, Command, Switch
-from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, REMOTE, Frame
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
+from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, addressed
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
@@ -28,14 +33,15 @@ TIMEOUT = 0.005
 
 
 class World:
-    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut."""
+    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut, and frames be ``unheard``."""
 
-    def __init__(self, fd):
+    def __init__(self, fd, **parameters):
         self.now = START
-        self.codec = Codec(1, fd)
         self.to_board = self.to_host = True
         self.board = None
-        parameters = CanParameters(fd=fd, simulated_stage=True)
+        self.unheard = set()
+        parameters = CanParameters(fd=fd, simulated_stage=True, **parameters)
+        self.wire = parameters.make_wire()
         self.host = CanHardware(parameters, STAGE, lambda: self.now, self._link)
         self.host.start(self.now)
         self.power_up()
@@ -51,7 +57,7 @@ class World:
 
     def power_up(self):
         machine = SimulatedHardware(SimulatedParameters(command_timeout=TIMEOUT), STAGE, GUIDE)
-        self.board = Board(machine, self.codec, 1.0, self._from_board, self.now)
+        self.board = Board(machine, self.wire, 1.0, self._from_board, self.now, emulator=EmulatorFrames(1, self.wire))
 
     def _from_host(self, identifier, payload, *, fd):
         if self.to_board and self.board:
@@ -59,8 +65,8 @@ class World:
         return True
 
     def _from_board(self, identifier, payload, fd):
-        if self.to_host and identifier in self._identifiers:
-            self._receive(Frame(self.now, identifier, FD_FRAME if fd else 0, payload), self.now + 100_000)
+        if self.to_host and identifier in set(self._identifiers) - self.unheard:
+            self._receive(addressed(identifier, payload, fd=fd, stamp_ns=self.now), self.now + 100_000)
 
     def run(self, seconds, current=0.0):
         for _ in range(round(seconds * 2000)):
@@ -172,6 +178,50 @@ def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(world):
     assert world.board.amplifier is Amplifier.OFF
 
 
+def foreign():
+    """A board with another DBC file: its amplifier's state comes in frames of their own, and there is no heartbeat."""
+    values = shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))
+    can = node_parameters("driver", values).can
+    return World(True, dbc=can.dbc, wire=can.wire)
+
+
+def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_words():
+    world = foreign()
+    world.on()
+    world.run(0.05, current=0.2)
+    assert world.samples[-1].current == pytest.approx(0.2, abs=0.01)
+    world.to_board = False
+    world.run(TIMEOUT + 0.006)
+    # The page with the code comes after the one with the state.
+    assert world.host.fault == "the board reports: a fault" and world.host.state is State.FAULT
+    world.run(0.01)
+    assert world.host.fault == "the board reports: COMMAND_TIMEOUT"
+    assert world.host.counters()["can_board_fault"] == "COMMAND_TIMEOUT"
+    world.to_board = True
+    world.host.reset_fault()
+    world.run(0.05)
+    world.on()
+    world.host.disable()
+    world.run(0.05)
+    assert world.board.amplifier is Amplifier.OFF and world.host.state is State.OFF and world.host.fault == ""
+
+
+def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on():
+    world = foreign()
+    world.on()
+    world.unheard = {world.wire.status.identifier}
+    world.run(0.14)
+    assert world.host.state is State.ON
+    world.run(0.03)
+    assert "no state of the amplifier for" in world.host.fault and world.host.heartbeat_losses == 0
+    assert world.board.amplifier is Amplifier.OFF
+
+
+def test_what_the_frames_of_a_board_lack_is_said_of_the_machine(world):
+    assert list(world.host.remarks()) == []
+    assert any("no heartbeat" in remark for remark in foreign().host.remarks())
+
+
 def test_bus_off_latches_a_fault_and_error_passive_is_counted(world):
     def report(classes, state):
         data = bytes([0, state, 0, 0, 0, 0, 0, 0])
@@ -225,9 +275,10 @@ def test_a_current_beyond_the_boards_range_trips_it(world):
 @pytest.mark.parametrize("enable", [0b00, 0b11])
 def test_patterns_that_are_no_switch_and_damaged_frames_trip_the_board(world, enable):
     world.on()
+    frames = world.wire.command
     for alive in range(4):
-        payload = world.codec.pack_command(Command(alive, enable, Switch.NO, 0, 0))
-        world.board.receive(world.codec.command_id, payload, world.now)
+        payload = forged(frames, frames.pack(Command(alive, False, False, 0.0, 0)), Enable=enable)
+        world.board.receive(frames.identifier, payload, world.now)
     assert world.board.fault is BoardFault.COMMAND_CHECK
 
 
@@ -235,8 +286,8 @@ def test_the_board_refuses_commands_that_are_repeated_or_answer_old_samples(worl
     world.on()
     counter, alive = world.board._counter, world.board._command_alive
     for number, echo in ((alive, counter), (alive + 1, counter - 250)):
-        frame = Command(number % 15, Switch.YES, Switch.NO, 5000, echo % 2**32)
-        world.board.receive(world.codec.command_id, world.codec.pack_command(frame), world.now)
+        command = Command(number % 15, True, False, 0.5, echo % world.wire.echo_modulus)
+        world.board.receive(world.wire.command.identifier, world.wire.command.pack(command), world.now)
     assert world.board.refused_commands == 2
     world.run(0.001)
     assert world.board.machine.applied_current == 0.0
@@ -247,8 +298,8 @@ def test_a_board_that_was_told_on_from_its_first_command_stays_off(world):
     world.board._seen_off = False
     world.commands = False
     for alive in range(10):
-        frame = Command(alive, Switch.YES, Switch.NO, 0, world.board._counter)
-        world.board.receive(world.codec.command_id, world.codec.pack_command(frame), world.now)
+        command = Command(alive, True, False, 0.0, world.board._counter % world.wire.echo_modulus)
+        world.board.receive(world.wire.command.identifier, world.wire.command.pack(command), world.now)
     assert world.board.amplifier is Amplifier.OFF
 
 
@@ -263,8 +314,9 @@ def heard(world, taken=True):
     commands = []
 
     def send(identifier, payload, *, fd):
-        assert identifier == world.codec.command_id and fd is world.codec.fd
-        commands.append(world.codec.unpack_command(payload))
+        frames = world.wire.command
+        assert identifier == frames.identifier and fd is frames.fd
+        commands.append(frames.unpack(payload))
         return taken
 
     world.host._link.send = send
@@ -280,10 +332,10 @@ def test_a_command_carries_the_number_of_the_sample_that_it_answers(world):
     # A sample that it does not know, or none, is the newest.
     world.host.write(0.2, world.now, 12345)
     world.host.write(-0.2, world.now)
-    mask = 0xFFFFFFFF if world.codec.fd else 0xFF
-    assert [command.echo for command in commands] == [newest - back & mask for back in (0, 1, 100, 500, 0, 0)]
-    assert [command.current for command in commands] == [2000] * 5 + [-2000]
-    assert {(command.enable, command.reset) for command in commands} == {(Switch.YES, Switch.NO)}
+    modulus = world.wire.echo_modulus
+    assert [command.echo for command in commands] == [(newest - back) % modulus for back in (0, 1, 100, 500, 0, 0)]
+    assert [command.current for command in commands] == pytest.approx([0.2] * 5 + [-0.2])
+    assert {(command.enable, command.reset) for command in commands} == {(True, False)}
     first = commands[0].alive
     assert [command.alive for command in commands] == [(first + number) % 15 for number in range(6)]
 
@@ -304,7 +356,7 @@ def test_off_and_reset_go_out_with_no_current(world):
     commands = heard(world)
     world.host.disable()
     world.host.write(0.3, world.now)
-    assert {(command.enable, command.reset, command.current) for command in commands} == {(Switch.NO, Switch.NO, 0)}
+    assert {(command.enable, command.reset, command.current) for command in commands} == {(False, False, 0)}
     commands.clear()
     # Without a fault there is nothing to reset.
     world.host.reset_fault()
@@ -316,7 +368,7 @@ def test_the_largest_current_that_fits_its_frame_is_sent_to_either_side(world):
     commands = heard(world)
     for current in (3.2767, -3.2767):
         world.host.write(current, world.now)
-    assert [command.current for command in commands] == [32767, -32767]
+    assert [command.current for command in commands] == pytest.approx([3.2767, -3.2767])
     for current in (3.2768, -3.2768):
         with pytest.raises(ValueError, match="does not fit its frame"):
             world.host.write(current, world.now)
@@ -343,7 +395,7 @@ def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_ove
     world.host.reset_fault()
     within = world.host._parameters.answer_timeout
     world.run(within)
-    assert {(command.enable, command.reset) for command in commands} == {(Switch.NO, Switch.YES)}
+    assert {(command.enable, command.reset) for command in commands} == {(False, True)}
     assert len(commands) == 1 + round(within * 2000) and world.host.fault == ""
     world.run(0.001)
     assert world.host.fault == "the board reports: command timeout"
@@ -429,7 +481,7 @@ def test_counters_tell_of_the_bus_and_of_its_log(world):
 def test_a_request_for_a_frame_is_no_frame(world):
     world.run(0.2)
     before = world.host.counters()
-    world._receive(Frame(world.now, world.codec.encoder_id, REMOTE, b""), world.now)
+    world._receive(Frame(world.now, world.wire.sample.identifier, REMOTE, b""), world.now)
     assert world.host.counters() == before
 
 

@@ -15,7 +15,9 @@ from straightcomp_ros.hardware.can.budget import (
     table,
     traffic,
 )
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 
+CLASSIC, FD = (CanParameters(fd=fd).make_wire() for fd in (False, True))
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "can.md"
 
 
@@ -45,16 +47,16 @@ def test_a_classic_bus_at_1_mbit_s_carries_the_servo():
     assert classic_bits(8) == 135
     eight = [Traffic(name, 8, 2000, False) for name in ("encoder", "command")]
     assert load(eight, CLASSIC_1M) == pytest.approx(0.54)
-    assert round_trip(eight, CLASSIC_1M) == pytest.approx(540e-6)
-    assert load(traffic(fd=False), CLASSIC_1M) < 0.54
-    assert round_trip(traffic(fd=False), CLASSIC_1M) < 540e-6
+    assert round_trip(eight, CLASSIC_1M, ("encoder", "command")) == pytest.approx(540e-6)
+    assert load(traffic(CLASSIC, 2000), CLASSIC_1M) < 0.54
+    assert round_trip(traffic(CLASSIC, 2000), CLASSIC_1M, ("Encoder", "Command")) < 540e-6
 
 
 def test_can_fd_halves_load_and_latency():
     # 64 bytes: 517 bits and 130 stuffed, stuff count 4, CRC 21, 7 fixed stuff bits, delimiter.
     assert fd_time(64, 10**9, 1) == pytest.approx(680)
-    assert load(traffic(fd=True), FD_1M_5M) == pytest.approx(0.26, abs=0.01)
-    assert round_trip(traffic(fd=True), FD_1M_5M) < 270e-6
+    assert load(traffic(FD, 2000), FD_1M_5M) == pytest.approx(0.26, abs=0.01)
+    assert round_trip(traffic(FD, 2000), FD_1M_5M, ("EncoderFd", "CommandFd")) < 270e-6
     sizes = {*range(9), 12, 16, 20, 24, 32, 48, 64}  # ISO 11898-1, DLC
     for size in range(66):
         if size in sizes:
@@ -62,6 +64,13 @@ def test_can_fd_halves_load_and_latency():
         else:
             with pytest.raises(ValueError, match=f" {size} bytes"):
                 fd_time(size, 10**6, 5 * 10**6)
+
+
+def test_an_identifier_of_29_bits_takes_longer():
+    # SRR, IDE and 18 more bits of the identifier, all stuffed with the rest.
+    assert classic_bits(8, extended=True) == 160 and classic_bits(0, extended=True) == 80
+    assert fd_time(8, 1, 10**9, extended=True) == pytest.approx(36 + 8 + 12, abs=1e-3)
+    assert Traffic("one", 8, 1.0, False, True).time(CLASSIC_1M) == pytest.approx(160e-6)
 
 
 def test_the_document_shows_what_the_code_computes():

@@ -7,8 +7,7 @@ import pytest
 
 from straightcomp_ros.hardware.can.bus_faults import Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator_frames import StageReceiver, stage_payloads
-from straightcomp_ros.hardware.can.frames import Identifiers
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
 from straightcomp_ros.hardware.can.hub import (
     ERROR,
     EXTENDED,
@@ -30,6 +29,7 @@ from straightcomp_ros.trials.bench.can_fault_trial import position, run_trial
 from straightcomp_ros.trials.bench.can_servo_trial import _START_NS, _TRANSIT_NS, _Trial
 
 PERIOD = 500_000
+EMULATOR = EmulatorFrames(1, CanParameters().make_wire())
 
 
 def test_a_frame_comes_out_of_its_packet_and_out_of_its_message_as_it_was():
@@ -54,11 +54,10 @@ def test_a_standard_frame_wins_over_an_extended_one_with_the_same_first_bits():
 
 
 def test_a_waypoint_is_kept_to_ten_nanometres_and_ten_micrometres_per_second():
-    ids = Identifiers(1)
     points = [Waypoint(0, -0.123456785, 0.0), Waypoint(10**9, 1.76, -0.12346), Waypoint(2**55, 1.76, 0.0)]
-    frames = stage_payloads(ids, points)
-    assert [identifier for identifier, _ in frames] == [ids.stage_time, ids.stage_motion] * 3 + [ids.stage_start]
-    *gathering, received = [StageReceiver(ids), *frames]
+    frames = EMULATOR.stage_payloads(points)
+    assert [identifier for identifier, _ in frames] == [0x401, 0x481] * 3 + [0x501]
+    *gathering, received = [StageReceiver(EMULATOR), *frames]
     receiver, *others = gathering
     assert all(receiver.add(*frame) is None for frame in others)
     found = receiver.add(*received).waypoints
@@ -73,27 +72,25 @@ def test_a_waypoint_is_kept_to_ten_nanometres_and_ten_micrometres_per_second():
 
 
 def test_a_stage_may_have_255_points_and_each_must_fit():
-    ids = Identifiers(1)
     points = [Waypoint(k, 0.0, 0.0) for k in range(256)]
-    assert len(stage_payloads(ids, points[:255])) == 511
+    assert len(EMULATOR.stage_payloads(points[:255])) == 511
     with pytest.raises(HardwareError, match="256 points; allowed over CAN: <= 255"):
-        stage_payloads(ids, points)
+        EMULATOR.stage_payloads(points)
     for point in (Waypoint(0, 21.5, 0.0), Waypoint(0, 0.0, 84.0), Waypoint(2**56, 0.0, 0.0)):
         with pytest.raises(HardwareError, match="does not fit"):
-            stage_payloads(ids, [point])
+            EMULATOR.stage_payloads([point])
 
 
 def test_frames_of_another_length_or_identifier_are_none_of_the_stages():
-    ids = Identifiers(1)
-    frames = stage_payloads(ids, [Waypoint(0, 0.0, 0.0), Waypoint(9, 1.0, 0.0)])
+    frames = EMULATOR.stage_payloads([Waypoint(0, 0.0, 0.0), Waypoint(9, 1.0, 0.0)])
     for spoiled in range(4):
         for change in (lambda i, data: (i, data + b"\0"), lambda i, data: (i + 1, data)):
-            receiver = StageReceiver(ids)
+            receiver = StageReceiver(EMULATOR)
             for number, frame in enumerate(frames[:-1]):
                 assert receiver.add(*(change(*frame) if number == spoiled else frame)) is None
             with pytest.raises(HardwareError, match="missing"):
                 receiver.add(*frames[-1])
-    assert StageReceiver(ids).add(frames[-1][0], frames[-1][1] + b"\0") is None
+    assert StageReceiver(EMULATOR).add(frames[-1][0], frames[-1][1] + b"\0") is None
 
 
 def test_options_of_an_interface_are_pairs_of_a_name_and_a_value():
@@ -120,14 +117,14 @@ def test_the_stage_of_a_trial_goes_to_and_fro_at_its_speed_and_so_does_the_platf
 
 @pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 def test_a_trial_of_a_good_bus_delivers_every_sample_after_the_first_block(fd):
-    trial = run_trial({}, fd=fd, frames=600, first=123)
+    trial = run_trial({}, CanParameters(fd=fd), frames=600, first=123)
     assert trial.frames == 600 and trial.injected == {} and trial.unflagged_wrong == 0
     assert trial.delivered == 600 - BLOCK + 1
     assert not any(trial.receiver.counts.values()) and trial.receiver.sequence.lost == 0
 
 
 def test_a_servo_trial_counts_samples_of_the_wrong_place_number_or_time():
-    trial = _Trial({}, load_map(MapParameters(file="config/guide_synthetic.csv")), True, 1)
+    trial = _Trial({}, load_map(MapParameters(file="config/guide_synthetic.csv")), CanParameters(), 1)
     trial._taken[:] = [(1.0, 2.0), (3.0, 4.0)]
     second = _START_NS + _TRANSIT_NS + PERIOD
     for stamp_ns, place, wrong in (

@@ -16,8 +16,9 @@ from straightcomp_ros.hardware.can import frame_log
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, FrameLog, of_the_board, play, recorded_frames
-from straightcomp_ros.hardware.can.frames import Codec
+from straightcomp_ros.hardware.can.frames import EXTENDED_ID
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
 from straightcomp_ros.hardware.can.link import Link
@@ -79,6 +80,10 @@ def message(number, **options):
     )
 
 
+OF_BOARD = {0x181, 0x281, 0x381, 0x581, 0x701}
+"""Identifiers of node 1."""
+
+
 def frames_of_a_moving_board(fd):
     """Half a second of a board whose stage moves."""
     frames, now = [], [0]
@@ -97,7 +102,8 @@ def frames_of_a_moving_board(fd):
         )
 
     machine = SimulatedHardware(SimulatedParameters(), StageParameters(), GUIDE)
-    board = Board(machine, Codec(1, fd), 1.0, send, 0, tells_truth=True)
+    wire = CanParameters(fd=fd).make_wire()
+    board = Board(machine, wire, 1.0, send, 0, emulator=EmulatorFrames(1, wire), tells_truth=fd)
     machine.move(Trajectory(forward_and_back(MotionParameters(stroke=0.1, settle=0.0))), 0)
     for number in range(SAMPLES):
         now[0] = number * machine.period_ns
@@ -180,14 +186,14 @@ def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path, channel):
 
 def recorded_board(file, fd):
     """A log of the moving board, and the encoder frames in it."""
-    frames, codec = frames_of_a_moving_board(fd), Codec(1, fd)
+    frames, sample = frames_of_a_moving_board(fd), CanParameters(fd=fd).make_wire().sample
     log = FrameLog(file, "can0")
     log.start()
     for frame in frames:
         log.put(frame)
     log.close()
-    encoder = [frame for frame in frames if frame.arbitration_id == codec.encoder_id]
-    return log.file, [codec.unpack_encoder(bytes(frame.data)) for frame in encoder]
+    encoder = [frame for frame in frames if frame.arbitration_id == sample.identifier]
+    return log.file, [sample.unpack(bytes(frame.data)) for frame in encoder]
 
 
 @FORMATS
@@ -202,10 +208,10 @@ def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, endi
 
     parameters = CanParameters(fd=fd, sample_memory=SAMPLES, simulated_stage=True)
     driver = CanHardware(parameters, StageParameters(), lambda: round(START_S * 1e9), link)
-    for message in of_the_board(recorded_frames(file), 1):
+    for message in of_the_board(recorded_frames(file), OF_BOARD):
         feeds[0](frame_of(message), round(message.timestamp * 1e9))
     read = driver.read(round(START_S * 1e9))
-    assert [(sample.x, sample.y) for sample, _ in read] == [(f.x * 1e-7, f.y * 1e-7) for f in recorded[BLOCK - 1 :]]
+    assert [(sample.x, sample.y) for sample, _ in read] == [(f.x, f.y) for f in recorded[BLOCK - 1 :]]
     steps = [b[0].stamp_ns - a[0].stamp_ns for a, b in itertools.pairwise(read)]
     # A log has microseconds.
     assert all(abs(step - 500_000) < 2_000 for step in steps)
@@ -221,23 +227,24 @@ def test_a_log_is_played_to_a_driver_on_a_bus(tmp_path, channel):
     driver.start(time.time_ns())
     until(lambda: driver.counters()["can_openings"] == 1)
     with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus, reading(driver.wait, 50_000_000):
-        assert play(of_the_board(recorded_frames(file), 1), bus, 1.0) == len(recorded_frames_of(file))
+        assert play(of_the_board(recorded_frames(file), OF_BOARD), bus, 1.0) == len(recorded_frames_of(file))
         until(lambda: driver.counters()["can_received"] > SAMPLES / 2)
     read = [(sample.x, sample.y) for sample, _ in driver.read(time.time_ns())]
     driver.close()
     # How many come in time is the computer's affair; what comes is right, and in order.
-    assert read and read == [frame for frame in [(f.x * 1e-7, f.y * 1e-7) for f in recorded] if frame in set(read)]
+    assert read and read == [frame for frame in [(f.x, f.y) for f in recorded] if frame in set(read)]
 
 
 def recorded_frames_of(file):
-    return list(of_the_board(recorded_frames(file), 1))
+    return list(of_the_board(recorded_frames(file), OF_BOARD))
 
 
 def test_frames_of_others_are_left_out(tmp_path):
     board = [message(0), can.Message(arbitration_id=0x701, is_extended_id=False, data=[5])]
     others = [can.Message(arbitration_id=number, is_extended_id=False) for number in (0x301, 0x382, 0x7)]
     extended = can.Message(arbitration_id=0x381, is_extended_id=True)
-    assert list(of_the_board([*others, *board, extended], 1)) == board
+    assert list(of_the_board([*others, *board, extended], {0x381, 0x701})) == board
+    assert list(of_the_board([*others, *board, extended], {0x381 | EXTENDED_ID})) == [extended]
 
 
 def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monkeypatch):

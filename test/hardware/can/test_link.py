@@ -7,9 +7,10 @@ import pytest
 
 from straightcomp_ros.hardware.can import link as link_module
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import ERROR, EXTENDED, FD_FRAME, REMOTE, Frame
-from straightcomp_ros.hardware.can.hub_bus import message_of
-from straightcomp_ros.hardware.can.link import Link
+from straightcomp_ros.hardware.can.frames import EXTENDED_ID
+from straightcomp_ros.hardware.can.hub import ERROR, EXTENDED, FD_FRAME, REMOTE, Frame, address, addressed
+from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
+from straightcomp_ros.hardware.can.link import Link, filter_of
 
 OURS = 0x181
 
@@ -97,6 +98,17 @@ def test_only_the_boards_frames_and_error_frames_come_through(world):
     assert host.link.wait(0.0) == 5
     assert [one.flags for one, _ in host.arrived] == [FD_FRAME, REMOTE, ERROR | EXTENDED]
     assert host.filters == [{"can_id": OURS, "can_mask": 0x7FF, "extended": False}]
+
+
+def test_an_identifier_of_29_bits_is_sent_and_filtered_as_such():
+    wide, short = 0x18FF0201 | EXTENDED_ID, 0x201
+    assert filter_of(wide) == {"can_id": 0x18FF0201, "can_mask": 0x1FFFFFFF, "extended": True}
+    assert filter_of(short) == {"can_id": 0x201, "can_mask": 0x7FF, "extended": False}
+    for identifier, flags in ((wide, EXTENDED), (short, 0)):
+        for fd in (False, True):
+            frame = addressed(identifier, b"\1", fd=fd, stamp_ns=7)
+            assert frame == Frame(7, identifier & 0x1FFFFFFF, flags | (FD_FRAME if fd else 0), b"\1")
+            assert address(frame) == address(frame_of(message_of(frame))) == identifier
 
 
 @pytest.mark.parametrize(("ago_ns", "told"), [(4_000_000_000, True), (6_000_000_000, False), (-(10**9), False)])

@@ -5,14 +5,7 @@ import math
 import pytest
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import (
-    COUNTER_MODULUS,
-    Amplifier,
-    BoardFault,
-    Current,
-    Encoder,
-    status_bits,
-)
+from straightcomp_ros.hardware.can.frames import Amplifier, Report
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.stage.description import StageParameters
@@ -28,7 +21,7 @@ PERIOD = STAGE.period_ns
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_fault_is_found_as_often_as_it_was_made_and_no_wrong_sample_is_used(kind, fd):
     # Long enough that the stage turns round in it.
-    trial = run_trial({kind: 0.02}, fd=fd, frames=12_500)
+    trial = run_trial({kind: 0.02}, CanParameters(fd=fd), frames=12_500)
     assert trial.injected[kind] > 200
     assert trial.detected(kind) == trial.injected[kind]
     assert trial.unflagged_wrong == 0
@@ -39,25 +32,25 @@ def test_each_fault_is_found_as_often_as_it_was_made_and_no_wrong_sample_is_used
 
 @BUSES
 def test_all_faults_together_let_no_wrong_sample_through(fd):
-    trial = run_trial(dict.fromkeys(KINDS, 0.01), fd=fd, seed=7)
+    trial = run_trial(dict.fromkeys(KINDS, 0.01), CanParameters(fd=fd), seed=7)
     assert min(trial.injected.values()) > 50
     assert trial.unflagged_wrong == 0
     assert trial.delivered > 0.9 * trial.frames
 
 
-def frames(codec, index, amplifier=Amplifier.ON, jump=0):
-    """Identifiers and payloads that carry the sample ``index`` on a classic bus, current first sent with sample 0."""
+def frames(wire, index, amplifier=Amplifier.ON, jump=0):
+    """Identifiers and payloads that carry the sample ``index``; on a classic bus the current comes with every tenth."""
     x, y = position(index)
-    index %= COUNTER_MODULUS
-    status = status_bits(amplifier, BoardFault.NONE, True)
-    yield codec.encoder_id, codec.pack_encoder(Encoder(index % 15, status, x, y + jump, 0, index))
-    if not codec.fd and index % 10 == 0:
-        yield codec.ids.current, codec.pack_current(Current(index // 10 % 15, 250, index))
+    index %= wire.number_modulus
+    report = Report(0, index, x * 1e-7, (y + jump) * 1e-7, 0.025, amplifier, 0, True)
+    for one in wire.reports.values():
+        if index % one.every == 0:
+            yield one.identifier, one.pack(report._replace(alive=index // one.every % 15), 0)
 
 
 def feed(receiver, indices, start_ns=10**18, **options):
     for index in indices:
-        for identifier, payload in frames(receiver.codec, index, **options):
+        for identifier, payload in frames(receiver.wire, index, **options):
             receiver.receive(identifier, payload, start_ns + index * PERIOD)
 
 
@@ -75,9 +68,9 @@ def test_a_gap_of_any_length_costs_no_certainty_about_the_number_of_a_sample(rec
 
 
 def test_numbers_run_on_over_the_end_of_the_counter(receiver):
-    last = COUNTER_MODULUS
+    last = receiver.wire.number_modulus
     for number in range(last - 500, last + 500):
-        for identifier, payload in frames(receiver.codec, number):
+        for identifier, payload in frames(receiver.wire, number):
             receiver.receive(identifier, payload, 10**18 + (number - last) * PERIOD)
     assert [index for index, *_ in receiver.samples][-800:] == list(range(last - 300, last + 500))
     assert receiver.sequence.lost == 0 and not any(receiver.counts.values())
@@ -102,7 +95,7 @@ def test_the_coil_current_is_a_number_only_while_the_amplifier_is_on(receiver):
 def test_a_silence_is_no_reason_to_believe_a_counter_from_another_time():
     receiver = Receiver(CanParameters(fd=True), STAGE)
     feed(receiver, range(500))
-    identifier, payload = next(frames(receiver.codec, 900))
+    identifier, payload = next(frames(receiver.wire, 900))
     receiver.receive(identifier, payload, 10**18 + 501 * PERIOD)
     assert receiver.counts["implausible"] == 1
     assert receiver.samples[-1][0] == 499
@@ -111,7 +104,7 @@ def test_a_silence_is_no_reason_to_believe_a_counter_from_another_time():
 def test_many_bad_frames_in_a_row_strike_out_and_begin_anew(receiver):
     feed(receiver, range(500))
     for _ in range(4):
-        receiver.receive(receiver.codec.encoder_id, bytes(16 if receiver.codec.fd else 8), 10**18 + 500 * PERIOD)
+        receiver.receive(receiver.wire.sample.identifier, bytes(receiver.wire.sample.size), 10**18 + 500 * PERIOD)
     assert receiver.strike_outs == 1 and receiver.amplifier is None
     feed(receiver, range(520, 1000))
     assert receiver.samples[-1][0] == 999
@@ -119,7 +112,7 @@ def test_many_bad_frames_in_a_row_strike_out_and_begin_anew(receiver):
 
 def test_a_boot_up_forgets_the_counter_of_the_board_before(receiver):
     feed(receiver, range(5000, 5500))
-    receiver.receive(receiver.codec.ids.heartbeat, b"\0", 10**18 + 5500 * PERIOD)
+    receiver.receive(receiver.wire.heartbeat.identifier, b"\0", 10**18 + 5500 * PERIOD)
     assert receiver.boot_ups == 1 and receiver.amplifier is None
     feed(receiver, range(300), start_ns=10**18 + 5600 * PERIOD)
     assert [index for index, *_ in receiver.samples][-100:] == list(range(200, 300))

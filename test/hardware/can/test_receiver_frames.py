@@ -4,19 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from forgery import forged
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator_frames import truth_payload
-from straightcomp_ros.hardware.can.frames import (
-    ALIVE_MODULUS,
-    CURRENT_COUNT,
-    OPERATIONAL,
-    POSITION_COUNT,
-    Amplifier,
-    BoardFault,
-    Encoder,
-    status_bits,
-)
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Report
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import Truth
@@ -24,7 +16,7 @@ from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.stage.description import StageParameters
 
 START = 10**18
-ON = status_bits(Amplifier.ON, BoardFault.NONE, True)
+COUNT, AMPERE = 1e-7, 1e-4
 # A step of x by 1000 counts a sample, and of y by 100.
 STAGE = StageParameters(motion=MotionParameters(speed=0.1, highest_speed=0.2))
 Y_SPEED = 0.02
@@ -38,12 +30,13 @@ class Board:
         self.receiver = Receiver(CanParameters(fd=True, sample_memory=10_000, y_speed=Y_SPEED, **parameters), STAGE)
         self.number = 0
 
-    def sample(self, x=0, y=0, status=ON, current=0, late_ns=0, lost=0):
-        """The next sample after ``lost`` ones; returns what was delivered of it, or None."""
+    def sample(self, x=0, y=0, amplifier=Amplifier.ON, fault=0, good=True, current=0, late_ns=0, lost=0):
+        """The next sample after ``lost`` ones, in counts; returns what was delivered of it, or None."""
         self.number += lost
-        frame = Encoder(self.number % ALIVE_MODULUS, status, x, y, current, self.number)
+        report = Report(self.number % 15, self.number, x * COUNT, y * COUNT, current * AMPERE, amplifier, fault, good)
         delivered = len(self.receiver.samples)
-        self.hear(self.receiver.codec.encoder_id, self.receiver.codec.pack_encoder(frame), late_ns)
+        frames = self.receiver.wire.sample
+        self.hear(frames.identifier, frames.pack(report, 0), late_ns)
         self.number += 1
         return self.receiver.samples[-1] if len(self.receiver.samples) > delivered else None
 
@@ -71,7 +64,7 @@ def board():
 def test_a_step_is_as_wide_as_the_speed_allows_and_two_counts(board, name, step, sign, lost):
     largest = 2 + step * (lost + 1)
     index, sample, _ = board.sample(lost=lost, **{name: sign * largest})
-    assert index == BLOCK + lost and getattr(sample, name) == pytest.approx(sign * largest * POSITION_COUNT)
+    assert index == BLOCK + lost and getattr(sample, name) == pytest.approx(sign * largest * COUNT)
     assert board.sample(lost=lost, **{name: sign * (2 * largest + 1)}) is None
     assert board.refused() == {"implausible": 1}
 
@@ -81,24 +74,26 @@ def test_a_sample_is_in_metres_and_ampere_at_the_time_of_its_number(board):
     assert (index, truth) == (BLOCK, None)
     assert sample == (
         START + BLOCK * PERIOD,
-        pytest.approx(900 * POSITION_COUNT),
-        pytest.approx(-90 * POSITION_COUNT),
-        pytest.approx(-1234 * CURRENT_COUNT),
+        pytest.approx(900 * COUNT),
+        pytest.approx(-90 * COUNT),
+        pytest.approx(-1234 * AMPERE),
     )
     assert board.receiver.newest_ns == START + BLOCK * PERIOD
 
 
 def test_a_frame_of_no_state_strikes_and_a_state_with_a_fault_is_told(board):
-    assert board.sample(status=1 << 5) is None
+    frames = board.receiver.wire.sample
+    payload = frames.pack(Report(8, 128, 0.0, 0.0, 0.0, Amplifier.OFF, 0, True), 0)
+    board.hear(frames.identifier, forged(frames, payload, Amplifier=0))
     assert board.refused() == {"state": 1} and board.receiver.strikes == 4
-    board.sample(status=status_bits(Amplifier.FAULT, BoardFault.SUPPLY, True))
-    assert board.receiver.amplifier is Amplifier.FAULT and board.receiver.board_fault is BoardFault.SUPPLY
+    board.sample(amplifier=Amplifier.FAULT, fault=BoardFault.SUPPLY)
+    assert board.receiver.amplifier is Amplifier.FAULT and board.receiver.board_fault == BoardFault.SUPPLY
     assert math.isnan(board.receiver.samples[-1][1].current)
 
 
 def test_readings_that_the_board_says_are_bad_are_counted_and_not_delivered(board):
     received = board.receiver.received
-    assert board.sample(status=status_bits(Amplifier.ON, BoardFault.NONE, False)) is None
+    assert board.sample(good=False) is None
     assert board.refused() == {"encoders": 1} and board.receiver.received == received + 1
     # It was a good frame all the same: its number counts.
     assert board.sample()[0] == BLOCK + 1 and board.receiver.sequence.lost == 0
@@ -106,7 +101,7 @@ def test_readings_that_the_board_says_are_bad_are_counted_and_not_delivered(boar
 
 def test_a_bad_frame_adds_four_strikes_a_good_one_takes_one_off_and_the_limit_begins_anew():
     board = Board(strike_limit=11).settled()
-    bad = board.receiver.codec.encoder_id, bytes(16)
+    bad = board.receiver.wire.sample.identifier, bytes(16)
     board.hear(*bad)
     board.hear(*bad)
     assert board.receiver.strikes == 8 and board.refused() == {"crc": 2}
@@ -149,11 +144,12 @@ def test_errors_that_the_interface_reports_are_counted_by_their_classes(board):
 
 
 def test_a_heartbeat_tells_the_boards_state_and_its_time(board):
-    heartbeat = board.receiver.codec.ids.heartbeat
+    heartbeat = board.receiver.wire.heartbeat.identifier
     # The highest bit is CiA 301's toggle bit of node guarding.
-    for payload in (bytes([OPERATIONAL]), bytes([OPERATIONAL | 0x80])):
+    operational = board.receiver.wire.heartbeat.operational
+    for payload in (bytes([operational]), bytes([operational | 0x80])):
         board.hear(heartbeat, payload, late_ns=7)
-        assert board.receiver.node_state == OPERATIONAL
+        assert board.receiver.node_state == operational
         assert board.receiver.heartbeat_ns == START + board.number * PERIOD + 7
     assert board.receiver.boot_ups == 0 and board.receiver.amplifier is Amplifier.ON
     board.hear(heartbeat, b"\5\5")
@@ -163,8 +159,9 @@ def test_a_heartbeat_tells_the_boards_state_and_its_time(board):
 def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
     truth = Truth(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     plain, told = Board().settled(), Board(simulated_stage=True).settled()
-    assert plain.receiver.codec.ids.truth not in plain.receiver.identifiers
-    identifier = told.receiver.codec.ids.truth
+    emulator = EmulatorFrames(1, told.receiver.wire)
+    identifier, truth_payload = emulator.truth_id, emulator.truth_payload
+    assert identifier not in plain.receiver.identifiers
     told.hear(identifier, truth_payload(told.number, truth))
     assert told.sample()[2] == truth
     told.hear(identifier, truth_payload(told.number + 1, truth))
@@ -180,10 +177,9 @@ def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
 
 def test_a_classic_bus_has_the_coil_current_in_a_frame_of_its_own_and_no_truth():
     receiver = Receiver(CanParameters(fd=False, simulated_stage=True), STAGE)
-    ids = receiver.codec.ids
-    assert set(receiver.identifiers) == {ids.encoder, ids.current, ids.heartbeat}
+    assert receiver.identifiers == [0x181, 0x281, 0x701]
     fd = Receiver(CanParameters(fd=True, simulated_stage=True), STAGE)
-    assert set(fd.identifiers) == {ids.encoder_fd, ids.truth, ids.heartbeat}
+    assert fd.identifiers == [0x381, 0x701, 0x581]
 
 
 def test_stamps_never_run_backwards_when_the_clock_is_set_anew(board):

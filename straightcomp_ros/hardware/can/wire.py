@@ -1,0 +1,201 @@
+"""The messages between a board and its host, as a DBC file and the parameters `can.wire` describe them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, modulus
+from straightcomp_ros.hardware.can.frames import BoardFault
+from straightcomp_ros.hardware.can.message_code import Signals
+from straightcomp_ros.hardware.can.message_frames import CommandFrames, HeartbeatFrames, ReportFrames
+from straightcomp_ros.hardware.can.protection import Crc, ProtectionParameters, alive_modulus, data_ids
+from straightcomp_ros.hardware.can.roles import OF_BOARD, OF_HOST, Roles
+from straightcomp_ros.hardware.can.shipped_wire import FILE, shipped_wire
+from straightcomp_ros.hardware.can.wire_parameters import WireParameters
+from straightcomp_ros.settings.declaration import RefusedParameter, to_mapping
+
+if TYPE_CHECKING:
+    from cantools.database.can import Signal
+
+_LEAST_COUNTS = 4
+_USUAL_EVERY = 10
+"""Samples between two of the slower frames, where the DBC file does not say it."""
+
+
+class Wire:
+    """All frames of one board and its host.
+
+    Args:
+        dbc: the DBC file.
+        meaning: of its signals.
+        node: added to the identifiers of the file, less one.
+        fd: the bus is one for CAN FD.
+
+    Attributes:
+        sample: the frames with x and y.
+        reports: all frames of the board but the heartbeat, by identifier.
+        counting: frames with the sample's number: ``sample``, others, or None.
+        status: frames with the amplifier's state.
+        current: frames with the measured current; None for a board without.
+        heartbeat: None for a board without.
+        sample_modulus: of the count in each sample's own frame, by which samples are numbered; 0 without one.
+        number_modulus: of the numbers of samples that board and host agree on; 0 without any.
+        echo_modulus: of the echo in a command; 0 for a command without.
+        fault_codes: the board's code of each fault: that with its name in the DBC file, else its number as far as it
+            fits.
+
+    Raises:
+        RefusedParameter: file and meaning do not fit together; the names begin with ``wire.``.
+    """
+
+    def __init__(self, dbc: Dbc, meaning: WireParameters, node: int = 1, fd: bool = True) -> None:
+        self.dbc, self.meaning, self._node = dbc, meaning, node
+        self._roles = roles = Roles(dbc, meaning, fd)
+        signals, homes = roles.signals, roles.homes
+        protection = self._protections(homes)
+        reports: dict[str, ReportFrames] = {}
+        for name, protected in protection.items():
+            if name != homes["command"]:
+                inside = {role: signals[role] for role in OF_BOARD if homes.get(role) == name}
+                reports[name] = ReportFrames(self._signals(name, inside, *protected), meaning.fault.none_value)
+        self.sample, self.status = reports[homes["x"]], reports[homes["amplifier"]]
+        self.current = reports[homes["current"]] if "current" in homes else None
+        self.counting = reports[homes["counter"]] if "counter" in homes else None
+        self.reports: Mapping[int, ReportFrames] = {frames.identifier: frames for frames in reports.values()}
+        inside = {"current" if role == "command" else role: signals[role] for role in OF_HOST if role in signals}
+        self.command = CommandFrames(self._signals(homes["command"], inside, *protection[homes["command"]]))
+        self.heartbeat: HeartbeatFrames | None = None
+        if "heartbeat" in signals:
+            inside = {"state": signals["heartbeat"]}
+            beat = self._signals(homes["heartbeat"], inside, "", ProtectionParameters())
+            self.heartbeat = HeartbeatFrames(beat, meaning.heartbeat.boot_up_value, meaning.heartbeat.operational_value)
+        self.sample_modulus = self.sample.signals.counts("counter") or self.sample.signals.counts("alive")
+        self.number_modulus = self.counting.signals.counts("counter") if self.counting else self.sample_modulus
+        self.echo_modulus = min(self.command.signals.counts("echo"), self.number_modulus)
+        self._fault_words = {int(raw): str(words) for raw, words in _choices(signals.get("fault")).items()}
+        self.fault_codes = {fault: self._fault_code(fault) for fault in BoardFault}
+        self._set_rates()
+        self._check_numbers()
+
+    @property
+    def identifiers(self) -> list[int]:
+        """Of all frames that the board sends."""
+        return [*self.reports, *([self.heartbeat.identifier] if self.heartbeat else [])]
+
+    def fault_words(self, code: int) -> str:
+        """What the DBC file calls a fault code of the board."""
+        return self._fault_words.get(code, f"fault {code}")
+
+    def _fault_code(self, fault: BoardFault) -> int:
+        for raw, words in self._fault_words.items():
+            if words.lower().replace("_", " ") == fault.words:
+                return raw
+        if fault is BoardFault.NONE:
+            return self.meaning.fault.none_value
+        signal = self._roles.signals.get("fault")
+        return min(int(fault), modulus(signal) - 1) if signal else 0
+
+    def _protections(self, homes: Mapping[str, str]) -> dict[str, tuple[str, ProtectionParameters]]:
+        """For each message by name where its protection is described, and how."""
+        found: dict[str, tuple[str, ProtectionParameters]] = {}
+        for part, roles in (
+            ("sample", ("x",)),
+            ("status", ("amplifier", "fault")),
+            ("current", ("current", "counter")),
+            ("command", ("command",)),
+        ):
+            protected = getattr(self.meaning.protection, part)
+            names = [homes[role] for role in roles if role in homes and homes[role] not in found]
+            if not names and protected != ProtectionParameters():
+                text = "is given, but the signals are in a message that is protected by another part"
+                raise RefusedParameter(f"wire.protection.{part}", text)
+            found |= {name: (part, protected) for name in names}
+        return found
+
+    def _signals(self, name: str, inside: Mapping[str, Signal], part: str, protected: ProtectionParameters) -> Signals:
+        message = self.dbc.message(name)
+        place = f"wire.protection.{part}"
+        try:
+            identifier = self.dbc.identifier(message, self._node)
+        except DbcError as error:
+            raise RefusedParameter("node", str(error)) from None
+        crc, everything = None, dict(inside)
+        alive = self._roles.in_every_frame(message, protected.alive, f"{place}.alive") if protected.alive else None
+        if alive is not None:
+            everything["alive"] = alive
+        if protected.profile != "none":
+            try:
+                ids = data_ids(protected.data_id, protected.profile, identifier)
+            except DbcError as error:
+                raise RefusedParameter(f"{place}.data_id", str(error)) from None
+            crc_signal = self._roles.in_every_frame(message, protected.crc, f"{place}.crc")
+            try:
+                crc = Crc(message, crc_signal, alive, protected.profile, ids)
+            except DbcError as error:
+                raise RefusedParameter(f"{place}.crc", str(error)) from None
+        elif protected.crc or protected.data_id:
+            raise RefusedParameter(f"{place}.profile", "'none' is not allowed beside a CRC signal or data id")
+        asked = "command" if part == "command" else "current"
+        known = {"x": "x", "y": "y", "current": asked}
+        factors = {field: self._roles.factor(known[field]) for field in inside if field in known}
+        counts = alive_modulus(alive, protected.profile) if alive is not None else 0
+        return Signals(message, identifier, everything, factors, self._roles.values(), counts, crc)
+
+    def _set_rates(self) -> None:
+        sample_ms = self.sample.signals.message.cycle_time
+        for frames in self.reports.values():
+            if frames is not self.sample:
+                cycle_ms = frames.signals.message.cycle_time
+                frames.every = max(1, round(cycle_ms / sample_ms)) if sample_ms and cycle_ms else _USUAL_EVERY
+
+    def _check_numbers(self) -> None:
+        counts = self.sample.signals.counts("alive")
+        if self.counting and self.counting is not self.sample and (not counts or self.number_modulus % counts):
+            text = (
+                f"'{self.counting.signals.message.name}' is not allowed without a count in the frames of 'x' that "
+                "divides the counter's; allowed: the message of 'x', or give 'wire.protection.sample.alive'"
+            )
+            raise RefusedParameter("wire.counter.message", text)
+        if self.sample_modulus and self.sample_modulus < _LEAST_COUNTS:
+            text = f"counts to {self.sample_modulus}; allowed: >= {_LEAST_COUNTS} counts"
+            raise RefusedParameter("wire.counter.signal", text)
+        if self.command.signals.counts("echo") and not self.number_modulus:
+            raise RefusedParameter("wire.echo.signal", "needs a count of the samples: 'counter' or 'protection.sample'")
+        if self.echo_modulus and self.number_modulus % self.echo_modulus:
+            text = f"counts to {self.echo_modulus}, which does not divide the {self.number_modulus} of the samples"
+            raise RefusedParameter("wire.echo.signal", text)
+
+
+def _choices(signal: Signal | None) -> Mapping[int, Any]:
+    return (signal.choices if signal else None) or {}
+
+
+def make_wire(file: str, meaning: WireParameters, node: int, fd: bool) -> Wire:
+    """The wire of the DBC ``file``, or without one of the package's own; raises RefusedParameter."""
+    if file:
+        return _made(file, _modified(file), meaning, node, fd)
+    usual = to_mapping(WireParameters())
+    for name, value in to_mapping(meaning).items():
+        if value != usual[name]:
+            raise RefusedParameter(f"wire.{name}", f"{value!r} is not allowed without a file in '{{group}}dbc'")
+    return _made(FILE, 0, shipped_wire(fd), node, fd)
+
+
+@lru_cache(maxsize=16)
+def _made(file: str, modified: int, meaning: WireParameters, node: int, fd: bool) -> Wire:
+    """A wire, made once as long as its file is not ``modified``."""
+    try:
+        dbc = Dbc(file)
+    except DbcError as error:
+        raise RefusedParameter("dbc", str(error)) from None
+    return Wire(dbc, meaning, node, fd)
+
+
+def _modified(file: str) -> int:
+    try:
+        return Path(file).expanduser().stat().st_mtime_ns
+    except OSError:
+        return 0

@@ -1,0 +1,65 @@
+"""A board's DBC file beside the description of its stage: what does not fit is found."""
+
+import json
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration.parameter_file import as_parameter_file, shipped_parameters
+from straightcomp_ros.settings.share import share_path
+
+OWN = str(share_path("config/stage_synthetic.yaml"))
+FOREIGN = str(share_path("config/board_motorola.yaml"))
+
+
+@pytest.fixture
+def check(capsys, tmp_path):
+    """``check(path, node={parameter: value})``: findings of the wire in a stage file with other parameters."""
+
+    def run(path, **changes):
+        values = shipped_parameters(stage=path)
+        for node, changed in changes.items():
+            values[node] |= changed
+        file = tmp_path / "stage.yaml"
+        file.write_text(as_parameter_file(values))
+        main(["stage", "check", str(file), "--json"])
+        return [one for one in json.loads(capsys.readouterr().out)["checks"] if one["name"].startswith("wire")]
+
+    return run
+
+
+def states(found):
+    return {one["name"]: one["state"] for one in found}
+
+
+def test_the_packages_own_frames_fit_its_own_stage(check):
+    assert check(OWN) == []
+    found = check(OWN, driver={"hardware": "can"})
+    assert set(states(found).values()) == {"ok"} and found[0]["detail"].startswith("config/straightcomp.dbc: EncoderFd")
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "state", "words"),
+    [
+        ({"stage": {"motion.start": 2.0}}, "wire x", "fail", "the stage needs 2 to 3.76 m"),
+        ({"driver": {"can.wire.y.factor": 0.1}}, "wire y", "fail", "needs -0.0012 to 0.0012 m"),
+        ({"stage": {"encoder.x_resolution": 1e-8}}, "wire x", "warn", "in steps of 1.22e-07 m; the stage needs"),
+        ({"stage": {"rate": 4500}}, "wire bus", "fail", "busy by 1"),
+        ({"stage": {"rate": 3600}}, "wire bus", "warn", "busy by 8"),
+    ],
+)
+def test_a_range_a_resolution_and_a_bus_that_do_not_do_are_found(check, changes, name, state, words):
+    (finding,) = (one for one in check(FOREIGN, **changes) if one["name"] == name)
+    assert finding["state"] == state and words in finding["detail"] and finding["remedy"]
+
+
+def test_a_scale_that_is_coarser_than_the_encoder_is_found(check):
+    found = check(OWN, driver={"hardware": "can"}, stage={"encoder.y_resolution": 1e-9})
+    (finding,) = (one for one in found if one["name"] == "wire y")
+    assert finding["state"] == "warn" and "in steps of 1e-07 m; the stage needs" in finding["detail"]
+    assert "too coarse" in finding["remedy"]
+
+
+def test_protection_that_is_missing_is_found(check):
+    missing = [one["detail"] for one in check(FOREIGN) if one["name"] == "wire protection"]
+    assert len(missing) == 2 and "counts to 256 only" in missing[0]

@@ -1,0 +1,201 @@
+"""A board's DBC file and the meaning of its signals: what the driver makes of them, and what it refuses."""
+
+import dataclasses
+
+import pytest
+
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
+from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.settings.share import share_path
+
+MEANING = str(share_path("config/board_motorola.yaml"))
+REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
+
+
+def driver(**changes):
+    """The driver's parameters of the foreign board, with others by their name in `can`; "/" stands for a dot."""
+    values = shipped_parameters(stage=MEANING)
+    values["driver"] |= {"hardware": "can"} | {f"can.{name.replace('/', '.')}": to for name, to in changes.items()}
+    return node_parameters("driver", values).can
+
+
+def foreign(**changes):
+    return driver(**changes).make_wire()
+
+
+@pytest.fixture
+def edited(tmp_path):
+    """``edited(old, new)`` is a copy of the foreign DBC file with a change."""
+
+    def edit(old, new):
+        text = share_path("config/board_motorola.dbc").read_text()
+        assert old in text
+        file = tmp_path / "edited.dbc"
+        file.write_text(text.replace(old, new))
+        return str(file)
+
+    return edit
+
+
+def test_another_boards_file_gives_identifiers_lengths_and_kinds_of_frames():
+    wire = foreign()
+    assert (wire.sample.identifier, wire.sample.size, wire.sample.fd) == (0x120, 16, True)
+    assert (wire.status.identifier, wire.status.size, wire.status.fd, wire.status.every) == (0x321, 8, False, 10)
+    # Bit 31 marks an identifier of 29 bits.
+    assert (wire.command.identifier, wire.command.size, wire.command.fd) == (0x98FF0201, 8, False)
+    assert wire.heartbeat is None and wire.counting is None
+    assert (wire.sample_modulus, wire.number_modulus, wire.echo_modulus) == (256, 256, 256)
+    assert foreign(node=3).sample.identifier == 0x122
+
+
+def test_physical_values_of_another_board_are_in_si_units():
+    wire = foreign()
+    told = wire.sample.unpack(wire.sample.pack(REPORT, 0))
+    assert (told.x, told.y, told.current) == pytest.approx((1.7, -22e-6, -0.5), rel=1e-7)
+    command = Command(3, True, False, 0.25, 77)
+    assert wire.command.unpack(wire.command.pack(command)) == command
+    turned = foreign(**{"wire/y/factor": -1.0, "wire/command/factor": 0.5})
+    assert turned.sample.unpack(wire.sample.pack(REPORT, 0)).y == pytest.approx(22e-6, rel=1e-7)
+    assert turned.command.span == (-1.0, 1.0)
+
+
+def test_pages_of_a_multiplexed_status_take_turns_and_tell_what_they_have():
+    wire = foreign()
+    told = [wire.status.unpack(wire.status.pack(REPORT._replace(fault=34), turn)) for turn in range(4)]
+    assert [one.amplifier for one in told] == [Amplifier.ON, None, Amplifier.ON, None]
+    assert [one.fault for one in told] == [None, 34, None, 34]
+    assert wire.fault_words(34) == "SUPPLY" and wire.fault_words(99) == "fault 99"
+    assert wire.fault_codes[BoardFault.COMMAND_TIMEOUT] == 17 and wire.fault_codes[BoardFault.NONE] == 0
+
+
+def test_values_without_a_meaning_of_their_own_are_off_where_the_parameters_say_so():
+    wire = foreign()
+    off = wire.status.pack(REPORT._replace(amplifier=Amplifier.OFF), 0)
+    assert wire.status.unpack(off).amplifier is Amplifier.OFF
+    # Now READY, the other of the two, is "on" and ENABLED none: what is not told is refused.
+    strict = foreign(**{"wire/amplifier/off_value": 0, "wire/amplifier/on_value": 1})
+    assert strict.status.unpack(strict.status.pack(REPORT, 0)).amplifier is Amplifier.ON
+    with pytest.raises(ValueError, match="state"):
+        strict.status.unpack(wire.status.pack(REPORT, 0))
+
+
+def test_a_reading_that_is_no_number_is_not_good(edited):
+    plain = foreign(
+        dbc=edited('(1,0) [-2000|2000] "mm"', '(1,0) [0|0] "mm"'),
+        **{
+            "wire/protection/sample/profile": "none",
+            "wire/protection/sample/crc": "",
+            "wire/protection/sample/data_id": "",
+        },
+    )
+    payload = bytearray(plain.sample.pack(REPORT, 0))
+    assert plain.sample.unpack(bytes(payload)).good
+    payload[4:8] = bytes.fromhex("7fc00000")
+    assert not plain.sample.unpack(bytes(payload)).good
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"dbc": "nowhere.dbc"}, "'can.dbc': 'nowhere.dbc': No such file"),
+        ({"dbc": MEANING}, "'can.dbc': .* is no valid DBC file"),
+        (
+            {"wire/x/message": "DSP_MESA"},
+            "'can.wire.x.message': 'DSP_MESA' is not a message of .*did you mean 'DSP_MEAS'",
+        ),
+        ({"wire/y/signal": "POSY"}, "'can.wire.y.signal': 'POSY' is not a signal of message 'DSP_MEAS' of .*'POS_Y'"),
+        ({"wire/x/signal": ""}, "'can.wire.x.signal': '' is not allowed; the driver needs this signal"),
+        (
+            {"wire/y/message": "DSP_STATUS", "wire/y/signal": "SUPPLY"},
+            "'can.wire.y.message': 'DSP_STATUS'.*both readings",
+        ),
+        ({"wire/current/signal": "POS_X"}, "'can.wire.current.signal': 'POS_X' is in 'mm'; allowed: A, mA"),
+        ({"wire/x/factor": 0.0}, r"'can.wire.x.factor': 0.0 is not allowed"),
+        (
+            {"wire/enable/message": "DSP_STATUS", "wire/enable/signal": "SUPPLY"},
+            "'can.wire.enable.message'.*one message",
+        ),
+        ({"wire/counter/message": "DSP_STATUS"}, "'can.wire.counter.signal': '' is not allowed beside message"),
+        ({"wire/amplifier/fault_value": -1}, "'can.wire.amplifier.fault_value': -1 needs"),
+        (
+            {"wire/amplifier/on_value": 8},
+            "'can.wire.amplifier.on_value': 8 does not fit signal 'AMP_STATE'.*allowed: 0 to 3",
+        ),
+        (
+            {"wire/enable/yes_value": 2},
+            "'can.wire.enable.yes_value': 2 does not fit signal 'SET_ENABLE'.*allowed: 0 to 1",
+        ),
+        ({"wire/echo/signal": "SET_CURRENT"}, "'can.wire.echo.signal': 'SET_CURRENT' is signed or a float"),
+        ({"wire/counter/signal": "POS_X"}, "'can.wire.counter.signal': 'POS_X' is signed or a float"),
+        (
+            {"wire/protection/status/crc": "ERROR_CODE"},
+            "'can.wire.protection.status.crc': 'ERROR_CODE' is multiplexed; allowed: a signal that is in every frame",
+        ),
+        ({"wire/protection/sample/crc": ""}, "'can.wire.protection.sample.crc': '' is not a signal"),
+        (
+            {"wire/protection/sample/profile": "e2e_1"},
+            "'can.wire.protection.sample.crc': .* allowed with profile e2e_1",
+        ),
+        (
+            {"wire/protection/status/profile": "none"},
+            "'can.wire.protection.status.profile': 'none' is not allowed beside",
+        ),
+        ({"wire/protection/current/alive": "MEAS_CNT"}, "'can.wire.protection.current': is given, but"),
+        ({"wire/protection/sample/data_id": "x"}, "'can.wire.protection.sample.data_id': 'x' is not allowed"),
+        ({"fd": False}, "'can.wire.x.message': 'DSP_MEAS' of .* is a message of CAN FD.*'can.fd' is false"),
+        ({"dbc": ""}, r"'can.wire.x.message': 'DSP_MEAS' is not allowed without a file in 'can.dbc'"),
+    ],
+)
+def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_allowed(changes, words):
+    with pytest.raises(ParameterError, match=words):
+        driver(**changes)
+
+
+def test_a_current_limit_beyond_the_command_signal_is_refused(edited):
+    dbc = edited('[-2|2] "A" DSP', '[-0.5|0.6] "A" DSP')
+    with pytest.raises(
+        ParameterError, match=r"'stage.actuator.current_limit': .* is too large for CAN; allowed: <= 0.5 A"
+    ):
+        driver(dbc=dbc)
+
+
+def test_a_message_that_fits_no_frame_and_a_node_that_no_identifier_has_are_refused(edited):
+    with pytest.raises(ParameterError, match=r"message 'DSP_MEAS' of .* has 17 bytes; allowed: 0, 1, 2"):
+        driver(dbc=edited("DSP_MEAS: 16", "DSP_MEAS: 17"))
+    with pytest.raises(
+        ParameterError, match=r"'can.node': 127 moves message 'DSP_STATUS' .* to 0x826; allowed: <= 0x7ff"
+    ):
+        driver(dbc=edited(" 801 ", " 1960 "), node=127)
+
+
+def test_a_frame_with_an_identifier_of_the_emulators_is_refused_where_a_stage_is_simulated(edited):
+    wire = foreign(dbc=edited(" 801 ", " 1153 "))
+    with pytest.raises(ParameterError, match=r"'can.simulated_stage': .* frame 0x481 .* emulator's 'StageMotion'"):
+        EmulatorFrames(1, wire)
+
+
+def test_a_file_that_was_edited_is_read_again(edited):
+    assert foreign(dbc=edited(" 801 ", " 802 ")).status.identifier == 802
+    assert foreign(dbc=edited(" 801 ", " 803 ")).status.identifier == 803
+
+
+def test_an_echo_needs_a_count_of_the_samples():
+    with pytest.raises(ParameterError, match=r"'can.wire.echo.signal': needs a count of the samples"):
+        driver(
+            **{
+                f"wire/protection/sample/{name}": value
+                for name, value in (("profile", "none"), ("crc", ""), ("alive", ""), ("data_id", ""))
+            }
+        )
+
+
+def test_the_meaning_of_the_own_file_may_be_said_as_that_of_any_other():
+    own = CanParameters().make_wire()
+    said = CanParameters(dbc="config/straightcomp.dbc", wire=own.meaning).make_wire()
+    assert said.sample.pack(REPORT._replace(counter=49), 0) == own.sample.pack(REPORT._replace(counter=49), 0)
+    with pytest.raises(ParameterError, match="without a file in"):
+        dataclasses.replace(CanParameters(), wire=own.meaning)
