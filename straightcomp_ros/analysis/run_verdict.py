@@ -36,6 +36,9 @@ _HARM = 2.0
 """A disturbance did harm if the error is larger by this factor, p-p, than without the samples that it disturbed."""
 _UNDISTURBED = 0.2
 """Fraction of a run that must be undisturbed so that its error can be compared with the rest's."""
+_RARE, _PEAK = 0.01, 3.0
+"""Of a run without such a rest: single stalls did harm if the error p-p is larger by this factor than without the
+samples of its rarest values. In runs without stalls the factor is 1.2 to 2.2."""
 _AT_LIMIT = 1.0 - 1e-9
 """Fraction of the largest current from which a command counts as limited."""
 _ONE_SIDED = 0.5
@@ -108,6 +111,9 @@ def _starved(course: Course, later: Verdict | None) -> Verdict | None:
     remedy = "straightcomp doctor says what delays this computer"
     if np.count_nonzero(~mask) < _UNDISTURBED * mask.size:
         share = f"{stalls} disturbed {mask.mean():.0%} of the motion; allowed: {1.0 - _UNDISTURBED:.0%}"
+        usual = float(np.ptp(np.quantile(course.error, (0.5 * _RARE, 1.0 - 0.5 * _RARE))))
+        if later is None and course.pp > _PEAK * usual and course.pp - usual > course.count:
+            later = Verdict(INACCURATE, f"error {_um(course.pp)} p-p, {_um(usual)} in {1.0 - _RARE:.0%} of the motion")
         return None if later is None else Verdict(STARVED, f"{share}; {remedy}; {later.reason}")
     calm = peak_to_peak(course.error[~mask])
     # A loop that fails without a stall too has another reason.
