@@ -80,9 +80,9 @@ def test_a_run_of_stalls_is_starved_only_if_its_figures_are_bad():
     bad = verdict_of(course(R, stalls=stalls), Bounds())
     assert bad.verdict == "starved" and "disturbed 100%" in bad.reason and "stands still" in bad.reason
     assert word(course(stalls=stalls)) == "in_order"
-    peak = verdict_of(course(SMALL + bump(4.0, 2e-6), stalls=stalls), Bounds())
+    peak = verdict_of(course(SMALL + bump(4.0, 2e-6, 0.005), stalls=stalls), Bounds())
     assert peak.verdict == "starved" and "error 2.02 µm p-p" in peak.reason
-    assert word(course(SMALL + bump(4.0, 0.15e-6), stalls=stalls)) == "in_order"
+    assert word(course(SMALL + bump(4.0, 0.15e-6, 0.005), stalls=stalls)) == "in_order"
 
 
 def test_a_platform_that_reached_its_stop_is_at_the_stop_whatever_else():
