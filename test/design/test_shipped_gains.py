@@ -11,7 +11,7 @@ from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.starts import metrics_of_starts, spreads
 
 LAW = "smc_observer"
-BEHIND = {"true_pp_um": 1.15, "true_rms_um": 1.05, "control_rms_step_A": 1.15}
+BEHIND = {"true_pp_um": 1.1, "true_rms_um": 1.05, "control_rms_step_A": 1.1}
 """Factors by which the shipped gains may be behind a design, by figure; a p-p is one extreme of a stroke."""
 
 
@@ -22,7 +22,6 @@ def test_the_shipped_gains_are_little_behind_a_design_for_the_shipped_stage():
     design = design_gains(make_scenario(shipped, [LAW]), LAW, quiet=SHIPPED_QUIET, jobs=1)
     designed = {**shipped, "controller": {**shipped["controller"], **design.values}}
     ours, theirs = (spreads(one.to_display() for one in metrics_of_starts(values)) for values in (shipped, designed))
-    print({name: (ours[name].median, theirs[name].median) for name in BEHIND}, dict(design.values))
     assert design.verification.holds
     for name, behind in BEHIND.items():
         assert ours[name].median <= behind * theirs[name].median, name
