@@ -12,6 +12,7 @@ import numpy as np
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.configuration import node_parameters as nodes
 from straightcomp_ros.configuration.node_parameters import Values
+from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.learning import make_learning
@@ -127,6 +128,10 @@ class Simulation:
         progress(1.0)
         columns = dict(zip(_COLUMNS, np.frombuffer(rows).reshape(count, -1).T.copy(), strict=True))
         return StrokeRecord(time=np.arange(count) * (period_ns * 1e-9), law=self._law_name, **columns)
+
+    def inject(self, injection: Injection) -> None:
+        """Add a test signal to the commands from the next sample on."""
+        self._servo.inject(injection)
 
     def save_learning(self) -> None:
         """Write the learned correction to the file that the parameters name, if they do; OSError if that fails."""
