@@ -18,7 +18,7 @@ from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.hardware.interface import Sample, Truth
+from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.settings.declaration import ParameterError
@@ -58,6 +58,7 @@ class Simulation:
         values: parameters by node and dotted name.
         law: replaces the law that the parameters name.
         motion: of the stage, and its start in ns; the cell's cycle from 0 if None.
+        wiring: puts something between the machine and its driver.
 
     Raises:
         ParameterError: a parameter is refused, or controller and machine disagree about the rate.
@@ -71,7 +72,13 @@ class Simulation:
     map: StraightnessMap
     delay: float
 
-    def __init__(self, values: Values, law: Law | None = None, motion: tuple[Trajectory, int] | None = None) -> None:
+    def __init__(
+        self,
+        values: Values,
+        law: Law | None = None,
+        motion: tuple[Trajectory, int] | None = None,
+        wiring: Callable[[SimulatedHardware], Hardware] | None = None,
+    ) -> None:
         parameters = node_set(values)
         parameters.check_rates()
         driver, feedforward, controller, cell = parameters
@@ -79,7 +86,9 @@ class Simulation:
         self.map = load_map(feedforward.stage.guide)
         self.delay = driver.stage.drive.delay
         self._law_name = control.law
-        self._hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide())
+        hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide())
+        self._period_ns = hardware.period_ns
+        self._hardware: Hardware = wiring(hardware) if wiring else hardware
         self._feedforward = Feedforward(self.map, feedforward.feedforward, feedforward.stage.motion.highest_speed)
         self._pairing = Pairing(controller.lead_ns, wait=True)
         self._learning = make_learning(controller.learning, control.law, stage.rate)
@@ -101,7 +110,7 @@ class Simulation:
         """
         hardware, pairing = self._hardware, self._pairing
         step, reference_at = self._servo.step, self._feedforward.step
-        period_ns = hardware.period_ns
+        period_ns = self._period_ns
         delay_ns = round(self.delay * period_ns)
         count = -(-(self._trajectory.end_ns + self._start_ns) // period_ns)
         rows = array("d")

@@ -1,0 +1,5 @@
+"""From a roughly described stage to one that is measured, tuned and verified, in steps. No ROS."""
+
+
+class CommissioningError(ValueError):
+    """Commissioning cannot go on; the message says what was found, and what helps."""

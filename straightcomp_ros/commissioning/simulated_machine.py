@@ -1,0 +1,93 @@
+"""The simulated stage as a machine under commissioning, in simulated time."""
+
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.commissioning.machine import Array, Series
+from straightcomp_ros.configuration.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
+from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, measure_simulated
+from straightcomp_ros.hardware.interface import Hardware
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.settings.declaration import to_mapping
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+
+
+def sound(hardware: SimulatedHardware) -> Hardware:
+    """The machine as its parameters say."""
+    return hardware
+
+
+class SimulatedMachine:
+    """The simulated stage; what the controller is given never changes it.
+
+    Args:
+        values: parameters by node and dotted name; those of the driver are the machine's.
+        wiring: puts something between the machine and its driver, for trials with broken machines.
+    """
+
+    def __init__(self, values: Values, wiring: Callable[[SimulatedHardware], Hardware] = sound) -> None:
+        self._wiring = wiring
+        self._driver: DriverNodeParameters = node_parameters("driver", values)
+        # Its own copy of the description: what is found out about the machine must not change it.
+        described = {f"stage.{name}": value for name, value in to_mapping(self._driver.stage).items()}
+        self._own: dict[str, Any] = {**values.get("driver", {}), **described}
+
+    def listen(self, seconds: float) -> Series:
+        """See `Machine`."""
+        hardware = self._hardware()
+        return self._run(hardware, np.zeros(round(seconds * self._driver.stage.rate)), np.inf)
+
+    def play(self, currents: Array, travel: float) -> Series:
+        """See `Machine`."""
+        hardware = self._hardware()
+        hardware.enable()
+        try:
+            return self._run(hardware, currents, travel)
+        finally:
+            hardware.disable()
+
+    def stroke(self, values: Values, bag: Path) -> tuple[StrokeRecord, StraightnessMap]:
+        """See `Machine`."""
+        whole = self._with_controller(values)
+        simulation = Simulation(whole, wiring=self._wiring)
+        shutil.rmtree(bag, ignore_errors=True)
+        with SimulatedRun(bag, by_node(whole), simulation.delay) as run:
+            record = simulation.run(observe=run.add)
+        return record, simulation.map
+
+    def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
+        """See `Machine`."""
+        return measure_simulated(self._with_controller(values), excitation)
+
+    def _with_controller(self, values: Values) -> dict[str, Mapping[str, Any]]:
+        return {**values, "driver": self._own}
+
+    def _hardware(self) -> Hardware:
+        driver = self._driver
+        return self._wiring(SimulatedHardware(driver.simulated, driver.stage, driver.guide()))
+
+    def _run(self, hardware: Hardware, currents: Array, travel: float) -> Series:
+        stage = self._driver.stage
+        delay_ns = round(stage.drive.delay * stage.period_ns)
+        rows: list[tuple[int, float, float, float, float]] = []
+        left = False
+        hardware.start(0)
+        for index, current in enumerate(currents.tolist()):
+            now_ns = index * stage.period_ns
+            for sample, _ in hardware.read(now_ns):
+                left = left or not abs(sample.y - (rows[0][2] if rows else sample.y)) <= travel
+                rows.append((sample.stamp_ns, sample.x, sample.y, sample.current, current))
+            if left:
+                break
+            hardware.write(current, now_ns + delay_ns)
+        stamps = np.array([row[0] for row in rows], np.int64)
+        x, y, measured, command = np.array([row[1:] for row in rows]).reshape(-1, 4).T
+        return Series(stamps, x, y, measured, command, left)
