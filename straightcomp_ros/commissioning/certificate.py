@@ -71,7 +71,7 @@ def _page(told: Mapping[str, Any], loop: Path) -> str:
 
 
 def _table(figures: Mapping[str, Any]) -> str:
-    """Rows of all numbers and texts; those of inner mappings under both names. Long lists are in the JSON alone."""
+    """Rows of all numbers and texts; those of inner mappings under both names. Lists are in the JSON alone."""
     rows = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in _flat(figures, ""))
     return f"<table>{rows}</table>" if rows else ""
 
@@ -79,7 +79,10 @@ def _table(figures: Mapping[str, Any]) -> str:
 def _flat(figures: Mapping[str, Any], before: str) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     for name, value in figures.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and {"value", "low", "high"} <= set(value):
+            given = "given" if value.get("known") else f"{value['low']:.4g} to {value['high']:.4g}"
+            rows.append((before + name, f"{value['value']:.4g} ({given})"))
+        elif isinstance(value, Mapping):
             rows += _flat(value, f"{before}{name} ")
         elif isinstance(value, float):
             rows.append((before + name, f"{value:.5g}"))

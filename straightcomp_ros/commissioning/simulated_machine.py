@@ -31,6 +31,9 @@ class SimulatedMachine:
     Args:
         values: parameters by node and dotted name; those of the driver are the machine's.
         wiring: puts something between the machine and its driver, for trials with broken machines.
+
+    Attributes:
+        parameters: of the driver, by dotted name, with the whole description.
     """
 
     def __init__(self, values: Values, wiring: Callable[[SimulatedHardware], Hardware] = sound) -> None:
@@ -38,7 +41,7 @@ class SimulatedMachine:
         self._driver: DriverNodeParameters = node_parameters("driver", values)
         # Its own copy of the description: what is found out about the machine must not change it.
         described = {f"stage.{name}": value for name, value in to_mapping(self._driver.stage).items()}
-        self._own: dict[str, Any] = {**values.get("driver", {}), **described}
+        self.parameters: Mapping[str, Any] = {**values.get("driver", {}), **described}
 
     def listen(self, seconds: float) -> Series:
         """See `Machine`."""
@@ -68,7 +71,7 @@ class SimulatedMachine:
         return measure_simulated(self._with_controller(values), excitation)
 
     def _with_controller(self, values: Values) -> dict[str, Mapping[str, Any]]:
-        return {**values, "driver": self._own}
+        return {**values, "driver": self.parameters}
 
     def _hardware(self) -> Hardware:
         driver = self._driver
