@@ -3,3 +3,7 @@
 
 class CommissioningError(ValueError):
     """Commissioning cannot go on; the message says what was found, and what helps."""
+
+
+class LeftTravel(CommissioningError):
+    """The platform strayed from its reference; the amplifier was switched off."""

@@ -4,6 +4,7 @@ import yaml
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.settings.whole_file import write_whole
@@ -16,7 +17,10 @@ _LIMITED = ("encoder_pp_um", "encoder_rms_um", "control_rms_step_A")
 def acceptance(work: Work) -> Outcome:
     """Make one cycle, judge it, and write `limits.yaml`."""
     bag = work.folder / "bags" / "acceptance"
-    record, straightness = work.machine.stroke(work.values, bag)
+    try:
+        record, straightness = work.machine.stroke(work.values, bag, work.travel)
+    except LeftTravel as error:
+        return Outcome(False, str(error))
     verdict = judged_run(record, straightness, by_node(work.values), straightness)
     figures = {**evaluate(record, straightness).to_display(), **verdict._asdict()}
     if not verdict.in_order:

@@ -7,6 +7,7 @@ needs. What is compared with the description is what does not depend on that fac
 import math
 from typing import Any
 
+from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.identification.estimate import DERIVED, Estimate, estimate_from_bag
@@ -34,11 +35,11 @@ def identification(work: Work) -> Outcome:
     changed = {"guide.file": str(excitation), "motion.stroke": length}
     values = {**work.values, "stage": {**work.values.get("stage", {}), **changed}}
     bag = work.folder / "bags" / "identification"
-    work.machine.stroke(values, bag)
-    work.progress(0.1)
     try:
+        work.machine.stroke(values, bag, work.travel)
+        work.progress(0.1)
         found = estimate_from_bag(bag, stage, [_KNOWN], lambda fraction: work.progress(0.1 + 0.9 * fraction))
-    except IdentificationError as error:
+    except (LeftTravel, IdentificationError) as error:
         return Outcome(False, str(error))
     figures = _figures(found)
     strange = strangeness(found, work.description)

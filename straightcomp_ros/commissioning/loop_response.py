@@ -11,15 +11,13 @@ from straightcomp_ros.frequency_response.simulated_measurement import WITHIN_DB,
 
 _LEAST_PHASE = 10.0
 _LEAST_GAIN = 1.3
-_TRAVEL = 0.3
-"""Allowed |y − r|, relative to the mechanical stop."""
 
 
 def frequency_response(work: Work) -> Outcome:
     """Measure under the designed law, with the stage at rest."""
     stage = work.stage
     try:
-        found = work.machine.response(work.values, MultisineParameters(travel=min(3e-4, _TRAVEL * stage.platform.stop)))
+        found = work.machine.response(work.values, MultisineParameters(travel=work.travel))
     except FrequencyResponseError as error:
         return Outcome(False, str(error))
     # Only here: matplotlib takes longer to import than the measurement.

@@ -48,8 +48,12 @@ class Machine(Protocol):
     def play(self, currents: Array, travel: float) -> Series:
         """Samples with the amplifier on and these commands, A; off as soon as y is ``travel`` (m) from its start."""
 
-    def stroke(self, values: Values, bag: Path) -> tuple[StrokeRecord, StraightnessMap]:
-        """One cycle of the stage under the controller of ``values``, recorded as ``bag``; also the controller's map."""
+    def stroke(self, values: Values, bag: Path, travel: float) -> tuple[StrokeRecord, StraightnessMap]:
+        """One cycle of the stage under the controller of ``values``, recorded as ``bag``; also the controller's map.
+
+        Raises:
+            LeftTravel: y was farther than ``travel`` (m) from its reference; the amplifier went off at once.
+        """
 
     def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
         """The frequency response under the controller of ``values``."""

@@ -9,6 +9,10 @@ from straightcomp_ros.commissioning.machine import Machine
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters
 
+_TRAVEL = 3e-4
+_TRAVEL_SHARE = 0.35
+"""Of the way to the mechanical stop."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -58,6 +62,11 @@ class Work:
         """The stage as known so far."""
         stage: StageParameters = node_parameters("controller", self.values).stage
         return stage
+
+    @property
+    def travel(self) -> float:
+        """How far the platform may be from its reference under any law, m."""
+        return min(_TRAVEL, _TRAVEL_SHARE * self.stage.platform.stop)
 
     def described(self) -> dict[str, Mapping[str, Any]]:
         """The parameters of a simulated machine that is as the stage is known so far, without a truth of its own."""

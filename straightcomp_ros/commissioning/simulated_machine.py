@@ -1,7 +1,7 @@
 """The simulated stage as a machine under commissioning, in simulated time."""
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +9,13 @@ import numpy as np
 
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.machine import Array, Series
 from straightcomp_ros.configuration.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
+from straightcomp_ros.control.law import Command
 from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, measure_simulated
-from straightcomp_ros.hardware.interface import Hardware
+from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.settings.declaration import to_mapping
@@ -57,13 +59,26 @@ class SimulatedMachine:
         finally:
             hardware.disable()
 
-    def stroke(self, values: Values, bag: Path) -> tuple[StrokeRecord, StraightnessMap]:
+    def stroke(self, values: Values, bag: Path, travel: float) -> tuple[StrokeRecord, StraightnessMap]:
         """See `Machine`."""
         whole = self._with_controller(values)
         simulation = Simulation(whole, wiring=self._wiring)
         shutil.rmtree(bag, ignore_errors=True)
         with SimulatedRun(bag, by_node(whole), simulation.delay) as run:
-            record = simulation.run(observe=run.add)
+
+            def observe(sample: Sample, truth: Truth, reference: Sequence[float], command: Command, age: float) -> None:
+                run.add(sample, truth, reference, command, age)
+                strayed = abs(sample.y - reference[0])
+                if not strayed <= travel:
+                    # In simulated time nothing moves on once the simulation has ended.
+                    raise LeftTravel(
+                        f"the platform left its reference by {strayed * 1e6:.0f} µm under law "
+                        f"'{simulation.law}' (allowed: {travel * 1e6:.0f} µm) {sample.stamp_ns * 1e-9:.2f} s after "
+                        "the start; the machine is not as described: look at the count of the encoder of y, at the "
+                        "platform, and at the magnets"
+                    )
+
+            record = simulation.run(observe=observe)
         return record, simulation.map
 
     def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:

@@ -67,6 +67,7 @@ class Simulation:
     Attributes:
         map: the feedforward's map.
         delay: command delay from the sample, in sampling periods.
+        law: name of the law that the parameters name.
     """
 
     map: StraightnessMap
@@ -85,7 +86,7 @@ class Simulation:
         stage, control = controller.stage, controller.control
         self.map = load_map(feedforward.stage.guide)
         self.delay = driver.stage.drive.delay
-        self._law_name = control.law
+        self.law = control.law
         hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide())
         self._period_ns = hardware.period_ns
         self._hardware: Hardware = wiring(hardware) if wiring else hardware
@@ -136,7 +137,7 @@ class Simulation:
                 progress(index / count)
         progress(1.0)
         columns = dict(zip(_COLUMNS, np.frombuffer(rows).reshape(count, -1).T.copy(), strict=True))
-        return StrokeRecord(time=np.arange(count) * (period_ns * 1e-9), law=self._law_name, **columns)
+        return StrokeRecord(time=np.arange(count) * (period_ns * 1e-9), law=self.law, **columns)
 
     def inject(self, injection: Injection) -> None:
         """Add a test signal to the commands from the next sample on."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from roughly_known import MACHINES, TRUTH, values_of, work_on
 
+from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.connection import connection
 from straightcomp_ros.commissioning.signs_and_scales import signs_and_scales
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
@@ -63,6 +64,15 @@ def test_a_bus_that_loses_one_sample_in_a_hundred_is_named(tmp_path: Path) -> No
     outcome = connection(work_on(values_of(), tmp_path, broken.lossy_bus))
     assert not outcome.passed and "of 4000 samples (" in outcome.sentence and "were lost" in outcome.sentence
     assert 20 < outcome.figures["lost_samples"] < 60
+
+
+def test_a_platform_that_strays_from_its_reference_ends_the_stroke(tmp_path: Path) -> None:
+    # With half of the position fed back, the law is softer than the magnets' negative stiffness.
+    values = values_of()
+    values["controller"] |= {"control.law": "linear", "control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
+    machine = SimulatedMachine(values, broken.encoder_of_twice_the_count)
+    with pytest.raises(LeftTravel, match=r"left its reference by \d+ µm under law 'linear' \(allowed: 200 µm\)"):
+        machine.stroke(values, tmp_path / "bag", 2e-4)
 
 
 def test_the_amplifier_is_off_as_soon_as_the_platform_has_left_the_travel() -> None:
