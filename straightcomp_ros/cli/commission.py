@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--output", "-o", metavar="DIR", required=True, help="folder of the record, the bags and the results")
     add("--only", choices=_STEPS, metavar="STEP", help=f"do this step alone, even if it is done: {', '.join(_STEPS)}")
-    add("--evaluations", type=int, default=200, metavar="N", help="candidates of the design (default: %(default)s)")
+    add("--evaluations", type=int, default=400, metavar="N", help="candidates of the design (default: %(default)s)")
     add("--machines", type=int, default=200, metavar="N", help="uncertain machines of its check (default: %(default)s)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 

@@ -1,7 +1,7 @@
 """Measure the frequency responses of plant and loop on the simulated stage: a multisine is added to the commands.
 
 Prints the margins as measured, beside those of the description in closed form, and says whether the description
-explains the plant: within 1 dB and 5° wherever the coherence is above 0.9.
+explains the plant: within 1 dB and 5°, or within the measurement's confidence, wherever the coherence is above 0.9.
 """
 
 import argparse
@@ -118,7 +118,7 @@ def _print(found: ComparedResponse, name: str) -> None:
         largest = (abs(values[coherent]).max() for values in (gain, phase))
         console.print(
             "The description {} the plant: largest deviation {:.2f} dB and {:.1f}° at {} of {} frequencies with a "
-            "coherence above 0.9 (allowed: {:g} dB, {:g}°)".format(
+            "coherence above 0.9 (allowed: {:g} dB, {:g}°, or what is within the measurement's confidence)".format(
                 "explains" if found.explained else "does not explain",
                 *largest,
                 coherent.sum(),

@@ -6,10 +6,10 @@ import hashlib
 import json
 from collections.abc import Mapping
 from html import escape
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.bags.origin import origin
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.settings.plain_json import plain
@@ -33,20 +33,13 @@ def certificate(work: Work) -> Outcome:
     told = {
         "stage": work.stage.name,
         "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
-        "version": _version(),
+        "made_by": origin(),
         "sha256": {str(path.relative_to(folder)): _checksum(path) for path in files if path.is_file()},
         "steps": {name: {"sentence": one.sentence, "figures": one.figures} for name, one in work.outcomes.items()},
     }
     write_whole(folder / "certificate.json", json.dumps(plain(told), indent=1, ensure_ascii=False) + "\n")
     write_whole(folder / "certificate.html", _page(told, folder / LOOP))
     return Outcome(True, f"{folder / 'certificate.html'}, certificate.json and {TUNED} are written")
-
-
-def _version() -> str:
-    try:
-        return version("straightcomp_ros")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _checksum(path: Path) -> str:
@@ -62,10 +55,10 @@ def _page(told: Mapping[str, Any], loop: Path) -> str:
     if loop.is_file():
         data = base64.b64encode(loop.read_bytes()).decode()
         picture = f"<h2>loop</h2><img alt='Bode and Nyquist plots' src='data:image/png;base64,{data}'>"
-    name, date, package = (escape(str(told[key])) for key in ("stage", "date", "version"))
+    name, date, package = map(escape, (told["stage"], told["date"], " ".join(told["made_by"].values())))
     return (
         f"<!DOCTYPE html><html lang=en><head><meta charset=utf-8><title>{name}</title><style>{_STYLE}</style></head>"
-        f"<body><h1>Stage “{name}”</h1><p>Commissioned {date} with straightcomp_ros {package}</p>{sections}{picture}"
+        f"<body><h1>Stage “{name}”</h1><p>Commissioned {date} with {package}</p>{sections}{picture}"
         f"<h2>files</h2>{_table(told['sha256'])}</body></html>\n"
     )
 

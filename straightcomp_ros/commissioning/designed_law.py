@@ -17,7 +17,6 @@ def design(work: Work) -> Outcome:
             LAW,
             evaluations=work.evaluations,
             machines=work.machines,
-            jobs=1,
             progress=lambda part, fraction: work.progress(fraction if part == "search" else 0.0),
         )
     except DesignError as error:

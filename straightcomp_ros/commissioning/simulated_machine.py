@@ -90,7 +90,8 @@ class SimulatedMachine:
 
     def _hardware(self) -> Hardware:
         driver = self._driver
-        return self._wiring(SimulatedHardware(driver.simulated, driver.stage, driver.guide()))
+        place = driver.stage.motion.start
+        return self._wiring(SimulatedHardware(driver.simulated, driver.stage, driver.guide(), place))
 
     def _run(self, hardware: Hardware, currents: Array, travel: float) -> Series:
         stage = self._driver.stage

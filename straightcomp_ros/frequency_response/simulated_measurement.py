@@ -16,13 +16,13 @@ from straightcomp_ros.frequency_response.closed_form import LoopResponse, fricti
 from straightcomp_ros.frequency_response.measured_response import MeasuredResponse, measured_response
 from straightcomp_ros.frequency_response.multisine import MultisineParameters, multisine
 from straightcomp_ros.hardware.interface import Sample, Truth
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles, trapezoid
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles
 from straightcomp_ros.offline.simulation import Simulation, node_set
 
 WITHIN_DB, WITHIN_DEG = 1.0, 5.0
 """Deviations up to which a model explains a measurement."""
 _SETTLE = 1.0
-"""s between the stage's arrival, or the start of its strokes, and the excitation."""
+"""s before the excitation, in which the law settles."""
 _FADE = 0.25
 """s over which the excitation rises and falls."""
 _SPARE = 0.5
@@ -57,12 +57,15 @@ class ComparedResponse:
 
     @property
     def explained(self) -> bool:
-        """Whether the description explains the plant at every coherent line, of which there must be some."""
-        coherent = self.measured.coherent
-        gain, phase = self.deviations
-        return bool(
-            coherent.any() and np.abs(gain[coherent]).max() <= WITHIN_DB and np.abs(phase[coherent]).max() <= WITHIN_DEG
-        )
+        """Whether there are coherent lines, and none contradicts the description.
+
+        A line contradicts it if it deviates by more than `WITHIN_DB` or `WITHIN_DEG`, and by more than its circle.
+        """
+        measured = self.measured
+        gain, phase = np.abs(self.deviations)
+        certain = np.abs(measured.response.plant - self.model.plant) > measured.plant_radius
+        contradicts = measured.coherent & certain & ((gain > WITHIN_DB) | (phase > WITHIN_DEG))
+        return bool(measured.coherent.any() and not contradicts.any())
 
 
 def measure_simulated(
@@ -97,9 +100,8 @@ def measure_simulated(
         excitation.currents, fade=max(1, round(_FADE * stage.rate)), limit=limit, travel=parameters.travel
     )
     duration = excitation.currents.size / stage.rate
-    begin, motion = _motion(nodes.cell.stage.motion, duration, moving)
-    simulation = Simulation(values, motion=(motion, 0))
-    first, rows = round(begin * stage.rate), array("d")
+    simulation = Simulation(values, motion=(_motion(nodes.cell.stage.motion, duration, moving), 0))
+    first, rows = round(_SETTLE * stage.rate), array("d")
     index = 0
 
     def observe(sample: Sample, truth: Truth, reference: Sequence[float], command: Command, age: float) -> None:
@@ -123,18 +125,10 @@ def measure_simulated(
     return ComparedResponse(control.law, measured, model, damping, injection.clipped, duration)
 
 
-def _motion(motion: MotionParameters, duration: float, moving: bool) -> tuple[float, Trajectory]:
-    """When to begin with an excitation of ``duration``, in s, and the stage's motion from position 0 until its end."""
-    place = motion.start if moving else motion.start + 0.5 * motion.stroke
-    points = [Waypoint(0, 0.0, 0.0)]
-    points += trapezoid(points[0], place, motion.speed, motion.acceleration)
-    arrival_ns = points[-1].time_ns
-    begin = arrival_ns * 1e-9 + _SETTLE
-    end_ns = round((begin + duration + _SPARE) * 1e9)
+def _motion(motion: MotionParameters, duration: float, moving: bool) -> Trajectory:
+    """The stage's motion until the end of an excitation of ``duration`` in s."""
+    end_ns = round((_SETTLE + duration + _SPARE) * 1e9)
     if moving:
-        once_ns = Trajectory(cycles(motion, 1)).end_ns
-        count = -(-(end_ns - arrival_ns) // once_ns)
-        points += [one._replace(time_ns=one.time_ns + arrival_ns) for one in cycles(motion, count)]
-    else:
-        points.append(Waypoint(end_ns, place, 0.0))
-    return begin, Trajectory(points)
+        return Trajectory(cycles(motion, -(-end_ns // Trajectory(cycles(motion, 1)).end_ns)))
+    place = motion.start + 0.5 * motion.stroke
+    return Trajectory([Waypoint(0, place, 0.0), Waypoint(end_ns, place, 0.0)])

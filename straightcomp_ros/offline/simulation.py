@@ -87,7 +87,9 @@ class Simulation:
         self.map = load_map(feedforward.stage.guide)
         self.delay = driver.stage.drive.delay
         self.law = control.law
-        hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide())
+        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.stage.motion)), 0)
+        first = self._trajectory.waypoints[0].position
+        hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide(), first)
         self._period_ns = hardware.period_ns
         self._hardware: Hardware = wiring(hardware) if wiring else hardware
         self._feedforward = Feedforward(self.map, feedforward.feedforward, feedforward.stage.motion.highest_speed)
@@ -95,7 +97,6 @@ class Simulation:
         self._learning = make_learning(controller.learning, control.law, stage.rate)
         self._servo = Servo(law or make_law(control, stage), learning=self._learning)
         self._begin_ns = 0
-        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.stage.motion)), 0)
 
     def run(
         self,

@@ -6,6 +6,7 @@ import pytest
 from straightcomp_ros.frequency_response.closed_form import LoopResponse
 from straightcomp_ros.frequency_response.measured_response import MeasuredResponse, measured_response
 from straightcomp_ros.frequency_response.multisine import Multisine, MultisineParameters, multisine
+from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
 
 RATE = 1000.0
 
@@ -59,6 +60,35 @@ def test_noise_lowers_the_coherence_and_a_dead_reading_has_none() -> None:
     excitation, _ = recorded(0.0)
     dead = measured_response(excitation, excitation.currents, excitation.currents, 0.0 * excitation.currents)
     assert dead.coherence.max() == 0.0 and not dead.coherent.any()
+
+
+@pytest.mark.parametrize(
+    ("factor", "radius", "coherence", "explained"),
+    [
+        (1.1, 0.01, 0.99, True),
+        (1.15, 0.01, 0.99, False),
+        (np.exp(0.1j), 0.01, 0.99, False),
+        (1.15, 0.2, 0.99, True),
+        (1.15, 0.01, 0.8, True),
+    ],
+    ids=["within 1 dB", "beyond 1 dB", "beyond 5°", "within its circle", "not coherent"],
+)
+def test_a_model_is_rejected_by_a_line_that_is_coherent_and_certainly_off(
+    factor: complex, radius: float, coherence: float, explained: bool
+) -> None:
+    model, ones = flat(np.arange(3.0)), np.ones(3)
+    plant = model.plant * np.array([1.0, factor, 1.0])
+    coherent, circles = np.array([0.99, coherence, 0.99]), radius * 1e-6 * ones
+    measured = MeasuredResponse(
+        ones, LoopResponse(plant, model.open_loop, model.sensitivity), coherent, circles, ones, ones, 1e-3
+    )
+    assert ComparedResponse("linear", measured, model, 1.0, 0, 1.0).explained is explained
+
+
+def test_a_model_that_no_line_speaks_of_is_not_explained() -> None:
+    model, ones = flat(np.arange(3.0)), np.ones(3)
+    measured = MeasuredResponse(ones, model, 0.5 * ones, ones, ones, ones, 1e-3)
+    assert not ComparedResponse("linear", measured, model, 1.0, 0, 1.0).explained
 
 
 def test_the_speed_is_that_of_the_motion_at_the_lines() -> None:
