@@ -38,8 +38,10 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
     From sample to sample a first-order amplifier gives i[k+1] = a i[k] + Σ b_j u[k−j] + c, with a = exp(−ω T). The
     steps b_j sum to (1 − a) times the gain; which of them act tells the delay.
     """
-    asked = np.array([drive.converted(command) for command in series.command.tolist()])
-    current, last = series.current, len(series.current) - 1
+    acting = slice(series.left_at)
+    asked = np.array([drive.converted(command) for command in series.command[acting].tolist()])
+    current = series.current[acting]
+    last = len(current) - 1
     commands = [asked[_AGES - 1 - age : last - age] for age in range(_AGES)]
     terms = np.stack([current[_AGES - 1 : last], *commands, np.ones(last - _AGES + 1)], axis=1)
     weights, *_ = np.linalg.lstsq(terms, current[_AGES:], rcond=None)

@@ -28,7 +28,8 @@ class Series:
         x, y: readings, m.
         current: measured control current of the coils, A; NaN while the amplifier is off.
         command: commanded in answer to each sample, A.
-        left: whether the platform went beyond the travel that was allowed, which ended the series.
+        left_at: the sample at which the platform was beyond the travel that was allowed, and the amplifier went off;
+            those after it tell how far it coasts. None if it stayed within.
     """
 
     stamps: NDArray[np.int64]
@@ -36,7 +37,7 @@ class Series:
     y: Array
     current: Array
     command: Array
-    left: bool = False
+    left_at: int | None = None
 
 
 class Machine(Protocol):
@@ -46,7 +47,10 @@ class Machine(Protocol):
         """Samples with the amplifier off."""
 
     def play(self, currents: Array, travel: float) -> Series:
-        """Samples with the amplifier on and these commands, A; off as soon as y is ``travel`` (m) from its start."""
+        """Samples with the amplifier on and these commands, A; off as soon as y is ``travel`` (m) from its start.
+
+        The series then goes on for some samples, in which the platform comes to rest.
+        """
 
     def stroke(self, values: Values, bag: Path, travel: float) -> tuple[StrokeRecord, StraightnessMap]:
         """One cycle of the stage under the controller of ``values``, recorded as ``bag``; also the controller's map.

@@ -1,8 +1,8 @@
 """Step `signs_and_scales`: the signs of current and force, the readback, amplifier and delay, before a loop is closed.
 
 First a quick random current, which the platform's mass averages out: the readback answers, the platform does not.
-Then a slow ramp either way, until friction gives way. The amplifier goes off as soon as the platform has moved 10 µm,
-so that nothing has to be known of the magnets' negative stiffness.
+Then a slow ramp either way, until friction gives way. The amplifier goes off as soon as the platform has moved some
+micrometres, so that nothing has to be known of the magnets' negative stiffness.
 """
 
 import math
@@ -11,21 +11,22 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.commissioning.current_readback import CurrentReadback, current_readback
-from straightcomp_ros.commissioning.machine import Array, Series
+from straightcomp_ros.commissioning.machine import Array
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.stage.description import StageParameters
 
 _SHAKE = 0.005
 """Random current, relative to the bias current."""
 _SHAKE_TIME = 0.25
-_ENOUGH = 100
+_ENOUGH = 40
 """Samples of it from which the readback can be told."""
 _ONE_COIL = 0.3
 """Part of a single coil's pull from which a coil is missing."""
 _RAMP_TIME = 2.0
 _RAMP_SHARE = 0.5
 """Highest current of a ramp, relative to the current limit."""
-_TRAVEL = 10e-6
+_TRAVEL, _TRAVEL_COUNTS = 3e-6, 6.0
+"""m and counts of the encoder, whichever is more: the platform leaves faster the farther it is, and has to coast."""
 _GAIN_WITHIN = 0.05
 _BEYOND = 1.1
 """Factor beyond its range at which a fact is called wrong."""
@@ -34,8 +35,8 @@ _BEYOND = 1.1
 def signs_and_scales(work: Work) -> Outcome:
     """Shake, then push either way."""
     stage = work.stage
-    shaken = work.machine.play(_shaking(stage), _TRAVEL)
-    if shaken.left and (pulled := _unbalanced(shaken, stage)):
+    shaken = work.machine.play(_shaking(stage), _travel(stage))
+    if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, stage)):
         return Outcome(False, pulled)
     readback = current_readback(shaken, stage.drive, stage.period)
     figures: dict[str, Any] = {
@@ -49,9 +50,8 @@ def signs_and_scales(work: Work) -> Outcome:
         return Outcome(False, wrong, figures)
     currents, moved, farthest = [], [], 0.0
     for sign in (1.0, -1.0):
-        work.progress(0.5)
-        pushed = work.machine.play(sign * _ramp(stage), _TRAVEL)
-        currents.append(float(pushed.command[-1]) if pushed.left else math.nan)
+        pushed = work.machine.play(sign * _ramp(stage), _travel(stage))
+        currents.append(math.nan if pushed.left_at is None else float(pushed.command[pushed.left_at]))
         moved.append(float(pushed.y[-1] - pushed.y[0]))
         farthest = max(farthest, float(np.abs(pushed.y - pushed.y[0]).max()))
     figures |= {"breakaway_currents_A": currents, "farthest_um": farthest * 1e6}
@@ -67,6 +67,10 @@ def signs_and_scales(work: Work) -> Outcome:
     return Outcome(True, sentence, figures, stage=found)
 
 
+def _travel(stage: StageParameters) -> float:
+    return max(_TRAVEL, _TRAVEL_COUNTS * stage.encoder.y_resolution)
+
+
 def _shaking(stage: StageParameters) -> Array:
     """Random steps, each taken back by the next: no slow part is left that could move the platform."""
     random = np.random.default_rng(1)
@@ -75,21 +79,21 @@ def _shaking(stage: StageParameters) -> Array:
     return np.stack([steps, -steps], axis=1).ravel()
 
 
-def _unbalanced(shaken: Series, stage: StageParameters) -> str:
+def _unbalanced(left_at: int, stage: StageParameters) -> str:
     """What pulled the platform away without a current that could; empty where the samples are enough all the same.
 
     At rest only friction holds the platform against the magnets' negative stiffness: it may slowly creep away.
     """
-    actuator, time = stage.actuator, len(shaken.y) / stage.rate
-    acceleration = 2.0 * _TRAVEL / time**2
+    actuator, time = stage.actuator, max(1, left_at) / stage.rate
+    acceleration = 2.0 * _travel(stage) / time**2
     # One coil alone, with the bias current, at the heaviest and weakest machine that is described.
     ranges = stage.uncertainty
     weakest = (1.0 - ranges.force) / ((1.0 + ranges.air_gap) ** 2 * (1.0 + ranges.mass))
     alone = 0.25 * weakest * actuator.current_stiffness * actuator.bias_current / stage.platform.mass
-    if acceleration < _ONE_COIL * alone and len(shaken.y) >= _ENOUGH:
+    if acceleration < _ONE_COIL * alone and left_at >= _ENOUGH:
         return ""
     return (
-        f"with the amplifier on and hardly any current the platform left {_TRAVEL * 1e6:g} µm within "
+        f"with the amplifier on and hardly any current the platform left {_travel(stage) * 1e6:g} µm within "
         f"{time * 1e3:.3g} ms: the magnets do not balance; look for a coil without current, and for a bias current "
         f"that is not {actuator.bias_current:g} A in both"
     )

@@ -21,6 +21,9 @@ from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.settings.declaration import to_mapping
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
+_COASTING = 0.1
+"""s that a series goes on for when the amplifier has been switched off."""
+
 
 def sound(hardware: SimulatedHardware) -> Hardware:
     """The machine as its parameters say."""
@@ -97,16 +100,21 @@ class SimulatedMachine:
         stage = self._driver.stage
         delay_ns = round(stage.drive.delay * stage.period_ns)
         rows: list[tuple[int, float, float, float, float]] = []
-        left = False
+        left_at: int | None = None
+        asked = currents.tolist()
         hardware.start(0)
-        for index, current in enumerate(currents.tolist()):
+        for index in range(len(asked)):
             now_ns = index * stage.period_ns
             for sample, _ in hardware.read(now_ns):
-                left = left or not abs(sample.y - (rows[0][2] if rows else sample.y)) <= travel
-                rows.append((sample.stamp_ns, sample.x, sample.y, sample.current, current))
-            if left:
+                rows.append((sample.stamp_ns, sample.x, sample.y, sample.current, asked[index]))
+                if left_at is None and not abs(sample.y - rows[0][2]) <= travel:
+                    left_at = len(rows) - 1
+                    hardware.disable()
+                    asked[index + 1 :] = [0.0] * len(asked[index + 1 :])
+            if left_at is None:
+                hardware.write(asked[index], now_ns + delay_ns)
+            elif len(rows) > left_at + round(_COASTING * stage.rate):
                 break
-            hardware.write(current, now_ns + delay_ns)
         stamps = np.array([row[0] for row in rows], np.int64)
         x, y, measured, command = np.array([row[1:] for row in rows]).reshape(-1, 4).T
-        return Series(stamps, x, y, measured, command, left)
+        return Series(stamps, x, y, measured, command, left_at)

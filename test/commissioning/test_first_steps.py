@@ -77,6 +77,10 @@ def test_a_platform_that_strays_from_its_reference_ends_the_stroke(tmp_path: Pat
 
 def test_the_amplifier_is_off_as_soon_as_the_platform_has_left_the_travel() -> None:
     machine = SimulatedMachine(values_of())
-    series = machine.play(np.full(4000, 0.1), 1e-5)
-    assert series.left and len(series.y) < 400
-    assert np.abs(series.y[:-1]).max() <= 1e-5 < abs(series.y[-1]) < 5e-5
+    series = machine.play(np.full(4000, 0.02), 3e-6)
+    assert series.left_at is not None and len(series.y) < 400
+    off = series.left_at
+    assert np.abs(series.y[:off]).max() <= 3e-6 < abs(series.y[off])
+    assert np.isfinite(series.current[: off + 1]).all() and np.isnan(series.current[off + 1 :]).all()
+    # Friction stops it, and nothing pulls any more.
+    assert abs(series.y[-1]) < 2e-5 and np.ptp(series.y[-50:]) < 1e-7
