@@ -109,6 +109,7 @@ class Servo:
         self._stamp_ns = stamp_ns
         amplifier_on = not math.isnan(coil_current)
         if self._injection is not None and (gap or not amplifier_on):
+            self._injection.stop("the amplifier was off, or samples were missing")
             self._injection = None
         if self._learning is not None and (gap or not (self._running and amplifier_on)):
             self._learning.interrupt()

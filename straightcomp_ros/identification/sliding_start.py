@@ -29,7 +29,7 @@ _SLIDING = 2e-4
 _LEAST = 500
 """Samples of sliding."""
 _LEAST_VISCOUS = 0.1
-"""N·s/m; what remains of it may come out negative."""
+"""N·s/m; where there is hardly any, it may come out negative, which has no logarithm."""
 
 
 def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
@@ -51,9 +51,10 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
         values["platform.mass"] = per_turns * values["actuator.turns"] ** 2 / current_gain
     if "actuator.turns" in free:
         values["actuator.turns"] = math.sqrt(current_gain * values["platform.mass"] / per_turns)
-    for name, slope in (("friction.coulomb", coulomb), ("friction.viscous", viscous)):
-        if name in free:
-            values[name] = max(_LEAST_VISCOUS, slope * values["platform.mass"])
+    if "friction.coulomb" in free:
+        values["friction.coulomb"] = coulomb * values["platform.mass"]
+    if "friction.viscous" in free:
+        values["friction.viscous"] = max(_LEAST_VISCOUS, viscous * values["platform.mass"])
     vector = np.log([values[name] for name in NAMES])
     return np.asarray(np.clip(vector, unknowns.low, unknowns.high))
 

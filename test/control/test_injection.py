@@ -85,9 +85,11 @@ def test_a_repeated_sample_takes_no_second_step_of_the_signal() -> None:
     assert second is not None and second.current == pytest.approx(0.1 + 1e-4)
 
 
-def test_with_the_amplifier_off_the_signal_is_forgotten() -> None:
+def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so() -> None:
     servo = Servo(Law((0.0,), lambda y: (0.0,), still))
-    servo.inject(made(fade=1))
+    injection = made(fade=1)
+    servo.inject(injection)
     for stamp_ns, current in ((0, 0.0), (500_000, math.nan), (1_000_000, 0.0)):
         command = servo.step(stamp_ns, 0.0, current, (0.0, 0.0, 0.0))
     assert command is not None and command.current == pytest.approx(0.1)
+    assert injection.stopped == "the amplifier was off, or samples were missing"
