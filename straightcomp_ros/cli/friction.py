@@ -22,6 +22,7 @@ from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag, parameter_file
 from straightcomp_ros.identification.excitation import excitation_survey
+from straightcomp_ros.identification.untold import untold
 from straightcomp_ros.straightness.survey import write_survey
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
@@ -71,7 +72,9 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
         "prediction_error_um": estimate.fit.rms_error_m * 1e6,
         "prediction_error_ratio": estimate.fit.rms_error,
         "amplifier_bandwidth_Hz": estimate.path.rate / (2.0 * math.pi) if estimate.path.rate_found else None,
+        "amplifier_bandwidth_deviation_Hz": estimate.path.rate_deviation / (2.0 * math.pi),
         "delay_us": estimate.path.delay * 1e6,
+        "delay_spread_us": [delay * 1e6 for delay in estimate.path.delay_spread],
         "parameters": {
             name: {
                 "value": found.value,
@@ -85,6 +88,7 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
             for name, found in estimate.parameters.items()
         },
         "advice": estimate.advice,
+        "untold": untold(estimate),
     }
 
 
@@ -102,12 +106,15 @@ def _print(estimate: Estimate) -> None:
     amplifier = (
         "the current was interpolated: command and coil current fit no first-order amplifier"
         if math.isnan(path.delay)
-        else f"amplifier {path.rate / (2.0 * math.pi):.0f} Hz{source}, delay {path.delay * 1e6:.0f} µs"
+        else f"amplifier {path.rate / (2.0 * math.pi):.0f} Hz{source}, delay {path.delay * 1e6:.0f} µs "
+        f"({path.delay_spread[0] * 1e6:.0f} to {path.delay_spread[1] * 1e6:.0f} µs in 90 % of the commands)"
     )
     notes.print(
         f"{len(estimate.recording.y)} of {estimate.recording.total} samples; one-step prediction error "
         f"{estimate.fit.rms_error_m * 1e6:.3f} µm RMS; {amplifier}"
     )
+    for sentence in untold(estimate):
+        notes.print(sentence, highlight=False)
     for name, words in estimate.advice.items():
         notes.print(f"{name} would need: {words}")
     if estimate.advice:

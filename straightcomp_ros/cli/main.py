@@ -15,10 +15,10 @@ from straightcomp_ros.settings.share import share_path
 
 _TRIALS = {"bench": "trials.verbs.bench", "faults": "trials.verbs.inject_faults", "soak": "trials.verbs.soak"}
 _NAMES = (
-    "bench can completion demo design doctor dsp evaluate faults friction map opcua recover replay reproduce "
-    "robustness simulate soak stage view"
+    "bench can commission completion demo design doctor dsp evaluate faults frequency-response friction map opcua "
+    "recover replay reproduce robustness simulate soak stage view"
 )
-_VERBS = {name: _TRIALS.get(name, f"cli.{name}") for name in _NAMES.split()}
+_VERBS = {name: _TRIALS.get(name, f"cli.{name.replace('-', '_')}") for name in _NAMES.split()}
 """The module of each verb."""
 _FIRST_STEPS = """\
 first steps:

@@ -1,6 +1,7 @@
 """Options that choose parameters, the same for every verb that runs a servo."""
 
 import argparse
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -19,15 +20,18 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
     add("--stage", metavar="FILE", help=f"description of the stage (default: the installed {DEFAULT_STAGE})")
     add("--law", choices=LAWS, help="control law (default: the parameter file's)")
     add("--params-file", metavar="FILE", help=f"ROS 2 parameter file (default: the installed {DEFAULT_FILE})")
+    add_setting_option(parser)
+
+
+def add_setting_option(parser: argparse.ArgumentParser) -> None:
+    """Add --set."""
     add_repeatable(parser, "--set", "NODE.NAME=VALUE", "set one parameter, e.g. stage.platform.mass=3.5")
 
 
 def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Values by node and dotted name, checked; raises ParameterError."""
     values = shipped_parameters(options.params_file, options.stage)
-    for node, changes in chosen_changes(options).items():
-        values[node].update(changes)
-    return _checked(values)
+    return _checked(_changed(values, chosen_changes(options)))
 
 
 def add_stage_argument(parser: argparse.ArgumentParser) -> None:
@@ -36,8 +40,17 @@ def add_stage_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def stage_values(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Values by node and dotted name with the stage file of :func:`add_stage_argument`; raises ParameterError."""
-    return _checked(shipped_parameters(stage=options.file))
+    """Values by node and dotted name with the stage file of :func:`add_stage_argument`; raises ParameterError.
+
+    --set counts too, where the verb has it.
+    """
+    return _checked(_changed(shipped_parameters(stage=options.file), _settings(getattr(options, "set", []))))
+
+
+def _changed(values: dict[str, dict[str, Any]], changes: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    for node, section in changes.items():
+        values[node].update(section)
+    return values
 
 
 def _checked(values: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -48,12 +61,17 @@ def _checked(values: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 def chosen_changes(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """What --set and --law change, by node and dotted name; raises ParameterError."""
-    changes: dict[str, dict[str, Any]] = {}
-    for assignment in options.set:
-        node, name, value = _parsed_assignment(assignment)
-        changes.setdefault(node, {})[name] = value
+    changes = _settings(options.set)
     if options.law:
         changes.setdefault("controller", {})["control.law"] = options.law
+    return changes
+
+
+def _settings(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
+    changes: dict[str, dict[str, Any]] = {}
+    for assignment in assignments:
+        node, name, value = _parsed_assignment(assignment)
+        changes.setdefault(node, {})[name] = value
     return changes
 
 

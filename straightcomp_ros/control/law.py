@@ -88,21 +88,22 @@ class Law:
         self._run(self._gains, self._state, self._answer, y, r, r_dot, r_ddot, current)
         return Command(*self._answer.tolist())
 
-    def answer_from(self, state: Sequence[float], y: float) -> tuple[list[float], Command]:
-        """The next state and the command for one sample with the reference at rest at zero and no measured current.
+    def answer_from(self, state: Sequence[float], y: float, current: float = math.nan) -> tuple[list[float], Command]:
+        """The next state and the command for one sample with the reference at rest at zero.
 
         The law's own state stays as it is.
 
         Args:
             state: all numbers of a state, in order, as of :func:`flat`.
             y: encoder reading in m.
+            current: measured control current of the coils, A; NaN where none is measured.
         """
         if self._run is None:
             before = _rebuilt(self.start(0.0), iter(state))
-            after, command = self.function(self.gains, before, y, 0.0, 0.0, 0.0, math.nan)
+            after, command = self.function(self.gains, before, y, 0.0, 0.0, 0.0, current)
             return flat(after), command
         numbers, answer = np.array(state), np.zeros(len(Command._fields))
-        self._run(self._gains, numbers, answer, y, 0.0, 0.0, 0.0, math.nan)
+        self._run(self._gains, numbers, answer, y, 0.0, 0.0, 0.0, current)
         return numbers.tolist(), Command(*answer.tolist())
 
 

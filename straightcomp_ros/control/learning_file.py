@@ -2,7 +2,6 @@
 
 import csv
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.settings.whole_file import write_whole
 
 _QUANTITIES = ("correction_m", "speed_m_per_s", "rms_m", "bare_rms_m")
 _DIRECTIONS = (("forward", True), ("backward", False))
@@ -56,9 +56,7 @@ def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> N
     for node, row in zip(range(first, last), np.column_stack(columns).tolist(), strict=True):
         cells = ("" if math.isnan(value) else f"{value:.6g}" for value in row)
         lines.append(f"{node * spacing:.9g}," + ",".join(cells))
-    beside = path.with_name(path.name + ".part")
-    beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    os.replace(beside, path)
+    write_whole(path, "\n".join(lines) + "\n")
 
 
 def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> None:

@@ -50,18 +50,20 @@ class Margins(NamedTuple):
     longest_delay: float
 
 
-def sampled_plant(stage: StageParameters, delay: float) -> StateSpace:
+def sampled_plant(stage: StageParameters, delay: float, damping: float = 0.0) -> StateSpace:
     """From commanded current (A) to position (m): the linear plant (3), sampled.
 
     Args:
         stage: whose plant, rate and amplifier are taken.
         delay: of a command from its sample, s, zero or more.
+        damping: of the platform's motion, N·s/m; friction otherwise is left out.
     """
     actuator, mass, period = stage.actuator, stage.platform.mass, stage.period
     rate = 2.0 * math.pi * stage.drive.bandwidth
     continuous = np.zeros((4, 4))
     continuous[0, 1] = 1.0
     continuous[1, 0] = actuator.position_stiffness / mass
+    continuous[1, 1] = -damping / mass
     continuous[1, 2] = actuator.current_stiffness / mass
     continuous[2, 2], continuous[2, 3] = -rate, rate
     whole = int(delay / period)
@@ -92,29 +94,56 @@ def linearised(law: Law) -> StateSpace:
     Raises:
         ValueError: the law is not linear there.
     """
-    size = len(flat(law.start(0.0)))
-
-    def disturbed(place: int, step: float) -> Matrix:
-        numbers = [0.0] * (size + 1)
-        numbers[place] = step
-        after, command = law.answer_from(numbers[:size], numbers[size])
-        return np.array([*after, command.current])
-
-    def slopes(step: float) -> Matrix:
-        places = range(size + 1)
-        return np.array([(disturbed(place, step) - disturbed(place, -step)) / (2.0 * step) for place in places]).T
-
-    for step in _STEPS:
-        columns, coarser = slopes(step), slopes(2.0 * step)
-        if np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
-            break
-    else:
-        raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
+    columns = _slopes_at_rest(law, inputs=1)
+    size = len(columns) - 1
     # A clock or a paused fit would be a pole on the unit circle, though it is not in the loop.
     all_a, all_b, all_c = columns[:size, :size], columns[:size, size], columns[size, :size]
     looped = np.flatnonzero(_connected(all_a, all_c) & _connected(all_a.T, all_b))
     a, b, c = all_a[np.ix_(looped, looped)], all_b[looped], all_c[looped]
     return StateSpace(a, b, c, float(columns[size, size]))
+
+
+def linearised_with_current(law: Law) -> tuple[StateSpace, StateSpace]:
+    """The law as :func:`linearised`, but with the measured current of the coils as a second input.
+
+    Returns:
+        From reading (m) and from measured current (A) to commanded current (A); both have the same states, all of them.
+
+    Raises:
+        ValueError: the law is not linear there.
+    """
+    columns = _slopes_at_rest(law, inputs=2)
+    size = len(columns) - 1
+    a, c = columns[:size, :size], columns[size, :size]
+    from_reading, from_current = (
+        StateSpace(a, columns[:size, place], c, float(columns[size, place])) for place in (size, size + 1)
+    )
+    return from_reading, from_current
+
+
+def _slopes_at_rest(law: Law, inputs: int) -> Matrix:
+    """Derivatives (states + 1, states + inputs) of next state and command by state and inputs, about rest at zero.
+
+    The first input is the reading. The second is the measured current; with one input, none is measured.
+    """
+    size = len(flat(law.start(0.0)))
+
+    def disturbed(place: int, step: float) -> Matrix:
+        numbers = [0.0] * (size + inputs)
+        numbers[place] = step
+        current = numbers[size + 1] if inputs > 1 else math.nan
+        after, command = law.answer_from(numbers[:size], numbers[size], current)
+        return np.array([*after, command.current])
+
+    def slopes(step: float) -> Matrix:
+        places = range(size + inputs)
+        return np.array([(disturbed(place, step) - disturbed(place, -step)) / (2.0 * step) for place in places]).T
+
+    for step in _STEPS:
+        columns, coarser = slopes(step), slopes(2.0 * step)
+        if np.allclose(columns, coarser, rtol=_LINEAR_WITHIN, atol=_LINEAR_WITHIN * float(np.abs(columns).min())):
+            return columns
+    raise ValueError("this law has no linearisation at rest: its slope there depends on the step")
 
 
 def _connected(a: Matrix, c: Matrix) -> NDArray[np.bool_]:
@@ -182,14 +211,15 @@ def phase_margin(plant: StateSpace, controller: StateSpace, period: float, frequ
     """Smallest phase margin over all gain crossovers in degrees, found on a grid of ``frequencies``."""
     grid = np.geomspace(0.1, 0.4999 / period, frequencies)
     z = np.exp(2j * math.pi * grid * period)
-    loop = -_response(plant, z) * _response(controller, z)
+    loop = -response(plant, z) * response(controller, z)
     magnitude = np.abs(loop)
     crossing = np.flatnonzero((magnitude[:-1] - 1.0) * (magnitude[1:] - 1.0) <= 0.0)
     margins = np.abs(np.degrees(np.angle(-loop[crossing])))
     return float(margins.min()) if len(margins) else 180.0
 
 
-def _response(system: StateSpace, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def response(system: StateSpace, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Output per input of ``system`` at the points ``z`` (n,) of the z plane, (n,)."""
     n = len(system.b)
     solved = np.linalg.solve(
         z[:, None, None] * np.eye(n) - system.a, np.broadcast_to(system.b[:, None], (len(z), n, 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.learning import Learning
 
@@ -71,6 +72,11 @@ class Servo:
         self._stamp_ns: int | None = None
         self._answer = AMPLIFIER_OFF
         self._running = False
+        self._injection: Injection | None = None
+
+    def inject(self, injection: Injection) -> None:
+        """Add a test signal to the commands from the next sample on, in place of one that is running."""
+        self._injection = injection
 
     def change(self, law: Law, samples: int) -> None:
         """Replace the law, by a crossfade of ``samples`` while one acts, otherwise at once."""
@@ -102,6 +108,9 @@ class Servo:
         gap = last is not None and abs(stamp_ns - last) > self._restart_gap_ns
         self._stamp_ns = stamp_ns
         amplifier_on = not math.isnan(coil_current)
+        if self._injection is not None and (gap or not amplifier_on):
+            self._injection.stop("the amplifier was off, or samples were missing")
+            self._injection = None
         if self._learning is not None and (gap or not (self._running and amplifier_on)):
             self._learning.interrupt()
         if not amplifier_on:
@@ -114,5 +123,7 @@ class Servo:
             else:
                 r_law, r_dot, r_ddot = self._learning.step(stamp_ns, x, y, reference)
                 self._answer = self._law.step(y, r_law, r_dot, r_ddot, coil_current)._replace(error=r - y)
+            if self._injection is not None:
+                self._answer = self._answer._replace(current=self._injection.step(self._answer.current, r - y))
         self._running = amplifier_on
         return self._answer

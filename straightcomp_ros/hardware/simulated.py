@@ -66,6 +66,7 @@ class SimulatedHardware(Hardware):
         parameters: of the board, and how the machine differs from its description.
         stage: the description.
         guide: the true deviation δ(x).
+        x: position of the stage at the start, m.
 
     Raises:
         ParameterError: the true air gap does not hold the mechanical stop.
@@ -75,7 +76,9 @@ class SimulatedHardware(Hardware):
     fault = ""
     lost_samples = 0
 
-    def __init__(self, parameters: SimulatedParameters, stage: StageParameters, guide: StraightnessMap) -> None:
+    def __init__(
+        self, parameters: SimulatedParameters, stage: StageParameters, guide: StraightnessMap, x: float = 0.0
+    ) -> None:
         plant = true_plant(stage, parameters.truth)
         self.period_ns = stage.period_ns
         self.command_timeout_ns = round(parameters.command_timeout * 1e9)
@@ -92,7 +95,7 @@ class SimulatedHardware(Hardware):
         self._reading = plant.encoder.x_reading
         self._delay_ns = round(stage.drive.delay * self.period_ns)
         self._time_ns = self._next_sample_ns = self._last_command_ns = 0
-        self._trajectory = Trajectory([Waypoint(0, 0.0, 0.0)])
+        self._trajectory = Trajectory([Waypoint(0, x, 0.0)])
         self._trajectory_start_ns = 0
         self._memory = max(1, round(parameters.sample_memory * stage.rate))
 

@@ -18,11 +18,11 @@ _SPACING = 1e-3
 _PHASE = 1.0
 
 
-def excitation_survey(length: float) -> Survey:
-    """The map over ``length`` in m, from x = 0."""
+def excitation_survey(length: float, first: float = 0.0) -> Survey:
+    """The map over ``length`` in m, from x = ``first``."""
     x = np.linspace(0.0, length, round(length / _SPACING) + 1)
     deviation = sum(
         amplitude * np.sin(2.0 * math.pi * x / wavelength + number * _PHASE)
         for number, (wavelength, amplitude) in enumerate(WAVES)
     )
-    return Survey((Run("1", "forward", x, np.asarray(deviation)),), "excitation")
+    return Survey((Run("1", "forward", first + x, np.asarray(deviation)),), "excitation")

@@ -5,6 +5,9 @@ biased: samples then outweigh the model, and mass and friction come out too smal
 far from the solution the prediction loses the path. The search therefore starts with much and reduces it while the
 prediction errors agree with their standard deviation. The last moves of the solution, to it and, if the next step
 failed, from it, bound the remaining bias and enter the confidence intervals.
+
+The search begins at the description and where sliding alone leads (`sliding_start.py`), and goes on from the likelier
+of the two solutions: one start alone may end in a valley that explains the record and is wrong.
 """
 
 from collections.abc import Callable
@@ -17,6 +20,7 @@ from scipy.optimize import least_squares
 from straightcomp_ros.identification import IdentificationError
 from straightcomp_ros.identification.current_path import CurrentPath
 from straightcomp_ros.identification.predictor import Record, filter_gains, prediction_errors
+from straightcomp_ros.identification.sliding_start import sliding_start
 from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.identification.unknowns import Unknowns
 
@@ -42,12 +46,17 @@ _OUTLIER = 1e3
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """Solution under one assumption: vector, and Jacobian and residuals (in standard deviations) there."""
+    """Solution under one assumption: vector, and Jacobian and residuals (in standard deviations) there.
+
+    ``surprise`` is minus twice the logarithm of the record's likelihood, but for a constant (L. Ljung, System
+    Identification, 2nd ed., 1999, section 7.4). It compares solutions that have gains of their own.
+    """
 
     vector: Array
     jacobian: Array
     residuals: Array
     missed: float
+    surprise: float
 
     @property
     def rms(self) -> float:
@@ -102,7 +111,9 @@ class Search:
             vector = self._whole(found.x)
             if moved < _SETTLED:
                 break
-        return Level(vector, found.jac[: -len(free)], found.fun[: -len(free)], missed)
+        residuals = found.fun[: -len(free)]
+        surprise = float(residuals @ residuals - 2.0 * np.log(self.gains[BURN_IN:, 3]).sum())
+        return Level(vector, found.jac[: -len(free)], residuals, missed, surprise)
 
     def jacobian(self, free: Array) -> Array:
         """Derivatives (n − burn-in, free) of the residuals by the free logarithms, by differences."""
@@ -149,7 +160,7 @@ def fit(
 
     Args:
         recording, path: the record, and its current between the samples.
-        unknowns: start and bounds.
+        unknowns: first start, and bounds.
         resolution: of the platform's encoder, m.
         progress: called with the fraction that is done.
 
@@ -157,7 +168,10 @@ def fit(
         IdentificationError: the prediction loses the path under every assumption.
     """
     search = Search(recording, path, unknowns, resolution)
-    levels = [search.solve(unknowns.start, MISSED[0])]
+    begins = [unknowns.start]
+    if (slid := sliding_start(recording, unknowns)) is not None:
+        begins.append(slid)
+    levels = [min((search.solve(begin, MISSED[0]) for begin in begins), key=lambda level: level.surprise)]
     failed: list[Level] = []
     for number, missed in enumerate(MISSED[1:], 1):
         progress(number / len(MISSED))

@@ -12,12 +12,13 @@ import numpy as np
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.configuration import node_parameters as nodes
 from straightcomp_ros.configuration.node_parameters import Values
+from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.hardware.interface import Sample, Truth
+from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.settings.declaration import ParameterError
@@ -57,6 +58,7 @@ class Simulation:
         values: parameters by node and dotted name.
         law: replaces the law that the parameters name.
         motion: of the stage, and its start in ns; the cell's cycle from 0 if None.
+        wiring: puts something between the machine and its driver.
 
     Raises:
         ParameterError: a parameter is refused, or controller and machine disagree about the rate.
@@ -65,26 +67,36 @@ class Simulation:
     Attributes:
         map: the feedforward's map.
         delay: command delay from the sample, in sampling periods.
+        law: name of the law that the parameters name.
     """
 
     map: StraightnessMap
     delay: float
 
-    def __init__(self, values: Values, law: Law | None = None, motion: tuple[Trajectory, int] | None = None) -> None:
+    def __init__(
+        self,
+        values: Values,
+        law: Law | None = None,
+        motion: tuple[Trajectory, int] | None = None,
+        wiring: Callable[[SimulatedHardware], Hardware] | None = None,
+    ) -> None:
         parameters = node_set(values)
         parameters.check_rates()
         driver, feedforward, controller, cell = parameters
         stage, control = controller.stage, controller.control
         self.map = load_map(feedforward.stage.guide)
         self.delay = driver.stage.drive.delay
-        self._law_name = control.law
-        self._hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide())
+        self.law = control.law
+        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.stage.motion)), 0)
+        first = self._trajectory.waypoints[0].position
+        hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide(), first)
+        self._period_ns = hardware.period_ns
+        self._hardware: Hardware = wiring(hardware) if wiring else hardware
         self._feedforward = Feedforward(self.map, feedforward.feedforward, feedforward.stage.motion.highest_speed)
         self._pairing = Pairing(controller.lead_ns, wait=True)
         self._learning = make_learning(controller.learning, control.law, stage.rate)
         self._servo = Servo(law or make_law(control, stage), learning=self._learning)
         self._begin_ns = 0
-        self._trajectory, self._start_ns = motion or (Trajectory(forward_and_back(cell.stage.motion)), 0)
 
     def run(
         self,
@@ -100,7 +112,7 @@ class Simulation:
         """
         hardware, pairing = self._hardware, self._pairing
         step, reference_at = self._servo.step, self._feedforward.step
-        period_ns = hardware.period_ns
+        period_ns = self._period_ns
         delay_ns = round(self.delay * period_ns)
         count = -(-(self._trajectory.end_ns + self._start_ns) // period_ns)
         rows = array("d")
@@ -126,7 +138,11 @@ class Simulation:
                 progress(index / count)
         progress(1.0)
         columns = dict(zip(_COLUMNS, np.frombuffer(rows).reshape(count, -1).T.copy(), strict=True))
-        return StrokeRecord(time=np.arange(count) * (period_ns * 1e-9), law=self._law_name, **columns)
+        return StrokeRecord(time=np.arange(count) * (period_ns * 1e-9), law=self.law, **columns)
+
+    def inject(self, injection: Injection) -> None:
+        """Add a test signal to the commands from the next sample on."""
+        self._servo.inject(injection)
 
     def save_learning(self) -> None:
         """Write the learned correction to the file that the parameters name, if they do; OSError if that fails."""

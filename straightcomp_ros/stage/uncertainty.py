@@ -7,7 +7,7 @@ from straightcomp_ros.settings.declaration import RefusedParameter, parameter
 
 @dataclass(frozen=True)
 class UncertaintyParameters:
-    """Ranges of a sweep. The amplifier's bandwidth, the converters and the guide stay nominal."""
+    """Ranges of a sweep. The converters and the guide stay nominal."""
 
     mass: float = parameter(0.2, "Mass: uniform within ± this fraction of it", "[0, 0.9]")
     force: float = parameter(
@@ -22,6 +22,9 @@ class UncertaintyParameters:
         "Coulomb, static and viscous friction: log-uniform between one over this factor and this factor; bristles "
         "keep their stiffness and damping",
         "[1, 100]",
+    )
+    amplifier: float = parameter(
+        1.0, "Amplifier's bandwidth: log-uniform between one over this factor and this factor", "[1, 100]"
     )
     sensor_noise: float = parameter(
         0.5,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from plants import SHORT, SOFT, STIFF
+from plants import FAR, SAFE, SHORT, SOFT, STIFF
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
@@ -53,6 +53,14 @@ def stiff_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path
 @pytest.fixture(scope="session")
 def soft_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path:
     return record(tmp_path_factory.mktemp("soft") / "bag", values(SOFT, law="smc", guide_file=excitation))
+
+
+@pytest.fixture(scope="session")
+def far_bag(tmp_path_factory: pytest.TempPathFactory, excitation: str) -> Path:
+    """A machine that the description does not fit, under a law that is slow enough for both."""
+    parameters = values({**FAR, "platform.stop": 8e-4}, guide_file=excitation)
+    parameters["controller"].update(SAFE)
+    return record(tmp_path_factory.mktemp("far") / "bag", parameters)
 
 
 @pytest.fixture(scope="session")

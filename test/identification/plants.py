@@ -19,3 +19,16 @@ SOFT = {
     "friction.bristle_damping": 600.0,
     "friction.viscous": 40.0,
 }
+FAR = {
+    "platform.mass": 3.3,
+    "actuator.turns": 361.0,
+    "actuator.air_gap": 9.5e-4,
+    "friction.coulomb": 0.15,
+    "friction.static": 0.225,
+    "friction.viscous": 3.5,
+    "drive.bandwidth": 770.0,
+    "drive.delay": 1.33,
+}
+"""So far from the description that a search from there ends in a wrong valley."""
+SAFE = {"control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
+"""Gains of law 'linear' that are stable on FAR as on the description."""

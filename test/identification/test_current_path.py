@@ -43,10 +43,38 @@ def test_bandwidth_and_delay_of_a_steady_loop_are_found() -> None:
     assert path.delay == pytest.approx(1.7e-4, abs=1e-7)
 
 
+@pytest.mark.parametrize("hertz", [250.0, 500.0, 1000.0])
+@pytest.mark.parametrize("samples", [0.6, 0.95, 1.0, 1.05, 1.2, 1.4, 1.9])
+def test_commands_that_arrive_after_the_next_sample_are_found_as_exactly(samples: float, hertz: float) -> None:
+    path = current_path(recorded(np.full(4000, samples * PERIOD), rate=2.0 * math.pi * hertz), DRIVE)
+    assert path.rate_found
+    assert path.rate == pytest.approx(2.0 * math.pi * hertz, rel=1e-6)
+    assert path.delay == pytest.approx(samples * PERIOD, abs=1e-7)
+    assert path.delay_spread == pytest.approx((path.delay, path.delay), abs=1e-7)
+
+
+def test_the_deviation_of_the_bandwidth_is_that_of_many_noisy_records() -> None:
+    clean, noise = recorded(np.full(4000, 6e-4)), np.random.default_rng(4)
+    found = []
+    for _ in range(40):
+        noisy = Recording(
+            clean.period_ns,
+            clean.x,
+            clean.y,
+            clean.current,
+            clean.command + 2e-4 * noise.standard_normal(4000),
+            clean.total,
+        )
+        found.append(current_path(noisy, DRIVE))
+    spread = np.std([path.rate for path in found])
+    assert 0.7 < np.median([path.rate_deviation for path in found]) / spread < 1.4
+
+
 def test_a_jittering_latency_is_found_sample_by_sample() -> None:
     recording = recorded(np.random.default_rng(2).uniform(3.5e-4, 6.5e-4, 4000))
     path = current_path(recording, DRIVE)
     assert path.delay == pytest.approx(5e-4, abs=5e-5)
+    assert path.delay_spread == pytest.approx((3.65e-4, 6.35e-4), abs=5e-5)
     steps = np.diff(recording.current).std()
     assert (reached(recording, path)[:-1] - recording.current[1:]).std() < 0.2 * steps
 

@@ -25,9 +25,12 @@ def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
         "prediction_error_um",
         "prediction_error_ratio",
         "amplifier_bandwidth_Hz",
+        "amplifier_bandwidth_deviation_Hz",
         "delay_us",
+        "delay_spread_us",
         "parameters",
         "advice",
+        "untold",
     }
     assert list(answer["parameters"]) == list(UNITS)
     for found in answer["parameters"].values():

@@ -1,13 +1,29 @@
 """The truth lies in the intervals, and the intervals are as narrow as they should be, or said to be wide."""
 
+import dataclasses
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
-from plants import SOFT, STIFF
+from plants import FAR, SOFT, STIFF
 
-from straightcomp_ros.identification.estimate import DERIVED, estimate_from_bag, parameter_file
+from straightcomp_ros.identification.current_path import CurrentPath
+from straightcomp_ros.identification.estimate import (
+    DERIVED,
+    UNITS,
+    Estimate,
+    Estimated,
+    estimate_from_bag,
+    parameter_file,
+)
+from straightcomp_ros.identification.sliding_start import sliding_start
+from straightcomp_ros.identification.stretch import read_recording
+from straightcomp_ros.identification.unknowns import NAMES, unknowns
+from straightcomp_ros.identification.untold import untold
 from straightcomp_ros.model.actuator import ActuatorParameters
+from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.settings.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
 
@@ -67,3 +83,48 @@ def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag: Path) ->
     assert not found["actuator.air_gap"].poor
     assert {"platform.mass", "friction.static", "friction.viscous"} <= set(estimate.advice)
     assert "quick motion" in estimate.advice["platform.mass"]
+
+
+def test_sliding_alone_leads_near_the_machine_whatever_the_description_says(far_bag: Path) -> None:
+    begin = unknowns(START, ["platform.mass"])
+    slid = sliding_start(read_recording(far_bag), begin)
+    assert slid is not None
+    ratio = START.platform.mass / FAR["platform.mass"]
+    found, truth = dict(zip(NAMES, np.exp(slid).tolist(), strict=True)), truth_of(FAR)
+    assert found["platform.mass"] == pytest.approx(START.platform.mass)
+    assert found["actuator.air_gap"] == pytest.approx(truth["actuator.air_gap"], rel=0.01)
+    assert found["actuator.turns"] ** 2 == pytest.approx(truth["actuator.turns"] ** 2 * ratio, rel=0.1)
+    assert found["friction.coulomb"] == pytest.approx(truth["friction.coulomb"] * ratio, rel=0.1)
+    assert found["friction.bristle_stiffness"] == pytest.approx(START.friction.bristle_stiffness)
+
+
+def test_a_record_in_which_the_platform_hardly_slides_gives_no_start(far_bag: Path) -> None:
+    record = read_recording(far_bag)
+    still = dataclasses.replace(record, y=0.01 * record.y)
+    assert sliding_start(still, unknowns(START, ["platform.mass"])) is None
+
+
+@pytest.mark.soak
+def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(far_bag: Path) -> None:
+    estimate = estimate_from_bag(far_bag, dataclasses.replace(START, drive=DriveParameters()), ["platform.mass"])
+    ratio = START.platform.mass / FAR["platform.mass"]
+    truth, found = truth_of(FAR), estimate.parameters
+    assert found["actuator.air_gap"].value == pytest.approx(truth["actuator.air_gap"], rel=0.005)
+    for name in ("actuator.current_stiffness", "actuator.position_stiffness", "friction.coulomb"):
+        assert found[name].value == pytest.approx(truth[name] * ratio, rel=0.01), name
+    assert estimate.path.rate == pytest.approx(2.0 * math.pi * FAR["drive.bandwidth"], rel=1e-3)
+    assert estimate.path.delay == pytest.approx(FAR["drive.delay"] / START.rate, rel=1e-3)
+    assert "platform.mass was given" in untold(estimate)[0]
+
+
+def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
+    parameters = {name: Estimated(name, 1.0, 0.99, 1.01, name == "platform.mass") for name in UNITS}
+    parameters["friction.viscous"] = Estimated("friction.viscous", 1.0, 0.5, 2.0, False, ("friction.static",))
+    parameters["friction.static"] = Estimated("friction.static", 1.0, 0.9, 1.1, False, ("friction.viscous",))
+    path = CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4))  # type: ignore[arg-type]
+    sentences = untold(Estimate(parameters, None, path, None))  # type: ignore[arg-type]
+    assert "platform.mass was given" in sentences[0] and "actuator.turns" not in sentences[0]
+    assert "bandwidth" in sentences[1]
+    assert sum("told apart" in sentence for sentence in sentences) == 1
+    assert "friction.viscous is only known to lie between 0.5 and 2 N·s/m." in sentences
+    assert len(sentences) == 4

@@ -27,7 +27,8 @@ class Streams(NamedTuple):
 
 
 class Deviation(NamedTuple):
-    """One machine: factors of mass, force, air gap and friction; sensor noise in m; command delay in samples."""
+    """One machine: factors of mass, force, air gap and friction; sensor noise in m; command delay in samples; factor of
+    the amplifier's bandwidth."""
 
     mass: float
     force: float
@@ -35,11 +36,12 @@ class Deviation(NamedTuple):
     friction: float
     sensor_noise: float
     delay: float
+    amplifier: float
 
     @property
     def factors(self) -> Factors:
         """The machine relative to its description."""
-        return Factors(self.mass, self.force, self.air_gap, self.friction)
+        return Factors(self.mass, self.force, self.air_gap, self.friction, self.amplifier)
 
 
 def streams(seed: int, trial: int) -> Streams:
@@ -59,6 +61,7 @@ def draw(stage: StageParameters, random: Generator) -> Deviation:
         friction=ranges.friction ** (2.0 * u[3] - 1.0),
         sensor_noise=ranges.sensor_noise * stage.encoder.y_resolution * u[4],
         delay=stage.drive.delay * (ranges.shortest_delay + (ranges.longest_delay - ranges.shortest_delay) * u[5]),
+        amplifier=ranges.amplifier ** (2.0 * u[6] - 1.0),
     )
 
 

@@ -1,0 +1,71 @@
+"""Commission the simulated stage: from a rough description to gains that are designed, measured and verified.
+
+The steps follow each other; each is done once, and a later call goes on where the last one ended. A machine that is
+not as described ends it with a sentence, the amplifier off and exit code 1. --set driver.simulated.truth.… says how the
+machine differs from its description, --set stage.uncertainty.… how well it is known.
+"""
+
+import argparse
+from typing import Any
+
+from straightcomp_ros.cli.options import check_range, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
+from straightcomp_ros.cli.parameter_options import add_setting_option, add_stage_argument, stage_values
+
+SUMMARY = "measure, tune and verify a stage, step by step"
+_STEPS = (
+    "connection",
+    "signs_and_scales",
+    "safe_loop",
+    "identification",
+    "design",
+    "frequency_response",
+    "acceptance",
+    "certificate",
+)
+_LARGEST = 100_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_stage_argument(parser)
+    add_setting_option(parser)
+    add = parser.add_argument
+    add("--output", "-o", metavar="DIR", required=True, help="folder of the record, the bags and the results")
+    add("--only", choices=_STEPS, metavar="STEP", help=f"do this step alone, even if it is done: {', '.join(_STEPS)}")
+    add("--evaluations", type=int, default=400, metavar="N", help="candidates of the design (default: %(default)s)")
+    add("--machines", type=int, default=200, metavar="N", help="uncertain machines of its check (default: %(default)s)")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> None:
+    for name in ("evaluations", "machines"):
+        check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
+    values = stage_values(options)
+    folder = output_folder("--output", options.output)
+    # Only here: the steps import all of the design.
+    from straightcomp_ros.commissioning.procedure import Procedure
+    from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
+
+    procedure = Procedure(
+        SimulatedMachine(values), values, folder, evaluations=options.evaluations, machines=options.machines
+    )
+    done: dict[str, Any] = {}
+    failed = ""
+    for step in [options.only] if options.only else procedure.remaining():
+        with working(step) as advance:
+            outcome = procedure.run(step, advance)
+        done[step] = {"passed": outcome.passed, "sentence": outcome.sentence, "figures": outcome.figures}
+        if not options.json:
+            colour = "green" if outcome.passed else "red"
+            console.print(
+                f"[{colour}]{'ok' if outcome.passed else 'fail':>4}[/]  {step}: {outcome.sentence}", highlight=False
+            )
+        if not outcome.passed:
+            failed = step
+            break
+    if options.json:
+        print_json({"output": str(folder), "failed": failed or None, "remaining": procedure.remaining(), "steps": done})
+    elif not done:
+        console.print("all steps have been done; --only STEP repeats one", highlight=False)
+    if failed:
+        raise CommandFailed(f"step '{failed}' did not pass; the amplifier is off")

@@ -1,0 +1,143 @@
+"""Measure the frequency responses of plant and loop on the simulated stage: a multisine is added to the commands.
+
+Prints the margins as measured, beside those of the description in closed form, and says whether the description
+explains the plant: within 1 dB and 5°, or within the measurement's confidence, wherever the coherence is above 0.9.
+"""
+
+import argparse
+from typing import Any
+
+from straightcomp_ros.cli.law_tables import titled_table
+from straightcomp_ros.cli.options import PICTURES, output_file
+from straightcomp_ros.cli.output import console, notes, print_json, working
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.response_margins import ResponseMargins, response_margins
+from straightcomp_ros.frequency_response.simulated_measurement import (
+    WITHIN_DB,
+    WITHIN_DEG,
+    ComparedResponse,
+    measure_simulated,
+)
+from straightcomp_ros.settings.declaration import Declaration, declarations, from_mapping
+
+SUMMARY = "measure plant, open loop, sensitivity and margins"
+_WORDS = {
+    "gain_low": "least gain",
+    "gain_high": "most gain",
+    "phase_deg": "phase margin [°]",
+    "crossover_Hz": "gain crossover [Hz]",
+    "delay_us": "delay margin [µs]",
+    "sensitivity_peak": "peak of |S|",
+    "sensitivity_peak_Hz": "at [Hz]",
+}
+
+
+def _excitation() -> list[Declaration]:
+    return list(declarations(MultisineParameters))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_parameter_options(parser)
+    add = parser.add_argument
+    for one in _excitation():
+        unit = f" {one.unit}" if one.unit else ""
+        text = f"{one.description} (default: {one.default:g}{unit})"
+        add(f"--{one.name}", type=one.kind, default=one.default, metavar=one.unit or "N", help=text)
+    add("--moving", action="store_true", help="measure while the stage makes strokes, not at rest")
+    add("--output", "-o", metavar="FILE", help="save Bode and Nyquist plots (PNG, SVG or PDF)")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> None:
+    values = chosen_parameters(options)
+    plot = output_file("--output", options.output, PICTURES) if options.output else None
+    excitation = from_mapping(MultisineParameters, {one.name: getattr(options, one.name) for one in _excitation()})
+    with working("measuring") as advance:
+        found = measure_simulated(values, excitation, moving=options.moving, progress=advance)
+    name = node_parameters("controller", values).stage.name
+    if plot is not None:
+        # Only here: matplotlib takes longer to import than the measurement.
+        from straightcomp_ros.frequency_response.response_plot import plot_response
+
+        plot_response(found, plot, f"Stage '{name}' under law '{found.law}'")
+    if options.json:
+        print_json({"stage": name, "moving": options.moving, **_figures(found)})
+    else:
+        _print(found, name)
+
+
+def _margins(found: ComparedResponse) -> tuple[ResponseMargins, ResponseMargins]:
+    frequencies = found.measured.frequencies
+    return (
+        response_margins(frequencies, found.measured.response.open_loop),
+        response_margins(frequencies, found.model.open_loop),
+    )
+
+
+def _figures(found: ComparedResponse) -> dict[str, Any]:
+    measured, (gain, phase) = found.measured, found.deviations
+    of_measured, of_model = _margins(found)
+    return {
+        "law": found.law,
+        "duration_s": found.duration,
+        "clipped_samples": found.clipped,
+        "speed_rms_mm_s": measured.speed * 1e3,
+        "friction_damping_Ns_m": found.damping,
+        "margins": of_measured.to_display(),
+        "model_margins": of_model.to_display(),
+        "model_explains_the_plant": found.explained,
+        "frequency_Hz": measured.frequencies.tolist(),
+        "coherence": measured.coherence.tolist(),
+        "plant": _curve(measured.response.plant, measured.plant_radius),
+        "open_loop": _curve(measured.response.open_loop, measured.open_loop_radius),
+        "sensitivity": _curve(measured.response.sensitivity, measured.sensitivity_radius),
+        "model_plant": _curve(found.model.plant),
+        "model_open_loop": _curve(found.model.open_loop),
+        "model_sensitivity": _curve(found.model.sensitivity),
+        "deviation_dB": gain.tolist(),
+        "deviation_deg": phase.tolist(),
+    }
+
+
+def _curve(values: Any, radius: Any = None) -> dict[str, list[float]]:
+    curve = {"real": values.real.tolist(), "imag": values.imag.tolist()}
+    return curve if radius is None else {**curve, "radius_95": radius.tolist()}
+
+
+def _print(found: ComparedResponse, name: str) -> None:
+    table = titled_table(f"Loop of stage '{name}' under law '{found.law}'", "margin", "measured", "description")
+    of_measured, of_model = (margins.to_display() for margins in _margins(found))
+    for key, words in _WORDS.items():
+        table.add_row(words, *(_number(margins[key]) for margins in (of_measured, of_model)))
+    console.print(table)
+    measured, (gain, phase) = found.measured, found.deviations
+    coherent = measured.coherent
+    if coherent.any():
+        largest = (abs(values[coherent]).max() for values in (gain, phase))
+        console.print(
+            "The description {} the plant: largest deviation {:.2f} dB and {:.1f}° at {} of {} frequencies with a "
+            "coherence above 0.9 (allowed: {:g} dB, {:g}°, or what is within the measurement's confidence)".format(
+                "explains" if found.explained else "does not explain",
+                *largest,
+                coherent.sum(),
+                coherent.size,
+                WITHIN_DB,
+                WITHIN_DEG,
+            ),
+            style="green" if found.explained else "red",
+            highlight=False,
+        )
+    else:
+        console.print("No frequency has a coherence above 0.9: take more current", style="red", highlight=False)
+    if found.clipped:
+        notes.print(f"The current limit cut {found.clipped} samples of the excitation: take less current")
+    notes.print(
+        f"Friction is taken as the damping that it equals at {measured.speed * 1e3:.2f} mm/s RMS: "
+        f"{found.damping:.0f} N·s/m"
+    )
+
+
+def _number(value: float | None) -> str:
+    return "beyond the lines" if value is None else f"{value:.3g}"

@@ -1,0 +1,59 @@
+"""Step `frequency_response`: plant and margins as measured; does what was identified explain them?"""
+
+import numpy as np
+
+from straightcomp_ros.commissioning.certificate import LOOP
+from straightcomp_ros.commissioning.outcome import Outcome, Work
+from straightcomp_ros.frequency_response import FrequencyResponseError
+from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.response_margins import response_margins
+from straightcomp_ros.frequency_response.simulated_measurement import WITHIN_DB, WITHIN_DEG
+
+_LEAST_PHASE = 10.0
+_LEAST_GAIN = 1.3
+
+
+def frequency_response(work: Work) -> Outcome:
+    """Measure under the designed law, with the stage at rest."""
+    stage = work.stage
+    try:
+        found = work.machine.response(work.values, MultisineParameters(travel=work.travel))
+    except FrequencyResponseError as error:
+        return Outcome(False, str(error))
+    # Only here: matplotlib takes longer to import than the measurement.
+    from straightcomp_ros.frequency_response.response_plot import plot_response
+
+    plot_response(found, work.folder / LOOP, f"Stage '{stage.name}' under law '{found.law}'")
+    measured = found.measured
+    margins = response_margins(measured.frequencies, measured.response.open_loop)
+    gain, phase = (np.abs(values[measured.coherent]) for values in found.deviations)
+    figures = {
+        "margins": margins.to_display(),
+        "model_margins": response_margins(measured.frequencies, found.model.open_loop).to_display(),
+        "coherent_lines": int(measured.coherent.sum()),
+        "lines": int(measured.coherent.size),
+        "largest_deviation_dB": float(gain.max(initial=0.0)),
+        "largest_deviation_deg": float(phase.max(initial=0.0)),
+        "frequency_Hz": measured.frequencies.tolist(),
+        "coherence": measured.coherence.tolist(),
+        "plant_um_A": (np.abs(measured.response.plant) * 1e6).tolist(),
+        "model_plant_um_A": (np.abs(found.model.plant) * 1e6).tolist(),
+    }
+    if not found.explained:
+        return Outcome(
+            False,
+            f"what was identified does not explain the measured plant: up to {gain.max(initial=0.0):.2g} dB and "
+            f"{phase.max(initial=0.0):.2g}° off (allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°)",
+            figures,
+        )
+    if (margins.phase or 180.0) < _LEAST_PHASE or (margins.gain_high or 10.0) < _LEAST_GAIN:
+        sentence = f"the measured margins are too small: phase {margins.phase:.0f}°, gain {margins.gain_high:.2g}"
+        return Outcome(False, sentence, figures)
+    return Outcome(
+        True,
+        f"the model explains the plant within {gain.max(initial=0.0):.2f} dB and {phase.max(initial=0.0):.1f}°; "
+        f"phase margin {margins.phase:.0f}°, peak of |S| {margins.peak:.2f}"
+        if margins.phase is not None
+        else f"the model explains the plant; peak of |S| {margins.peak:.2f}",
+        figures,
+    )

@@ -1,0 +1,126 @@
+"""The procedure of commissioning: steps in their order, each done once, with a record that no interrupt harms."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.commissioning import CommissioningError
+from straightcomp_ros.commissioning.acceptance import acceptance
+from straightcomp_ros.commissioning.certificate import certificate
+from straightcomp_ros.commissioning.connection import connection
+from straightcomp_ros.commissioning.designed_law import design
+from straightcomp_ros.commissioning.identified_machine import identification
+from straightcomp_ros.commissioning.loop_response import frequency_response
+from straightcomp_ros.commissioning.machine import Machine
+from straightcomp_ros.commissioning.outcome import Outcome, Work
+from straightcomp_ros.commissioning.safe_loop import safe_loop
+from straightcomp_ros.commissioning.signs_and_scales import signs_and_scales
+from straightcomp_ros.configuration.node_parameters import Values, node_parameters
+from straightcomp_ros.settings.plain_json import plain
+from straightcomp_ros.settings.whole_file import write_whole
+
+STEPS: Mapping[str, Callable[[Work], Outcome]] = {
+    "connection": connection,
+    "signs_and_scales": signs_and_scales,
+    "safe_loop": safe_loop,
+    "identification": identification,
+    "design": design,
+    "frequency_response": frequency_response,
+    "acceptance": acceptance,
+    "certificate": certificate,
+}
+"""The steps by name, in their order."""
+RECORD = "commission.json"
+
+
+class Procedure:
+    """Commissioning of one machine in one folder.
+
+    Args:
+        machine: the machine.
+        values: its description by node and dotted name.
+        folder: where the record and all files are; a record of the same description is taken up again.
+        evaluations: candidates of the search for gains.
+        machines: uncertain machines of its verification.
+
+    Raises:
+        CommissioningError: the folder has a record of another description, or one that cannot be read.
+        ParameterError: a value is refused.
+    """
+
+    def __init__(self, machine: Machine, values: Values, folder: Path, *, evaluations: int, machines: int) -> None:
+        self._machine, self._values, self._folder = machine, values, folder
+        self._evaluations, self._machines = evaluations, machines
+        self._description = node_parameters("controller", values).stage
+        self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
+        self.outcomes = self._read()
+
+    def run(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Outcome:
+        """Do one step, even if it is done; forget those after it, if they rest on something else now.
+
+        Raises:
+            CommissioningError: a step before it has not passed.
+        """
+        names = list(STEPS)
+        for before in names[: names.index(step)]:
+            if before not in self.outcomes or not self.outcomes[before].passed:
+                raise CommissioningError(f"step '{step}' rests on '{before}', which has not passed; do that one first")
+        outcome = STEPS[step](self.work(step, progress))
+        former = self.outcomes.get(step)
+        self.outcomes[step] = outcome
+        if former is None or (former.stage, former.gains) != (outcome.stage, outcome.gains) or not outcome.passed:
+            for later in names[names.index(step) + 1 :]:
+                self.outcomes.pop(later, None)
+        self._write()
+        return outcome
+
+    def remaining(self) -> list[str]:
+        """Names of the steps that have not passed yet, in their order."""
+        return [name for name in STEPS if name not in self.outcomes or not self.outcomes[name].passed]
+
+    def work(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Work:
+        """What ``step`` works on: the description with what the steps before it found."""
+        values = {node: dict(section) for node, section in self._values.items()}
+        names = list(STEPS)
+        for name in names[: names.index(step)]:
+            if name in self.outcomes:
+                values.setdefault("stage", {}).update(self.outcomes[name].stage)
+                values.setdefault("controller", {}).update(self.outcomes[name].gains)
+        return Work(
+            self._machine,
+            values,
+            self._description,
+            self._folder,
+            self._evaluations,
+            self._machines,
+            dict(self.outcomes),
+            progress,
+        )
+
+    def _write(self) -> None:
+        record: dict[str, Any] = {
+            "description": self._identity,
+            "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
+        }
+        write_whole(self._folder / RECORD, json.dumps(plain(record), indent=1, ensure_ascii=False) + "\n")
+
+    def _read(self) -> dict[str, Outcome]:
+        path = self._folder / RECORD
+        if not path.exists():
+            return {}
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+            outcomes = {name: Outcome(**one) for name, one in record["steps"].items()}
+            identity = record["description"]
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise CommissioningError(
+                f"record {path}: cannot be read ({error}); remove it, or name another folder"
+            ) from error
+        if identity != self._identity:
+            raise CommissioningError(
+                f"record {path}: is of another description, or of other parameters; name another folder, or remove it"
+            )
+        return outcomes

@@ -1,0 +1,148 @@
+"""Step `signs_and_scales`: the signs of current and force, the readback, amplifier and delay, before a loop is closed.
+
+First a quick random current, which the platform's mass averages out: the readback answers, the platform does not.
+Then a slow ramp either way, until friction gives way. The amplifier goes off as soon as the platform has moved some
+micrometres, so that nothing has to be known of the magnets' negative stiffness.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from straightcomp_ros.commissioning.current_readback import CurrentReadback, current_readback
+from straightcomp_ros.commissioning.machine import Array
+from straightcomp_ros.commissioning.outcome import Outcome, Work
+from straightcomp_ros.stage.description import StageParameters
+
+_SHAKE = 0.005
+"""Random current, relative to the bias current."""
+_SHAKE_TIME = 0.25
+_ENOUGH = 40
+"""Samples of it from which the readback can be told."""
+_ONE_COIL = 0.3
+"""Part of a single coil's pull from which a coil is missing."""
+_RAMP_TIME = 2.0
+_RAMP_SHARE = 0.5
+"""Highest current of a ramp, relative to the current limit."""
+_TRAVEL, _TRAVEL_COUNTS = 3e-6, 6.0
+"""m and counts of the encoder, whichever is more: the platform leaves faster the farther it is, and has to coast."""
+_GAIN_WITHIN = 0.05
+_BEYOND = 1.1
+"""Factor beyond its range at which a fact is called wrong."""
+
+
+def signs_and_scales(work: Work) -> Outcome:
+    """Shake, then push either way."""
+    stage = work.stage
+    shaken = work.machine.play(_shaking(stage), _travel(stage))
+    if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, stage)):
+        return Outcome(False, pulled)
+    readback = current_readback(shaken, stage.drive, stage.period)
+    figures: dict[str, Any] = {
+        "readback_gain": readback.gain,
+        "readback_offset_A": readback.offset,
+        "amplifier_bandwidth_Hz": readback.bandwidth,
+        "delay_samples": readback.delay,
+    }
+    wrong = _readback_fault(readback, stage)
+    if wrong:
+        return Outcome(False, wrong, figures)
+    currents, moved, farthest = [], [], 0.0
+    for sign in (1.0, -1.0):
+        pushed = work.machine.play(sign * _ramp(stage), _travel(stage))
+        currents.append(math.nan if pushed.left_at is None else float(pushed.command[pushed.left_at]))
+        moved.append(float(pushed.y[-1] - pushed.y[0]))
+        farthest = max(farthest, float(np.abs(pushed.y - pushed.y[0]).max()))
+    figures |= {"breakaway_currents_A": currents, "farthest_um": farthest * 1e6}
+    wrong = _force_fault(currents, moved, stage)
+    if wrong:
+        return Outcome(False, wrong, figures)
+    sentence = (
+        f"readback {readback.gain:.4g} times the command, amplifier {readback.bandwidth:.0f} Hz, delay "
+        f"{readback.delay:.2f} samples; friction gives way at {1e3 * currents[0]:.3g} and {1e3 * currents[1]:.3g} mA; "
+        f"the platform moved at most {farthest * 1e6:.0f} µm"
+    )
+    found = {"drive.bandwidth": readback.bandwidth, "drive.delay": readback.delay}
+    return Outcome(True, sentence, figures, stage=found)
+
+
+def _travel(stage: StageParameters) -> float:
+    return max(_TRAVEL, _TRAVEL_COUNTS * stage.encoder.y_resolution)
+
+
+def _shaking(stage: StageParameters) -> Array:
+    """Random steps, each taken back by the next: no slow part is left that could move the platform."""
+    random = np.random.default_rng(1)
+    count = round(_SHAKE_TIME * stage.rate) // 2
+    steps = _SHAKE * stage.actuator.bias_current * random.uniform(-1.0, 1.0, count)
+    return np.stack([steps, -steps], axis=1).ravel()
+
+
+def _unbalanced(left_at: int, stage: StageParameters) -> str:
+    """What pulled the platform away without a current that could; empty where the samples are enough all the same.
+
+    At rest only friction holds the platform against the magnets' negative stiffness: it may slowly creep away.
+    """
+    actuator, time = stage.actuator, max(1, left_at) / stage.rate
+    acceleration = 2.0 * _travel(stage) / time**2
+    # One coil alone, with the bias current, at the heaviest and weakest machine that is described.
+    ranges = stage.uncertainty
+    weakest = (1.0 - ranges.force) / ((1.0 + ranges.air_gap) ** 2 * (1.0 + ranges.mass))
+    alone = 0.25 * weakest * actuator.current_stiffness * actuator.bias_current / stage.platform.mass
+    if acceleration < _ONE_COIL * alone and left_at >= _ENOUGH:
+        return ""
+    return (
+        f"with the amplifier on and hardly any current the platform left {_travel(stage) * 1e6:g} µm within "
+        f"{time * 1e3:.3g} ms: the magnets do not balance; look for a coil without current, and for a bias current "
+        f"that is not {actuator.bias_current:g} A in both"
+    )
+
+
+def _ramp(stage: StageParameters) -> Array:
+    highest = _RAMP_SHARE * min(stage.actuator.current_limit, stage.drive.largest_current)
+    return np.linspace(0.0, highest, round(_RAMP_TIME * stage.rate))
+
+
+def _readback_fault(found: CurrentReadback, stage: StageParameters) -> str:
+    ranges, drive = stage.uncertainty, stage.drive
+    if found.gain < 0.0:
+        return "the measured current runs against the command: the readback is wired backwards"
+    if math.isnan(found.bandwidth) or found.unexplained > 0.5:
+        return "the measured current does not follow the command like a first-order amplifier; look at the readback"
+    if abs(found.gain - 1.0) > _GAIN_WITHIN:
+        return (
+            f"the readback shows {found.gain:.3g} times the commanded current; allowed: 1 ± {_GAIN_WITHIN:g}; look at "
+            "the readback's scale and 'stage.drive.gain'"
+        )
+    factor = found.bandwidth / drive.bandwidth
+    if not 1.0 / (_BEYOND * ranges.amplifier) <= factor <= _BEYOND * ranges.amplifier:
+        return (
+            f"the amplifier has {found.bandwidth:.0f} Hz, {factor:.2g} times what is described; allowed by "
+            f"'stage.uncertainty.amplifier': within a factor of {ranges.amplifier:g}; look at its tuning and its supply"
+        )
+    least, most = ranges.shortest_delay * drive.delay / _BEYOND, ranges.longest_delay * drive.delay * _BEYOND
+    if not least <= found.delay <= most:
+        return (
+            f"commands act {found.delay:.2f} samples after theirs; allowed by 'stage.uncertainty': "
+            f"{least * _BEYOND:.2g} to {most / _BEYOND:.2g}"
+        )
+    return ""
+
+
+def _force_fault(currents: list[float], moved: list[float], stage: StageParameters) -> str:
+    expected = stage.friction.static / stage.actuator.current_stiffness
+    if all(map(math.isnan, currents)):
+        highest = float(_ramp(stage)[-1])
+        return (
+            f"{highest:.2g} A do not move the platform; friction should give way at {expected:.2g} A; look for a "
+            "blocked platform, a coil without current, or an encoder of y that does not count"
+        )
+    if moved[0] < 0.0 or moved[1] > 0.0:
+        return (
+            "a positive current moves the platform toward negative y: the coils or the encoder of y are wired backwards"
+        )
+    if any(map(math.isnan, currents)):
+        side = "positive" if math.isnan(currents[0]) else "negative"
+        return f"the platform moves one way only, not with {side} current: one coil carries no current"
+    return ""
