@@ -35,8 +35,8 @@ bool board_start(struct board *board, const struct board_config *config, board_s
 
     if (allowed) {
         const int64_t oldest = config->output.command_timeout_ns / config->period_ns;
-        const uint32_t newest = WIRE_COUNTER_MODULUS - 1u;
-        const int64_t most = config->fd ? (int64_t)newest : (int64_t)OLDEST_CLASSIC_ECHO;
+        const uint32_t most_echoes = config->fd ? (WIRE_COUNTER_MODULUS - 1u) : OLDEST_CLASSIC_ECHO;
+        const int64_t most = (int64_t)most_echoes;
         const struct board started = {
             .config = *config,
             .send = send,

@@ -47,7 +47,7 @@ def pytest_collection_modifyitems(items):
 def pytest_runtest_protocol(item):
     config = item.config
     # In a worker of xdist a live test fails by itself.
-    if in_guest or item not in _ours([item]) or item.get_closest_marker("skip") or hasattr(config, "workerinput"):
+    if in_guest or not _ours([item]) or item.get_closest_marker("skip") or hasattr(config, "workerinput"):
         return None
     if _FOUND not in config.stash:
         config.stash[_FOUND] = _booted(item)
