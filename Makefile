@@ -56,7 +56,7 @@ code=0
 echo "Tests without live nodes, one process more than there are cores, since many wait for programs that they start:"
 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -m "not live and not soak" -n $$(( $$(nproc) + 1 )) --dist worksteal --cov --cov-report= || code=1
 echo "Tests of live nodes, one after the other:"
-.venv/bin/python -m pytest test/nodes -m "live and not soak" --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
+.venv/bin/python -m pytest test/nodes test/kernel -m "live and not soak" --cov --cov-append --cov-report= --rerun-show-tracebacks || code=1
 echo "Some tests as on other processors:"
 .venv/bin/python scripts/processors.py --only SKYLAKEX PRESCOTT -n logical $(PROCESSOR_DEPENDENT:%=test/%) || code=1
 [ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }

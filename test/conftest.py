@@ -8,9 +8,9 @@ from hypothesis import settings
 
 from straightcomp_ros.cell.launcher import Graph
 
-pytest_plugins = ["repeats", "pytester"]
+pytest_plugins = ["repeats", "pytester", "firmware_programs"]
 
-LIVE = Path(__file__).parent / "nodes"
+LIVE = [Path(__file__).parent / name for name in ("nodes", "kernel")]
 
 # A machine that others use too stands still for half a second now and then: an example is not wrong for being late.
 settings.register_profile("shared machine", deadline=None)
@@ -44,9 +44,12 @@ def pytest_runtest_call(item):
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
     """`make test` looks for live tests there only: to import all the others takes a quarter of a minute."""
-    elsewhere = [item.nodeid for item in items if item.get_closest_marker("live") and LIVE not in item.path.parents]
+    live = [item for item in items if item.get_closest_marker("live")]
+    elsewhere = [item.nodeid for item in live if not set(LIVE) & set(item.path.parents)]
     if elsewhere:
-        raise pytest.UsageError(f"tests with the mark 'live' belong in test/nodes: {', '.join(elsewhere)}")
+        raise pytest.UsageError(
+            f"tests with the mark 'live' belong in test/nodes or test/kernel: {', '.join(elsewhere)}"
+        )
 
 
 @pytest.fixture(autouse=True)

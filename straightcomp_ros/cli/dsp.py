@@ -1,7 +1,7 @@
 """Be an encoder and DSP board on a CAN bus: the simulated machine, behind the frames that a real board sends.
 
-The machine and the bus are those of the node `driver` in the parameter file (simulated.*, guide.*, can.*). The
-executable `dsp_emulator` is the same."""
+The machine and the bus are those of the node `driver` in the parameter file (simulated.*, guide.*, can.*). With
+can.firmware the board is the firmware core as a program. The executable `dsp_emulator` is the same."""
 
 import argparse
 import sys
@@ -16,6 +16,7 @@ from straightcomp_ros.hardware.can.link import check_interface
 
 SUMMARY = "emulate the DSP board on a CAN bus"
 _MOST_DRIFT_PPM = 1000.0
+_BUSES_OF_THE_FIRMWARE = ("socketcan", INTERFACE)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +38,12 @@ def run(options: argparse.Namespace) -> int:
     interface = parameters.can.interface
     if options.hub and interface != INTERFACE:
         raise CommandFailed(f"--hub with can.interface '{interface}': allowed: {INTERFACE}", exit_code=2)
+    if parameters.can.firmware:
+        if interface not in _BUSES_OF_THE_FIRMWARE:
+            allowed = " or ".join(_BUSES_OF_THE_FIRMWARE)
+            raise CommandFailed(f"can.firmware with can.interface '{interface}': allowed: {allowed}", exit_code=2)
+        if options.drift_ppm:
+            raise CommandFailed("--drift-ppm with can.firmware: its clock is this computer's", exit_code=2)
     return emulate(parameters, options.drift_ppm * 1e-6, own_hub=options.hub)
 
 

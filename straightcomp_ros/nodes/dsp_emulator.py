@@ -4,11 +4,16 @@ import dataclasses
 import signal
 import sys
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.board_line import BusLine, HubLine, Line
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
+from straightcomp_ros.hardware.can.firmware import BoardProgram, program_arguments
+from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.runtime.periodic import PeriodicLoop
 from straightcomp_ros.timing import realtime
@@ -71,9 +76,7 @@ class Emulator:
             late_ns = max(0, time.time_ns() - sent_ns)
             board.receive(identifier, payload, self._now_ns() - late_ns)
         board.cycle(self._now_ns() + _LEAD_NS)
-        if board.refused_trajectory != self._refused:
-            self._refused = board.refused_trajectory
-            print(f"dsp_emulator: {self._refused}", file=sys.stderr, flush=True)
+        self._refused = _told(board.refused_trajectory, self._refused)
 
     def _send(self, identifier: int, payload: bytes, fd: bool) -> None:
         self.unsent += not self._line.send(identifier, payload, fd)
@@ -92,6 +95,46 @@ def _beside_the_loop(driver: RealtimeParameters) -> RealtimeParameters:
     return dataclasses.replace(driver, cpus=cpus, priority=priority, exclusive=False)
 
 
+def _told(refused: str, before: str) -> str:
+    """Tell of a trajectory that was refused, once; returns what has been told."""
+    if refused != before:
+        print(f"dsp_emulator: {refused}", file=sys.stderr, flush=True)
+    return refused
+
+
+def _schedule(driver: RealtimeParameters) -> None:
+    for refusal in realtime.apply(_beside_the_loop(driver)):
+        print(f"dsp_emulator: {refusal}", file=sys.stderr)
+
+
+def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool], own_hub: bool) -> int:
+    """Be the machine of the firmware core, which is a process of its own on the bus."""
+    can, simulated, stage, guide = parameters.can, parameters.simulated, parameters.stage, parameters.guide()
+    bus = str(Path(can.channel).absolute()) if can.interface == INTERFACE else can.channel
+    arguments = program_arguments(can, simulated, stage, bus=bus, lead_ns=_LEAD_NS)
+    hub = Hub(can.channel) if own_hub else None
+    try:
+        # The program inherits it.
+        _schedule(parameters.realtime)
+        program = BoardProgram(can, arguments, simulated, stage, guide)
+        refused = ""
+
+        def ended() -> bool:
+            nonlocal refused
+            refused = _told(program.stage.refused, refused)
+            return stopped()
+
+        print("ready", flush=True)
+        try:
+            program.serve(ended, hub)
+        finally:
+            program.close()
+    finally:
+        if hub is not None:
+            hub.close()
+    return 0
+
+
 def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> int:
     """Emulate the board until SIGINT or SIGTERM; print ``ready`` when it samples.
 
@@ -102,15 +145,16 @@ def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = F
 
     Raises:
         SurveyError: the guide's file cannot be used.
-        HardwareError: the hub's socket cannot be made.
+        HardwareError: the hub's socket cannot be made, or the firmware's program cannot be started or has ended.
     """
     stopping: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: stopping.append(number))
+    if parameters.can.firmware:
+        return _run_firmware(parameters, lambda: bool(stopping), own_hub)
     line = HubLine(parameters.can.channel) if own_hub else BusLine(parameters.can)
     emulator = Emulator(parameters, line, drift)
-    for refusal in realtime.apply(_beside_the_loop(parameters.realtime)):
-        print(f"dsp_emulator: {refusal}", file=sys.stderr)
+    _schedule(parameters.realtime)
     print("ready", flush=True)
     try:
         emulator.loop.run(lambda: bool(stopping), idle=lambda: None)

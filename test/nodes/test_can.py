@@ -61,11 +61,15 @@ def operator():
         yield operator
 
 
-@pytest.fixture
-def values(short_cycle, tmp_path):
+@pytest.fixture(params=["", "board_posix"], ids=["emulator", "firmware"])
+def values(request, short_cycle, tmp_path):
     """A graph whose machine is a board on a hub: slow, and patient with a busy computer."""
     short_cycle["stage"]["rate"] = RATE
+    # The shipped gains lack margins at this rate; the stroke shows the path of the frames, not the law.
+    short_cycle["controller"]["control.margins"] = "warn"
     short_cycle["driver"].update(on_hub(short_cycle, str(tmp_path / "bus")))
+    if request.param:
+        short_cycle["driver"]["can.firmware"] = str(request.getfixturevalue("firmware") / request.param)
     for node in NODE_PARAMETERS:
         short_cycle[node]["realtime.priority"] = 0
     return short_cycle

@@ -179,7 +179,9 @@ class CanHardware(Hardware):
     def _receive(self, frame: Frame, arrival_ns: int) -> None:
         if frame.flags & ERROR:
             self._receiver.receive_error_frame(frame.identifier, frame.data)
-        elif not frame.flags & REMOTE:
+        elif frame.flags & REMOTE:
+            self._receiver.counts["remote"] += 1
+        else:
             self._receiver.receive(address(frame), frame.data, arrival_ns)
 
     def _upsets(self) -> dict[str, int]:

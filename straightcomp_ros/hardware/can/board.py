@@ -11,7 +11,7 @@ from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageR
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, FrameError, Report
 from straightcomp_ros.hardware.can.message_frames import ReportFrames
 from straightcomp_ros.hardware.can.wire import Wire
-from straightcomp_ros.hardware.interface import HardwareError, Sample, State, Truth
+from straightcomp_ros.hardware.interface import Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 
 _STRIKE, _STRIKE_LIMIT = 4, 16
@@ -33,8 +33,6 @@ class Board:
 
     refused_commands = 0
     """Commands that failed a check, were repeated or came too late."""
-    refused_trajectory = ""
-    """Why the last trajectory of the stage was refused."""
 
     def __init__(
         self,
@@ -58,8 +56,11 @@ class Board:
         self._oldest_echo = min(oldest, int(_SHARE_OF_ECHO * wire.echo_modulus)) if wire.echo_modulus else 0
         self._fault = BoardFault.NONE
         self._seen_off = False
-        self._command_alive: int | None = None
-        self._strikes = self._counter = 0
+        self.command_alive: int | None = None
+        """Of the last command that passed its checks."""
+        self.counter = 0
+        """Number of the newest sample."""
+        self._strikes = 0
         self._sent = dict.fromkeys(wire.reports, 0)
         self._newest_ns = self._next_heartbeat_ns = now_ns
         self._stage = StageReceiver(emulator) if emulator else None
@@ -81,12 +82,19 @@ class Board:
         try:
             if identifier == self._wire.command.identifier:
                 self._obey(self._wire.command.unpack(payload), at_ns)
-            elif self._stage and (trajectory := self._stage.add(identifier, payload)):
-                self.machine.move(trajectory, at_ns)
+            elif self._stage:
+                self._stage.obey(identifier, payload, self.machine, at_ns)
         except FrameError:
             self._strike()
-        except (HardwareError, ValueError) as error:
-            self.refused_trajectory = str(error)
+
+    def close(self) -> None:
+        """Amplifier off."""
+        self.machine.close()
+
+    @property
+    def refused_trajectory(self) -> str:
+        """Why the last trajectory of the stage was refused."""
+        return self._stage.refused if self._stage else ""
 
     @property
     def amplifier(self) -> Amplifier:
@@ -118,9 +126,9 @@ class Board:
             if command.reset or "reset" not in self._wire.command.signals.signals:
                 self.machine.reset_fault()
                 self._fault, self._strikes = BoardFault.NONE, 0
-        repeated = command.alive is not None and command.alive == self._command_alive
-        self._command_alive = command.alive
-        age = 0 if command.echo is None else (self._counter - command.echo) % self._wire.echo_modulus
+        repeated = command.alive is not None and command.alive == self.command_alive
+        self.command_alive = command.alive
+        age = 0 if command.echo is None else (self.counter - command.echo) % self._wire.echo_modulus
         if repeated or age > self._oldest_echo:
             self.refused_commands += 1
             return
@@ -143,10 +151,10 @@ class Board:
         wire = self._wire
         self._newest_ns = sample.stamp_ns
         number = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns)
-        self._counter = number % (wire.number_modulus or _COUNTED)
+        self.counter = number % (wire.number_modulus or _COUNTED)
         x, y = (_within(value, wire.sample.spans[name]) for name, value in (("x", sample.x), ("y", sample.y)))
         report = Report(
-            counter=self._counter,
+            counter=self.counter,
             x=x,
             y=y,
             current=0.0 if math.isnan(sample.current) else sample.current,
@@ -155,7 +163,7 @@ class Board:
             good=(x, y) == (sample.x, sample.y),
         )
         if self._tells_truth and self._emulator:
-            self._send(self._emulator.truth_id, self._emulator.truth_payload(self._counter, truth), True)
+            self._send(self._emulator.truth_id, self._emulator.truth_payload(self.counter, truth), True)
         self._send_report(wire.sample, report)
         for frames in wire.reports.values():
             if frames is not wire.sample and number % frames.every == 0:

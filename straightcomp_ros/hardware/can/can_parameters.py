@@ -41,12 +41,19 @@ class CanParameters:
     simulated_stage: bool = parameter(
         False, "The board is the emulator: send it stage trajectories, take the simulation's truth on CAN FD"
     )
+    firmware: str = parameter(
+        "",
+        "Program of the firmware core, e.g. firmware/build/board_posix, that is the emulated board; empty: none",
+    )
     log: str = parameter(
         "", "File for all frames received and sent, a candump .log or a .blf by its ending; empty: none"
     )
 
     def __post_init__(self) -> None:
         self.further_options()
+        if self.firmware and self.dbc:
+            text = f"'{self.firmware}' has the frames of config/straightcomp.dbc; allowed: only without '{{group}}dbc'"
+            raise RefusedParameter("firmware", text)
         if self.dbc or self.wire != WireParameters():
             # The package's own is known to be right, and reading it takes half a second.
             self.make_wire()

@@ -12,7 +12,7 @@ from straightcomp_ros.hardware.can.dbc_file import Dbc
 from straightcomp_ros.hardware.can.frames import EXTENDED_ID, FrameError
 from straightcomp_ros.hardware.can.message_code import Signals
 from straightcomp_ros.hardware.can.wire import Wire
-from straightcomp_ros.hardware.interface import HardwareError, Truth
+from straightcomp_ros.hardware.interface import Hardware, HardwareError, Truth
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.settings.declaration import ParameterError
 
@@ -102,10 +102,22 @@ class EmulatorFrames:
 class StageReceiver:
     """Collects the frames of :meth:`EmulatorFrames.stage_payloads` on the simulated machine's side."""
 
+    refused = ""
+    """Why the last trajectory was refused."""
+
     def __init__(self, frames: EmulatorFrames) -> None:
         self._frames = frames
         self._points: dict[str, dict[int, tuple[bytes, tuple[int | float, ...]]]] = {}
         self._forget()
+
+    def obey(self, identifier: int, payload: bytes, machine: Hardware, at_ns: int) -> None:
+        """Take one frame, and move ``machine`` from ``at_ns`` on with the one that starts the motion."""
+        try:
+            trajectory = self.add(identifier, payload)
+            if trajectory is not None:
+                machine.move(trajectory, at_ns)
+        except (HardwareError, ValueError) as error:
+            self.refused = str(error)
 
     def add(self, identifier: int, payload: bytes) -> Trajectory | None:
         """Take one frame; return the trajectory with the frame that starts the motion.

@@ -111,6 +111,7 @@ class Hub:
         self._member = member
         self._readable = select.poll()
         self._nodes: dict[int, socket.socket] = {}
+        self._watched: dict[int, Callable[[], object]] = {}
         self._waiting: dict[socket.socket, bytes] = {}
         """The oldest unsent frame of each node that has one."""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -137,12 +138,19 @@ class Hub:
         while not stopped():
             self.serve(_LONGEST_WAIT_MS)
 
+    def watch(self, descriptor: int, call: Callable[[], object]) -> None:
+        """Call ``call()`` in :meth:`serve` whenever a descriptor of the hub's process can be read."""
+        self._watched[descriptor] = call
+        self._readable.register(descriptor, select.POLLIN)
+
     def serve(self, timeout_ms: int) -> None:
         """Pass on a bounded number of frames, waiting up to ``timeout_ms`` for the first."""
         waiting, nodes, listener = self._waiting, self._nodes, self._listener.fileno()
         for descriptor, _ in self._readable.poll(0 if waiting else timeout_ms):
             if descriptor == listener:
                 self._accept()
+            elif descriptor in self._watched:
+                self._watched[descriptor]()
             elif descriptor in nodes and nodes[descriptor] not in waiting:
                 # Otherwise it is gone, or its frame waits already.
                 self._fetch(nodes[descriptor])

@@ -155,7 +155,6 @@ class Link:
             return
         self.openings += 1
         self.problem = ""
-        self._wait_s = _SHORTEST_WAIT_S
         self._bus = bus
         if self._closing:
             self._drop(bus)
@@ -175,6 +174,9 @@ class Link:
     def _read(self, bus: can.BusABC, timeout_s: float) -> int:
         frame = _next_frame(bus, timeout_s)
         taken = 0
+        if frame is not None:
+            # Not as soon as it opens: SocketCAN opens an interface that is down, and says so when it is read.
+            self._wait_s = _SHORTEST_WAIT_S
         while frame is not None:
             # recv_frame() of the hub's interface does not filter, and an error frame has no identifier.
             if address(frame) in self._identifiers or frame.flags & ERROR:

@@ -18,7 +18,7 @@ from straightcomp_ros.hardware.can.sequence import Sequence
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.stage.description import StageParameters
 
-_REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth")
+_REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth", "remote")
 _ERRORS = ("error_frames", "error_passive", "bus_off")
 _STRIKE = 4
 _CONTROLLER, _BUS_OFF = 0x04, 0x40

@@ -6,6 +6,7 @@ machine reacts: it keeps running, or it stays in the latched safe state until it
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +18,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.bus_faults import Faults, LinkCut
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.firmware import FirmwareBoard
 from straightcomp_ros.hardware.can.frames import Amplifier
 from straightcomp_ros.hardware.can.hub import ERROR, Flag, Frame
 from straightcomp_ros.hardware.interface import HardwareError, State
@@ -70,13 +72,17 @@ def run_servo_trial(
     Args:
         rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
         guide: of the simulated machine.
-        board: its DBC file and kind of bus.
+        board: its DBC file and kind of bus, and the program of the firmware core, if that is the board.
         frames: samples to take.
         seed: of the faults.
+
+    Raises:
+        HardwareError: the program cannot be started.
     """
     trial = _Trial(rates, guide, board, seed)
-    for _ in range(frames):
-        trial.period()
+    with contextlib.closing(trial.board):
+        for _ in range(frames):
+            trial.period()
     injected = Counter(trial.to_host.injected) + Counter(trial.to_board.injected)
     return ServoTrial(
         frames,
@@ -100,15 +106,19 @@ class _Trial:
         self._dead_until = 0
         self._wire = board.make_wire()
         self.host = CanHardware(board, stage, lambda: self.now, self._link)
-        machine = SimulatedHardware(SimulatedParameters(), stage, guide)
-        self._period_ns = machine.period_ns
-        self._board = Board(machine, self._wire, stage.drive.current_range, self._from_board, self.now)
-        machine.move(Trajectory(forward_and_back(stage.motion)), self.now)
+        simulated, self._period_ns = SimulatedParameters(), stage.period_ns
+        self.board: Board | FirmwareBoard
+        if board.firmware:
+            self.board = FirmwareBoard(board, simulated, stage, guide, self._from_board, self.now)
+        else:
+            machine = SimulatedHardware(simulated, stage, guide)
+            self.board = Board(machine, self._wire, stage.drive.current_range, self._from_board, self.now)
+        self.board.machine.move(Trajectory(forward_and_back(stage.motion)), self.now)
         self._servo = Servo(make_law(ControlParameters(), stage))
         self._answers: list[tuple[int, float]] = []
         self._taken: list[tuple[float, float]] = []
         self._fault_ns = 0
-        self._unsafe_after_ns = machine.command_timeout_ns + round(_SWITCH_OFF_S * 1e9)
+        self._unsafe_after_ns = round((simulated.command_timeout + _SWITCH_OFF_S) * 1e9)
         self.latched: Counter[str] = Counter()
         self.on = self.unsafe = self.wrong = 0
 
@@ -128,7 +138,7 @@ class _Trial:
         """Send a frame from the host to the board."""
         for frame in self._arriving(self.to_board, identifier, payload, fd):
             if not frame.flags & ERROR:
-                self._board.receive(frame.identifier, frame.data, self.now)
+                self.board.receive(frame.identifier, frame.data, self.now)
         return True
 
     def _from_board(self, identifier: int, payload: bytes, fd: bool) -> None:
@@ -155,7 +165,7 @@ class _Trial:
         for stamp_ns, current in self._answers:
             self.host.write(current, self.now, stamp_ns)
         self.now += self._period_ns - self._period_ns // 2
-        self._board.cycle(self.now)
+        self.board.cycle(self.now)
         self._answers = []
         for sample, _ in self.host.read(self.now):
             self._check(sample.stamp_ns, (sample.x, sample.y))
@@ -186,6 +196,6 @@ class _Trial:
             self._fault_ns = self.now
             self.latched[re.sub(" (for|within) .*", "", self.host.fault)] += 1
         age_ns = self.now - self._fault_ns
-        self.unsafe += age_ns > self._unsafe_after_ns and self._board.amplifier is Amplifier.ON
+        self.unsafe += age_ns > self._unsafe_after_ns and self.board.amplifier is Amplifier.ON
         if age_ns > _REST_NS:
             self.host.reset_fault()

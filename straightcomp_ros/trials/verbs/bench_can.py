@@ -2,7 +2,8 @@
 
 The round trip runs from an emulated board through the hub to a host and back to another node of the bus, each in a
 separate process. The fault run sends frames of known samples through injected faults on both kinds of bus: each kind of
-fault alone, then all together with the closed loop. Cuts are made on the link of the round trip."""
+fault alone, then all together with the closed loop. Cuts are made on the link of the round trip. With
+`--set driver.can.firmware=PROGRAM` the board is the firmware core."""
 
 import argparse
 import tempfile

@@ -1,5 +1,7 @@
-"""The driver's side and the emulated board against each other, frame by frame, on a clock that the test moves."""
+"""The driver's side against the emulated board and against the firmware core, frame by frame, on a clock that the test
+moves."""
 
+import contextlib
 import itertools
 import math
 from types import SimpleNamespace
@@ -15,6 +17,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
+from straightcomp_ros.hardware.can.firmware import FirmwareBoard
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
 from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, addressed
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
@@ -39,8 +42,8 @@ class World:
         self.now = START
         self.to_board = self.to_host = True
         self.board = None
-        self.unheard = set()
-        parameters = CanParameters(fd=fd, simulated_stage=True, **parameters)
+        self.unheard, self._programs = set(), contextlib.ExitStack()
+        self.parameters = parameters = CanParameters(fd=fd, simulated_stage=True, **parameters)
         self.wire = parameters.make_wire()
         self.host = CanHardware(parameters, STAGE, lambda: self.now, self._link)
         self.host.start(self.now)
@@ -56,8 +59,17 @@ class World:
         )
 
     def power_up(self):
-        machine = SimulatedHardware(SimulatedParameters(command_timeout=TIMEOUT), STAGE, GUIDE)
-        self.board = Board(machine, self.wire, 1.0, self._from_board, self.now, emulator=EmulatorFrames(1, self.wire))
+        simulated = SimulatedParameters(command_timeout=TIMEOUT)
+        if self.parameters.firmware:
+            self.board = FirmwareBoard(self.parameters, simulated, STAGE, GUIDE, self._from_board, self.now)
+            self._programs.callback(self.board.close)
+        else:
+            machine = SimulatedHardware(simulated, STAGE, GUIDE)
+            frames = EmulatorFrames(1, self.wire)
+            self.board = Board(machine, self.wire, 1.0, self._from_board, self.now, emulator=frames)
+
+    def close(self):
+        self._programs.close()
 
     def _from_host(self, identifier, payload, *, fd):
         if self.to_board and self.board:
@@ -102,8 +114,15 @@ class World:
 
 
 @pytest.fixture(params=[False, True], ids=["classic", "fd"])
-def world(request):
-    return World(request.param)
+def fd(request):
+    return request.param
+
+
+@pytest.fixture(params=["", "board_posix"], ids=["emulator", "firmware"])
+def world(request, fd):
+    program = str(request.getfixturevalue("firmware") / request.param) if request.param else ""
+    with contextlib.closing(World(fd, firmware=program)) as world:
+        yield world
 
 
 def test_enable_is_refused_before_the_board_has_spoken():
@@ -162,7 +181,7 @@ def test_silence_of_the_board_latches_a_fault_until_reset_and_a_new_enable(world
 
 def test_a_lost_heartbeat_latches_a_fault(world):
     world.on()
-    world.board._next_heartbeat_ns = 2**63
+    world.unheard = {world.wire.heartbeat.identifier}
     world.run(0.2)
     assert "no heartbeat" in world.host.fault and world.host.heartbeat_losses == 1
     assert world.board.amplifier is Amplifier.OFF
@@ -284,7 +303,7 @@ def test_patterns_that_are_no_switch_and_damaged_frames_trip_the_board(world, en
 
 def test_the_board_refuses_commands_that_are_repeated_or_answer_old_samples(world):
     world.on()
-    counter, alive = world.board._counter, world.board._command_alive
+    counter, alive = world.board.counter, world.board.command_alive
     for number, echo in ((alive, counter), (alive + 1, counter - 250)):
         command = Command(number % 15, True, False, 0.5, echo % world.wire.echo_modulus)
         world.board.receive(world.wire.command.identifier, world.wire.command.pack(command), world.now)
@@ -294,11 +313,10 @@ def test_the_board_refuses_commands_that_are_repeated_or_answer_old_samples(worl
 
 
 def test_a_board_that_was_told_on_from_its_first_command_stays_off(world):
-    world.run(0.1)
-    world.board._seen_off = False
     world.commands = False
+    world.run(0.1)
     for alive in range(10):
-        command = Command(alive, True, False, 0.0, world.board._counter % world.wire.echo_modulus)
+        command = Command(alive, True, False, 0.0, world.board.counter % world.wire.echo_modulus)
         world.board.receive(world.wire.command.identifier, world.wire.command.pack(command), world.now)
     assert world.board.amplifier is Amplifier.OFF
 
@@ -326,7 +344,7 @@ def heard(world, taken=True):
 def test_a_command_carries_the_number_of_the_sample_that_it_answers(world):
     world.on()
     world.run(0.4, current=0.1)
-    newest, commands = world.board._counter, heard(world)
+    newest, commands = world.board.counter, heard(world)
     for back in (0, 1, 100, 500):
         world.host.write(0.2, world.now, world.samples[-1 - back].stamp_ns)
     # A sample that it does not know, or none, is the newest.
@@ -403,7 +421,9 @@ def test_a_reset_is_repeated_until_the_board_reports_no_fault_or_its_time_is_ove
 
 def test_an_amplifier_that_the_board_switches_off_by_itself_is_a_fault(world):
     world.on()
-    world.board.machine.disable()
+    echo = world.board.counter % world.wire.echo_modulus
+    off = Command((world.board.command_alive + 1) % 15, False, False, 0.0, echo)
+    world.board.receive(world.wire.command.identifier, world.wire.command.pack(off), world.now)
     world.run(0.001)
     assert world.host.fault == "the board switched the amplifier off"
     assert world.host.heartbeat_losses == 0
@@ -478,11 +498,11 @@ def test_counters_tell_of_the_bus_and_of_its_log(world):
     assert "can_log" not in world.host.counters()
 
 
-def test_a_request_for_a_frame_is_no_frame(world):
+def test_a_request_for_a_frame_is_counted_and_is_no_frame(world):
     world.run(0.2)
     before = world.host.counters()
     world._receive(Frame(world.now, world.wire.sample.identifier, REMOTE, b""), world.now)
-    assert world.host.counters() == before
+    assert world.host.counters() == {**before, "can_remote": before["can_remote"] + 1}
 
 
 def test_the_time_of_the_newest_sample_is_that_of_its_arrival(world):

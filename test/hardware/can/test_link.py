@@ -157,10 +157,11 @@ def test_a_bus_that_fails_is_closed_named_and_opened_again(world):
     assert host.link.wait(0.0) == 1 and host.link.problem == ""
 
 
-def test_the_time_to_the_next_opening_doubles_up_to_a_second_and_is_short_again_after_success(world, monkeypatch):
+def test_the_time_to_the_next_opening_doubles_up_to_a_second_and_is_short_again_after_a_frame(world, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(link_module.time, "monotonic", lambda: now[0])
-    host = world(*[OSError("no adapter")] * 9, Bus(), OSError("once more"))
+    bus = Bus()
+    host = world(*[OSError("no adapter")] * 9, bus, OSError("once more"))
     waits = []
     for left in range(9, -1, -1):
         end = time.perf_counter() + 60.0
@@ -176,7 +177,12 @@ def test_the_time_to_the_next_opening_doubles_up_to_a_second_and_is_short_again_
         now[0] = host.link._next_opening_s
         host.link.wait(0.0)
     assert waits == pytest.approx([0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.0, 1.0, 1.0])
-    host.link._lose(host.link._bus, OSError("gone"))
+    bus.coming = [OSError("opened, but down")]
+    host.link.wait(0.0)
+    assert host.link._next_opening_s - now[0] == pytest.approx(1.0)
+    host.link._bus = bus
+    bus.coming = [frame(), OSError("gone")]
+    host.link.wait(0.0)
     assert host.link._next_opening_s - now[0] == pytest.approx(0.02)
 
 

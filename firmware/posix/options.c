@@ -1,0 +1,116 @@
+#include "options.h"
+
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum kind { WHOLE, REAL, TEXT };
+
+/* Where the value of an argument is put before it gets its own type: every argument is needed once. */
+struct argument {
+    const char *name;
+    enum kind kind;
+    int64_t whole;
+    double real;
+    const char *text;
+    bool given;
+};
+
+enum {
+    MACHINE, BUS, LEAD, NODE, FD, PERIOD, DELAY, CURRENT_LIMIT, X_NUMERATOR, X_DENOMINATOR, Y_NUMERATOR, Y_DENOMINATOR,
+    TIMEOUT, HOLD_AFTER, HALF_CODES, CODE_CURRENT, WEIGHT, KEPT, BRAKING, STIFFNESS, Y_COUNT, ARGUMENTS
+};
+
+static bool read_value(struct argument *argument, const char *text)
+{
+    char *end = NULL;
+
+    errno = 0;
+    if (argument->kind == WHOLE) {
+        argument->whole = strtoll(text, &end, 10);
+    } else if (argument->kind == REAL) {
+        argument->real = strtod(text, &end);
+    } else {
+        argument->text = text;
+    }
+    argument->given = (end == NULL) || ((end != text) && (*end == '\0') && (errno == 0));
+    return argument->given;
+}
+
+static bool read_argument(struct argument *arguments, const char *text)
+{
+    for (int i = 0; i < (int)ARGUMENTS; i++) {
+        const size_t length = strlen(arguments[i].name);
+
+        if ((strncmp(text, arguments[i].name, length) == 0) && (text[length] == '=')) {
+            return read_value(&arguments[i], &text[length + 1u]);
+        }
+    }
+    return false;
+}
+
+bool options_read(struct options *options, int count, char **arguments)
+{
+    struct argument known[ARGUMENTS] = {
+        [MACHINE] = {.name = "machine"},
+        [BUS] = {.name = "bus", .kind = TEXT},
+        [LEAD] = {.name = "lead_ns"},
+        [NODE] = {.name = "node"},
+        [FD] = {.name = "fd"},
+        [PERIOD] = {.name = "period_ns"},
+        [DELAY] = {.name = "delay_ns"},
+        [CURRENT_LIMIT] = {.name = "current_limit"},
+        [X_NUMERATOR] = {.name = "x_numerator"},
+        [X_DENOMINATOR] = {.name = "x_denominator"},
+        [Y_NUMERATOR] = {.name = "y_numerator"},
+        [Y_DENOMINATOR] = {.name = "y_denominator"},
+        [TIMEOUT] = {.name = "command_timeout_ns"},
+        [HOLD_AFTER] = {.name = "hold_after_ns"},
+        [HALF_CODES] = {.name = "half_codes"},
+        [CODE_CURRENT] = {.name = "code_current", .kind = REAL},
+        [WEIGHT] = {.name = "hold_weight", .kind = REAL},
+        [KEPT] = {.name = "hold_kept", .kind = REAL},
+        [BRAKING] = {.name = "hold_braking", .kind = REAL},
+        [STIFFNESS] = {.name = "hold_stiffness", .kind = REAL},
+        [Y_COUNT] = {.name = "y_count", .kind = REAL},
+    };
+    const struct scale one = {1, 1};
+
+    for (int i = 1; i < count; i++) {
+        if (!read_argument(known, arguments[i])) {
+            (void)fprintf(stderr, "board_posix: argument '%s' is not known, or no number\n", arguments[i]);
+            return false;
+        }
+    }
+    for (int i = 0; i < (int)ARGUMENTS; i++) {
+        if (!known[i].given) {
+            (void)fprintf(stderr, "board_posix: argument %s=... is missing\n", known[i].name);
+            return false;
+        }
+    }
+    options->machine = known[MACHINE].whole;
+    options->bus = known[BUS].text;
+    options->lead_ns = known[LEAD].whole;
+    options->config.node = (uint8_t)known[NODE].whole;
+    options->config.fd = known[FD].whole != 0;
+    options->config.period_ns = known[PERIOD].whole;
+    options->config.delay_ns = known[DELAY].whole;
+    options->config.current_limit = (int32_t)known[CURRENT_LIMIT].whole;
+    options->config.x.numerator = (int32_t)known[X_NUMERATOR].whole;
+    options->config.x.denominator = (int32_t)known[X_DENOMINATOR].whole;
+    options->config.y.numerator = (int32_t)known[Y_NUMERATOR].whole;
+    options->config.y.denominator = (int32_t)known[Y_DENOMINATOR].whole;
+    /* The simulated measurement of the current has the frame's own counts. */
+    options->config.current = one;
+    options->config.output.command_timeout_ns = known[TIMEOUT].whole;
+    options->config.output.hold_after_ns = known[HOLD_AFTER].whole;
+    options->config.output.half_codes = (int32_t)known[HALF_CODES].whole;
+    options->config.output.code_current = (board_real)known[CODE_CURRENT].real;
+    options->config.output.hold_weight = (board_real)known[WEIGHT].real;
+    options->config.output.hold_kept = (board_real)known[KEPT].real;
+    options->config.output.hold_braking = (board_real)known[BRAKING].real;
+    options->config.output.hold_stiffness = (board_real)known[STIFFNESS].real;
+    options->config.output.y_count = (board_real)known[Y_COUNT].real;
+    return true;
+}

@@ -1,0 +1,147 @@
+"""What the tests in the guest are made of: network interfaces, boards as processes, and the driver's side in a loop."""
+
+import contextlib
+import multiprocessing
+import subprocess
+import time
+
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.hardware.can.backend import CanHardware
+from straightcomp_ros.hardware.interface import HardwareError, State
+from straightcomp_ros.nodes.dsp_emulator import emulate
+
+RATE = 100
+"""Hz: what the guest's one processor carries on a busy computer. No law holds the platform then; friction does."""
+PATIENCE_S = 60.0
+HOST, BOARD = "vxcan0", "vxcan1"
+"""The two ends of a cable, of which each can be spoiled by itself."""
+
+
+def _command(*words):
+    subprocess.run([str(word) for word in words], check=True, timeout=PATIENCE_S)
+
+
+def link(*words):
+    _command("ip", "link", *words)
+
+
+class Cable:
+    """A CAN bus of two interfaces; every one of them may vanish and come again."""
+
+    def lay(self):
+        link("add", "dev", HOST, "type", "vxcan", "peer", "name", BOARD)
+        for end in (HOST, BOARD):
+            link("set", end, "mtu", 72, "up")
+
+    def remove(self):
+        # Both ends go together.
+        link("del", HOST)
+
+
+def parameters(fd, channel, **changed):
+    """Of the driver node: patient with a slow processor, on this channel."""
+    values = shipped_parameters()
+    values["stage"].update({"rate": RATE, "motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1})
+    values["driver"].update(
+        {
+            "hardware": "can",
+            "can.interface": "socketcan",
+            "can.channel": channel,
+            "can.fd": fd,
+            "can.simulated_stage": True,
+            "can.command_timeout": 1.0,
+            "can.sample_timeout": 1.0,
+            "can.heartbeat_timeout": 2.0,
+            "can.answer_timeout": 5.0,
+            "simulated.command_timeout": 1.0,
+            "simulated.sample_memory": 10.0,
+            "realtime.priority": 0,
+            "realtime.exclusive": False,
+            **changed,
+        }
+    )
+    return node_parameters("driver", values)
+
+
+class EmulatedBoard:
+    """`straightcomp dsp` on the board's end of the cable, forked from this process to be there at once."""
+
+    def __init__(self, fd, program=""):
+        own = parameters(fd, BOARD, **{"can.firmware": str(program)})
+        self._process = multiprocessing.get_context("fork").Process(target=emulate, args=(own, 0.0))
+        self._process.start()
+
+    def kill(self):
+        self._process.kill()
+        self._process.join()
+
+    def close(self):
+        self._process.terminate()
+        self._process.join(PATIENCE_S)
+
+
+class Driver:
+    """The driver's side: what the node does in its loop, without ROS, with commands of no current."""
+
+    def __init__(self, fd, **changed):
+        own = parameters(fd, HOST, **changed)
+        self.stage = own.stage
+        self.answering = True
+        self.samples = []
+        self.hardware = CanHardware(own.can, own.stage, time.time_ns)
+        self.hardware.start(time.time_ns())
+
+    def until(self, condition, at_most_s=PATIENCE_S):
+        """Run the loop until ``condition()``; returns how long that took in s."""
+        begin_s = time.monotonic()
+        while not condition():
+            passed_s = time.monotonic() - begin_s
+            assert passed_s < at_most_s, (self.hardware.fault, self.hardware.state, dict(self.hardware.counters()))
+            self._cycle()
+        return time.monotonic() - begin_s
+
+    def run(self, seconds):
+        end_s = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() >= end_s)
+
+    def beside(self, *words):
+        """Run a program to its end while the loop goes on."""
+        program = subprocess.Popen([str(word) for word in words])
+        self.until(lambda: program.poll() is not None)
+        assert program.returncode == 0, words
+
+    def _cycle(self):
+        hardware = self.hardware
+        hardware.wait(20_000_000)
+        fresh = hardware.read(time.time_ns())
+        self.samples += fresh
+        for sample, _ in fresh:
+            if self.answering and hardware.state is not State.FAULT:
+                hardware.write(0.0, time.time_ns(), sample.stamp_ns)
+
+    def switch_on(self):
+        def enabled():
+            with contextlib.suppress(HardwareError):
+                self.hardware.enable()
+                return True
+            return False
+
+        self.until(enabled)
+        self.until(lambda: self.hardware.state is State.ON)
+
+    def switch_on_after_a_fault(self):
+        """Without a new driver, and when samples come again: the board may have a fault of its own."""
+        fresh = len(self.samples) + 10
+        self.until(lambda: len(self.samples) >= fresh)
+        self.hardware.reset_fault()
+        self.switch_on()
+
+    def faulty(self):
+        return self.hardware.state is State.FAULT
+
+    def count(self, name):
+        return self.hardware.counters()[f"can_{name}"]
+
+    def close(self):
+        self.hardware.close()

@@ -1,0 +1,289 @@
+"""Driver and board on a real kernel's CAN: what the bus does to them, and that the driver finds it again."""
+
+import contextlib
+import signal
+import subprocess
+import time
+
+import numpy as np
+import pytest
+from bus_of_the_kernel import BOARD, HOST, PATIENCE_S, RATE, Cable, Driver, EmulatedBoard, link, parameters
+
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.frame_log import recorded_frames
+from straightcomp_ros.hardware.interface import State
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
+
+pytestmark = pytest.mark.live
+
+BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+FD = pytest.mark.parametrize("fd", [True], ids=["fd"])
+
+
+def sample_id(fd):
+    return CanParameters(fd=fd).make_wire().sample.identifier
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    """What boards and drivers compile, which takes longer than any timeout: processes that are forked later have it."""
+    own = parameters(True, BOARD)
+    SimulatedHardware(own.simulated, own.stage, own.guide())
+
+
+@pytest.fixture
+def cable():
+    cable = Cable()
+    cable.lay()
+    yield cable
+    with contextlib.suppress(subprocess.CalledProcessError):
+        cable.remove()
+
+
+@pytest.fixture
+def start_board(request, fd, cable):
+    """Starts boards of one kind on the far end: the emulator, or with ``FIRMWARE_TOO`` the firmware as well."""
+    program = getattr(request, "param", "") and request.getfixturevalue("firmware") / request.param
+    with contextlib.ExitStack() as stack:
+        yield lambda: stack.enter_context(contextlib.closing(EmulatedBoard(fd, program)))
+
+
+FIRMWARE_TOO = pytest.mark.parametrize("start_board", ["", "board_posix"], ids=["emulator", "firmware"], indirect=True)
+
+
+@pytest.fixture
+def board(start_board):
+    return start_board()
+
+
+@pytest.fixture
+def driver(fd, cable):
+    with contextlib.closing(Driver(fd)) as driver:
+        yield driver
+
+
+def as_the_board_took_them(samples):
+    """Whether each sample is what the machine's encoders read: over CAN FD the emulator tells the truth with it."""
+    told = [(sample, truth) for sample, truth in samples if truth is not None]
+    differences = [(abs(sample.x - truth.x), abs(sample.y - truth.y)) for sample, truth in told]
+    return len(told) > 0.9 * len(samples) and np.max(differences) <= 0.51e-7
+
+
+@BUSES
+@FIRMWARE_TOO
+def test_handshake_switching_on_a_stroke_and_switching_off(board, driver, fd):
+    driver.switch_on()
+    waypoints = forward_and_back(driver.stage.motion)
+    begin, lost = len(driver.samples), driver.hardware.lost_samples
+    driver.hardware.move(Trajectory(waypoints), time.time_ns())
+    driver.run(waypoints[-1].time_ns * 1e-9)
+    assert driver.hardware.state is State.ON and driver.hardware.fault == ""
+    samples = driver.samples[begin:]
+    x = [sample.x for sample, _ in samples]
+    assert max(x) == pytest.approx(0.1, abs=1e-4) and min(x) == pytest.approx(0.0, abs=1e-6)
+    assert driver.hardware.lost_samples - lost < 0.2 * len(x)
+    assert not fd or as_the_board_took_them(samples)
+    driver.hardware.disable()
+    driver.until(lambda: np.isnan(driver.samples[-1][0].current))
+    assert driver.hardware.state is State.OFF
+
+
+@FD
+@FIRMWARE_TOO
+def test_a_board_that_is_killed_is_a_fault_and_its_successor_runs_after_a_reset(start_board, driver):
+    board = start_board()
+    driver.switch_on()
+    board.kill()
+    driver.until(driver.faulty)
+    assert "no good sample" in driver.hardware.fault or "no heartbeat" in driver.hardware.fault
+    start_board()
+    before = driver.count("boot_ups")
+    driver.until(lambda: driver.count("boot_ups") > before)
+    assert driver.faulty()
+    driver.switch_on_after_a_fault()
+
+
+@FD
+@FIRMWARE_TOO
+def test_a_driver_that_falls_silent_is_the_boards_fault_until_it_is_reset(board, driver):
+    driver.switch_on()
+    driver.answering = False
+    driver.until(driver.faulty)
+    assert driver.hardware.fault == "the board reports: command timeout"
+    driver.answering = True
+    driver.switch_on_after_a_fault()
+
+
+@FD
+@FIRMWARE_TOO
+@pytest.mark.parametrize("end", [HOST, BOARD])
+def test_an_interface_that_goes_down_and_up_again_is_found_by_both_sides(board, driver, end):
+    driver.switch_on()
+    openings = driver.count("openings")
+    link("set", end, "down")
+    driver.until(lambda: driver.faulty() and (end == BOARD or "can_link" in driver.hardware.counters()))
+    driver.run(1.0)
+    link("set", end, "up")
+    driver.switch_on_after_a_fault()
+    if end == HOST:
+        assert 1 <= driver.count("openings") - openings <= 10
+    driver.run(0.5)
+    assert driver.hardware.state is State.ON and as_the_board_took_them(driver.samples)
+
+
+@FD
+@FIRMWARE_TOO
+def test_an_interface_that_is_deleted_and_made_again_is_found_by_both_sides(board, driver, cable):
+    driver.switch_on()
+    cable.remove()
+    driver.until(lambda: driver.faulty() and "can_link" in driver.hardware.counters())
+    assert driver.hardware.counters()["can_link"].startswith("CAN socketcan vxcan0: ")
+    cable.lay()
+    driver.switch_on_after_a_fault()
+    assert "can_link" not in driver.hardware.counters()
+    driver.run(0.5)
+    assert driver.hardware.state is State.ON and as_the_board_took_them(driver.samples)
+
+
+STRANGERS = {
+    "wrong CRC": ("{encoder}{fd}0011223344556677{more}", "crc"),
+    "too short": ("{encoder}#00112233", "length"),
+    "remote": ("{encoder}#R", "remote"),
+    "error frame": ("20000008#0000000000000000", "error_frames"),
+    "error-passive": ("20000004#0010000000000000", "error_passive"),
+    "heartbeat of two bytes": ("701#0505", "length"),
+}
+
+
+@BUSES
+def test_each_of_a_strangers_frames_is_counted_and_none_is_used(board, driver, fd):
+    driver.switch_on()
+    begin, encoder = len(driver.samples), sample_id(fd)
+    for frame, counter in STRANGERS.values():
+        text = frame.format(encoder=f"{encoder:X}", fd="##1" if fd else "#", more="0011223344556677" if fd else "")
+        before = driver.count(counter)
+        for _ in range(3):
+            # Its start takes so long that good frames come between: four bad ones in a row would be a fault.
+            driver.beside("cansend", BOARD, text)
+        driver.run(0.2)
+        assert driver.count(counter) == before + 3, counter
+    assert driver.hardware.state is State.ON
+    assert {sample.x for sample, _ in driver.samples[begin:]} == {0.0}
+
+
+@FD
+def test_what_is_not_for_the_driver_never_reaches_it(board, driver, fd):
+    driver.switch_on()
+    names = ("received", "crc", "length", "foreign", "error_frames")
+    counters = {name: driver.count(name) for name in names}
+    encoder = sample_id(fd)
+    for text in (f"{encoder:08X}#0011223344556677", f"{encoder + 1:X}#0011223344556677", "7FF#00"):
+        driver.beside("cansend", BOARD, text)
+    driver.beside("cangen", BOARD, "-g", "0", "-I", "7", "-L", "8", "-n", "5000")
+    driver.run(0.5)
+    assert driver.count("received") > counters["received"] + 10
+    assert {name: driver.count(name) for name in names[1:]} == {name: counters[name] for name in names[1:]}
+    assert driver.hardware.state is State.ON
+
+
+@BUSES
+def test_a_flood_under_the_boards_own_identifier_is_a_fault_and_none_of_it_is_used(board, driver, fd):
+    driver.switch_on()
+    begin, before = len(driver.samples), _refused(driver)
+    encoder, frames = sample_id(fd), 1000
+    # One a millisecond: of more, the guest's processor would not read all.
+    flood = ["cangen", BOARD, "-g", "1", "-I", f"{encoder:X}", "-L", "16" if fd else "8", "-n", frames]
+    driver.beside(*flood, *(["-f"] if fd else []))
+    driver.until(driver.faulty)
+    assert driver.hardware.fault == "too many frames failed their checks"
+    driver.run(0.5)
+    # One in 256 has a right CRC by chance; what comes of it is counted otherwise, or waits for its number in vain.
+    assert 0.98 * frames <= _refused(driver) - before <= 1.02 * frames
+    # The stage stands at zero; what cangen sends is anywhere.
+    assert {sample.x for sample, _ in driver.samples[begin:]} == {0.0}
+    driver.switch_on_after_a_fault()
+
+
+def _refused(driver):
+    return sum(driver.count(name) for name in ("crc", "length", "alive", "state", "implausible"))
+
+
+@FD
+def test_a_full_transmit_queue_is_counted_and_the_board_switches_off(board, driver):
+    driver.switch_on()
+    before = driver.count("transmit_full")
+    driver.beside("tc", "qdisc", "add", "dev", HOST, "root", "netem", "delay", "5s", "limit", "2")
+    driver.until(driver.faulty)
+    assert driver.hardware.fault == "the board reports: command timeout"
+    assert driver.count("transmit_full") > before + 10
+    driver.beside("tc", "qdisc", "del", "dev", HOST, "root")
+    openings = driver.count("openings")
+    driver.switch_on_after_a_fault()
+    # It was never another bus.
+    assert driver.count("openings") == openings
+
+
+@FD
+def test_a_bus_off_that_the_kernel_reports_is_a_fault_until_it_is_reset(board, driver):
+    driver.switch_on()
+    driver.beside("cansend", BOARD, "20000040#0000000000000000")
+    driver.until(driver.faulty)
+    assert driver.hardware.fault == "the CAN controller is bus-off" and driver.count("bus_off") == 1
+    driver.switch_on_after_a_fault()
+
+
+@pytest.fixture
+def candump(tmp_path):
+    """Starts candump on an interface; returns its file and a call that ends it."""
+    running = []
+
+    def start(interface):
+        file = tmp_path / "candump.log"
+        running.append(subprocess.Popen(["candump", "-L", interface], stdout=file.open("w")))
+        time.sleep(0.5)
+
+        def stop():
+            running[-1].send_signal(signal.SIGINT)
+            running[-1].wait(PATIENCE_S)
+
+        return file, stop
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+
+
+@FD
+def test_candump_records_the_frames_that_the_drivers_own_log_has(board, driver, fd, candump, tmp_path):
+    encoder = sample_id(fd)
+    file, stop = candump(HOST)
+    with contextlib.closing(Driver(fd, **{"can.log": str(tmp_path / "own.log")})) as recorder:
+        recorder.until(lambda: len(recorder.samples) > RATE)
+    stop()
+    own = [bytes(one.data) for one in recorded_frames(tmp_path / "own.log") if one.arbitration_id == encoder]
+    foreign = [bytes(one.data) for one in recorded_frames(file) if one.arbitration_id == encoder]
+    both = foreign[foreign.index(own[0]) :]
+    # Each ends where it was stopped.
+    assert min(len(own), len(both)) > RATE
+    assert all(theirs == ours for theirs, ours in zip(both, own, strict=False))
+
+
+@FD
+def test_canplayer_plays_the_drivers_log_to_another_driver(start_board, fd, tmp_path):
+    log = tmp_path / "own.log"
+    board = start_board()
+    with contextlib.closing(Driver(fd, **{"can.log": str(log)})) as recorder:
+        recorder.until(lambda: recorder.samples)
+        motion = recorder.stage.motion
+        recorder.hardware.move(Trajectory(forward_and_back(motion)), time.time_ns())
+        recorder.run(1.5)
+    board.kill()
+    with contextlib.closing(Driver(fd)) as driver:
+        driver.run(0.5)
+        driver.beside("canplayer", "-I", log, f"{BOARD}={HOST}")
+        driver.run(0.2)
+    then = {sample.x for sample, _ in recorder.samples}
+    again = [sample.x for sample, _ in driver.samples]
+    assert max(then) > 1e-3 and len(again) > 0.9 * (len(recorder.samples) - 128) and set(again) <= then
