@@ -113,4 +113,5 @@ def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     sections[ALL_NODES] = {name: value for name, value in described.items() if name not in own}
     # rcl refuses an empty section.
     tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
-    return yaml.safe_dump(tree, sort_keys=False)
+    text: str = yaml.safe_dump(tree, sort_keys=False)
+    return text
