@@ -57,11 +57,11 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_where_the_stat
     users, port = tmp_path / "users", free_port()
     add_user(users, "ann", "correct horse", OPERATOR)
     nodes = ("driver", "feedforward", "controller")
+    stage = {name: value for name, value in SLOW.items() if name.startswith("stage.")}
     for node in nodes:
         own = {name.removeprefix(f"{node}."): value for name, value in SLOW.items() if name.startswith(f"{node}.")}
-        own |= {name: value for name, value in SLOW.items() if name.startswith("stage.")}
-        graph.start(node, own | ({"stage.guide.file": str(survey)} if node == "feedforward" else {}))
-    graph.start("opcua", {"opcua.port": port, "opcua.users": str(users), "nodes": " ".join(nodes)})
+        graph.start(node, own | stage | ({"stage.guide.file": str(survey)} if node == "feedforward" else {}))
+    graph.start("opcua", {"opcua.port": port, "opcua.users": str(users), "nodes": " ".join(nodes), **stage})
     wait_for_line(graph, "opcua", "OPC UA at")
     probe = [sys.executable, str(REPOSITORY / "test" / "opcua" / "probes.py"), "orders"]
     url = OpcuaParameters(port=port).endpoint
