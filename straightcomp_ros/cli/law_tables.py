@@ -91,10 +91,10 @@ def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] 
 
 def timing_table(timing: Mapping[str, Mapping[str, Any]]) -> Table:
     """Each node's rate, lateness and longest time without a CPU; ``timing`` as in the figures of a demonstration."""
-    columns = ("rate [Hz]", "overruns", "stalls", "lost", "late p50 [µs]", "p99", "max", "no CPU [ms]")
+    columns = ("rate\n[Hz]", "overruns", "stalls", "lost", "late\np99", "max\n[µs]", "no CPU\n[ms]")
     table = titled_table("Timing of the nodes, from their diagnostics", "node", *columns)
     for node, values in timing.items():
-        late = [values["timer_error_us"][key] for key in ("p50", "p99", "max")]
+        late = [values["timer_error_us"][key] for key in ("p99", "max")]
         numbers = (values["rate_hz"], values["overruns"], values["stalls"], values["lost_samples"], *late)
         table.add_row(node, *map(rounded, numbers), rounded(values["no_cpu_us"] * 1e-3, 1))
     return table

@@ -22,5 +22,5 @@ def test_the_timing_of_the_nodes_fits_a_terminal_of_80_columns_with_all_names_an
     console.print(timing_table(dict.fromkeys(("driver", "feedforward", "controller", "logger"), values)))
     text = console.export_text()
     assert max(map(len, text.splitlines())) <= 80
-    for words in ("feedforward", "controller", "12345", "56276", "6.4", "[Hz]", "[µs]", "[ms]"):
+    for words in ("overruns", "stalls", "feedforward", "controller", "12345", "56276", "6.4", "[Hz]", "[µs]", "[ms]"):
         assert words in text
