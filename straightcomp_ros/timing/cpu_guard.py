@@ -79,8 +79,7 @@ def _serve(cpus: set[int], loops: set[int]) -> None:
     with suppress(KeyboardInterrupt):
         while os.read(sys.stdin.fileno(), 1):
             pass
-    with suppress(OSError):
-        _WORK_QUEUES.write_text(queues)
+    _give_queues_back(cpus, queues)
     # Threads started meanwhile have inherited the smaller set.
     _move(lambda affinity: affinity | cpus, without=elsewhere)
     note.remove()
@@ -132,6 +131,14 @@ def _keep_queues_off(cpus: set[int]) -> None:
         mask = int(_queues().replace(",", ""), 16) & ~sum(1 << cpu for cpu in cpus)
         if mask:
             _WORK_QUEUES.write_text(f"{mask:x}")
+
+
+def _give_queues_back(cpus: set[int], before: str) -> None:
+    """Let the kernel work on ``cpus`` again as ``before``; another graph's guard may have taken other CPUs since."""
+    with suppress(OSError, ValueError):
+        own = sum(1 << cpu for cpu in cpus)
+        mask = int(_queues().replace(",", ""), 16) | int(before.replace(",", ""), 16) & own
+        _WORK_QUEUES.write_text(f"{mask:x}")
 
 
 def main(words: list[str]) -> int:

@@ -204,6 +204,21 @@ def test_what_belongs_to_other_users_stays_and_is_counted(stand, monkeypatch):
     assert os.sched_getaffinity(bystander) == stand.all
 
 
+def test_guards_of_several_graphs_give_back_their_own_cpus_in_any_order(tmp_path, monkeypatch):
+    mask = tmp_path / "mask"
+    monkeypatch.setattr(cpu_guard, "_WORK_QUEUES", mask)
+    mask.write_text("f\n")
+    before = {}
+    for cpu in (3, 2):
+        before[cpu] = cpu_guard._queues()
+        cpu_guard._keep_queues_off({cpu})
+    assert mask.read_text() == "3"
+    cpu_guard._give_queues_back({3}, before[3])
+    assert mask.read_text() == "b"
+    cpu_guard._give_queues_back({2}, before[2])
+    assert mask.read_text() == "f"
+
+
 def test_a_node_says_what_it_did_or_why_not(monkeypatch):
     told = []
     monkeypatch.setattr(realtime, "keep_others_off", lambda cpus: f"kept off {sorted(cpus)}")
