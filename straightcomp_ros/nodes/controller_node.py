@@ -28,7 +28,7 @@ from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.node_timing import DESCRIPTION, LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
 _PAUSE_S = 0.001
@@ -87,8 +87,7 @@ class ControllerComponent:
                 self.loop = LockedLoop(period_ns, self._wait, self._cycle)
             self._silence_looks = math.ceil(parameters.sample_timeout / _LOOK_FOR_SILENCE_S)
             node.create_timer(_LOOK_FOR_SILENCE_S, self._look_for_silence)
-        self._description = parameters.stage.identity
-        Diagnostics(node, self._counters)
+        Diagnostics(node, self._counters, description=parameters.stage.identity)
 
     def activate(self) -> None:
         """Start with the samples that arrive from now on."""
@@ -217,7 +216,6 @@ class ControllerComponent:
             "commands": self._commands,
             "refused_samples": self._refused,
             "unmatched_samples": self._pairing.unmatched,
-            DESCRIPTION: self._description,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
             **(self._learning.counters() if self._learning is not None else {}),
         }

@@ -37,7 +37,7 @@ from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subsc
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.safety.watch import ClockWatch, SampleWatch, StageWatch
-from straightcomp_ros.timing.node_timing import AMPLIFIER, DESCRIPTION, LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import AMPLIFIER, LOST, OVERRUNS, SAMPLES
 
 _ANSWER_LOOK_NS = 100_000
 """Polling interval while the command for the newest sample is outstanding."""
@@ -107,8 +107,7 @@ class DriverComponent:
         machine = parameters.hardware
         if machine == "can":
             machine = f"can {parameters.can.interface} {parameters.can.channel} node {parameters.can.node}"
-        self._description = parameters.stage.identity
-        Diagnostics(node, self._counters, machine)
+        Diagnostics(node, self._counters, machine, description=parameters.stage.identity)
 
     def activate(self) -> None:
         """Start sampling, with the amplifier off."""
@@ -256,7 +255,6 @@ class DriverComponent:
             LOST: self._hardware.lost_samples,
             "trips": self._safety.trips,
             AMPLIFIER: self._hardware.state.value,
-            DESCRIPTION: self._description,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
             **self._commands.counters(),
             **self._hardware.counters(),

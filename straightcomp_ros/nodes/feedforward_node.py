@@ -23,7 +23,7 @@ from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.node_timing import DESCRIPTION, LOST, SAMPLES
+from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
 _LOOK_AT_MAP_S = 0.02
 _BATCH_NS = round(LOOK_AHEAD_S * 1e9)
@@ -58,8 +58,7 @@ class FeedforwardComponent:
         node.create_service(Trigger, "~/reload_map", self._on_reload_map)
         node.create_service(SetBool, "~/center", self._on_center)
         node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
-        self._description = parameters.stage.identity
-        Diagnostics(node, self._counters)
+        Diagnostics(node, self._counters, description=parameters.stage.identity)
 
     def activate(self) -> None:
         """Start with the samples that arrive from now on."""
@@ -147,7 +146,6 @@ class FeedforwardComponent:
         return {
             SAMPLES: self._samples,
             LOST: self._gaps.lost,
-            DESCRIPTION: self._description,
             **self.loop.report(),
         }
 

@@ -14,6 +14,7 @@ from straightcomp_ros.timing.cpu_wait import CpuWait
 from straightcomp_ros.timing.level import Levels
 from straightcomp_ros.timing.node_timing import (
     CPU_WAIT,
+    DESCRIPTION,
     LOST,
     NORMAL,
     OVERRUNS,
@@ -41,9 +42,17 @@ class Diagnostics:
         values: called at 1 Hz; returns values by name, always with ``samples``, and with ``error`` to report an error.
             A name ends with the unit, unless the value is a count: ``_us``, ``_hz``.
         hardware_id: what the node reports on; this computer's name if empty.
+        description: of the stage, which the node works with; empty if it works with none.
     """
 
-    def __init__(self, node: Node, values: Callable[[], Mapping[str, object]], hardware_id: str = "") -> None:
+    def __init__(
+        self,
+        node: Node,
+        values: Callable[[], Mapping[str, object]],
+        hardware_id: str = "",
+        description: str = "",
+    ) -> None:
+        self._told = {DESCRIPTION: description} if description else {}
         self._hardware_id = hardware_id or platform.node()
         self._levels = Levels()
         self._node = node
@@ -68,6 +77,7 @@ class Diagnostics:
         values = self._values()
         values = {
             **values,
+            **self._told,
             RATE: self._rate(int(str(values[SAMPLES]))),
             CPU_WAIT: f"{self._cpu_wait.take_us():.0f}",
             SCHEDULING: self._scheduling(),
