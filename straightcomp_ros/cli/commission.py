@@ -11,18 +11,9 @@ from typing import Any
 from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, add_stage_argument, stage_values
+from straightcomp_ros.commissioning import STEP_NAMES
 
 SUMMARY = "measure, tune and verify a stage, step by step"
-_STEPS = (
-    "connection",
-    "signs_and_scales",
-    "safe_loop",
-    "identification",
-    "design",
-    "frequency_response",
-    "acceptance",
-    "certificate",
-)
 _LARGEST = 100_000
 
 
@@ -31,7 +22,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setting_option(parser)
     add = parser.add_argument
     add("--output", "-o", metavar="DIR", required=True, help="folder of the record, the bags and the results")
-    add("--only", choices=_STEPS, metavar="STEP", help=f"do this step alone, even if it is done: {', '.join(_STEPS)}")
+    add(
+        "--only",
+        choices=STEP_NAMES,
+        metavar="STEP",
+        help=f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}",
+    )
     add("--evaluations", type=int, default=400, metavar="N", help="candidates of the design (default: %(default)s)")
     add("--machines", type=int, default=200, metavar="N", help="uncertain machines of its check (default: %(default)s)")
     add("--json", action="store_true", help="print one JSON object and nothing else")

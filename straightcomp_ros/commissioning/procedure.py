@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.commissioning import CommissioningError
+from straightcomp_ros.commissioning import STEP_NAMES, CommissioningError
 from straightcomp_ros.commissioning.acceptance import acceptance
 from straightcomp_ros.commissioning.certificate import certificate
 from straightcomp_ros.commissioning.connection import connection
@@ -22,16 +22,17 @@ from straightcomp_ros.configuration.node_parameters import Values, node_paramete
 from straightcomp_ros.settings.plain_json import plain
 from straightcomp_ros.settings.whole_file import write_whole
 
-STEPS: Mapping[str, Callable[[Work], Outcome]] = {
-    "connection": connection,
-    "signs_and_scales": signs_and_scales,
-    "safe_loop": safe_loop,
-    "identification": identification,
-    "design": design,
-    "frequency_response": frequency_response,
-    "acceptance": acceptance,
-    "certificate": certificate,
-}
+_DONE_BY = (
+    connection,
+    signs_and_scales,
+    safe_loop,
+    identification,
+    design,
+    frequency_response,
+    acceptance,
+    certificate,
+)
+STEPS: Mapping[str, Callable[[Work], Outcome]] = dict(zip(STEP_NAMES, _DONE_BY, strict=True))
 """The steps by name, in their order."""
 RECORD = "commission.json"
 

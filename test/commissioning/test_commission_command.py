@@ -9,6 +9,7 @@ import yaml
 from roughly_known import ROUGH
 
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.commissioning import STEP_NAMES
 from straightcomp_ros.commissioning.procedure import STEPS
 
 
@@ -47,9 +48,8 @@ def test_a_step_alone_is_done_and_a_later_one_is_refused(
 
 
 def test_the_choices_of_only_are_the_steps() -> None:
-    from straightcomp_ros.cli import commission
-
-    assert tuple(STEPS) == commission._STEPS
+    assert tuple(STEPS) == STEP_NAMES
+    assert tuple(step.__name__ for step in STEPS.values()) == STEP_NAMES
 
 
 @pytest.mark.soak
