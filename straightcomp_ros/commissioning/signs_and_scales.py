@@ -100,7 +100,7 @@ def _unbalanced(left_at: int, stage: StageParameters) -> str:
 
 
 def _ramp(stage: StageParameters) -> Array:
-    highest = _RAMP_SHARE * min(stage.actuator.current_limit, stage.drive.largest_current)
+    highest = _RAMP_SHARE * stage.highest_current
     return np.linspace(0.0, highest, round(_RAMP_TIME * stage.rate))
 
 

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.learning import LearningParameters
+from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.commanded_plant import Hold
@@ -99,7 +100,7 @@ class FeedforwardNodeParameters:
 class ControllerNodeParameters:
     """Parameters of the node `controller`."""
 
-    dynamic: ClassVar[tuple[str, ...]] = ("control", "stage.actuator.current_limit")
+    dynamic: ClassVar[tuple[str, ...]] = ("control", "error_limit", "excitation", "stage.actuator.current_limit")
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
@@ -120,7 +121,13 @@ class ControllerNodeParameters:
     sample_timeout: float = parameter(
         1.0, "Time without a sample after which the driver is asked to switch off", "(0, 60] s"
     )
+    error_limit: float = parameter(
+        0.1,
+        "Largest |r − y|, once it was within it with the amplifier on; the driver is asked to switch off beyond it",
+        "(0, 0.1] m",
+    )
     control: ControlParameters = group(ControlParameters)
+    excitation: ExcitationParameters = group(ExcitationParameters, "What the service ~/excite injects")
     learning: LearningParameters = group(LearningParameters, "Learned correction")
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 

@@ -18,7 +18,7 @@ class Injection:
         currents: (n,) control current in A to add, one for each sample.
         fade: samples over which the signal rises at the beginning, and falls at the end.
         limit: largest control current in A of command and signal together.
-        travel: largest |y − r| in m; beyond it the signal fades out early.
+        travel: largest change of y − r in m since the signal's first sample; beyond it the signal fades out early.
 
     Raises:
         ValueError: a current is not finite, or the fades are longer than the signal.
@@ -38,6 +38,7 @@ class Injection:
         self._currents: list[float] = currents.tolist()
         self._fade, self._limit, self._travel = fade, limit, travel
         self._next = 0
+        self._origin = math.nan
         self._end = currents.size
         self.stopped = ""
         self.clipped = 0
@@ -62,8 +63,11 @@ class Injection:
         """
         if self.finished:
             return command
-        if not abs(error) <= self._travel:
-            self.stop(f"|y − r| was {abs(error) * 1e6:.3g} µm; allowed: {self._travel * 1e6:.3g} µm")
+        if self._next == 0:
+            self._origin = error
+        moved = abs(error - self._origin)
+        if not moved <= self._travel:
+            self.stop(f"y − r changed by {moved * 1e6:.3g} µm; allowed: {self._travel * 1e6:.3g} µm")
         weight = min(1.0, (self._next + 1) / self._fade, (self._end - self._next - 1) / self._fade)
         asked = command + weight * self._currents[self._next]
         self._next += 1

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 
-from straightcomp_ros.control import sliding_mode, smc_observer
+from straightcomp_ros.control import open_loop, sliding_mode, smc_observer
 from straightcomp_ros.control.friction_size import LagWeights, SizeGains
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
@@ -13,6 +13,8 @@ from straightcomp_ros.settings.declaration import RefusedParameter, group, param
 from straightcomp_ros.stage.description import StageParameters
 
 LAWS = ("linear", "smc", "smc_observer")
+OPEN_LOOP = "open_loop"
+"""Name of the law that commands nothing, for the first steps of commissioning."""
 
 _MISFIT_BANDWIDTH = 60.0
 """Hz; lower than the encoder's noise, higher than the reversals of friction."""
@@ -59,7 +61,11 @@ class ObserverDesign:
 class ControlParameters:
     """Law and its design."""
 
-    law: str = parameter("smc_observer", "Control law", choices=LAWS)
+    law: str = parameter(
+        "smc_observer",
+        "Control law; open_loop commands nothing but the excitation, for commissioning",
+        choices=(*LAWS, OPEN_LOOP),
+    )
     margins: str = parameter(
         "require",
         "What the controller does with gains that lack the least margins on the stage as described. require: refuses "
@@ -88,6 +94,8 @@ def prepare_all() -> None:
 
 def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
     """The law that the parameters name, for a stage."""
+    if parameters.law == OPEN_LOOP:
+        return Law(open_loop.Gains(), open_loop.start, open_loop.step)
     if parameters.law in ("linear", "smc"):
         switching = parameters.law == "smc"
         design = parameters.smc

@@ -74,6 +74,11 @@ class Servo:
         self._running = False
         self._injection: Injection | None = None
 
+    @property
+    def running(self) -> bool:
+        """Whether the newest sample found the amplifier on."""
+        return self._running
+
     def inject(self, injection: Injection) -> None:
         """Add a test signal to the commands from the next sample on, in place of one that is running."""
         self._injection = injection

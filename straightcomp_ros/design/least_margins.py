@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
 from straightcomp_ros.control.margins import StateSpace, closed_loop, linearised, phase_margin, sampled_plant
 from straightcomp_ros.design.searched_gains import stiffened
 from straightcomp_ros.stage.description import StageParameters
@@ -27,8 +27,10 @@ _HALVINGS = 10
 def missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
     """What the law of ``control`` lacks on ``stage``: a sentence with parameters, value, limit and remedy.
 
-    None if it has the least margins, or if it has no linearisation at rest and so no linear margins.
+    None if it has the least margins, if it has no linearisation at rest and so no linear margins, or if it is none.
     """
+    if control.law == OPEN_LOOP:
+        return None
     try:
         missed = next(_missed(control, stage), None)
     except ValueError:

@@ -8,23 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.configuration.node_parameters import Values
-from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Command
-from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.frequency_response import FrequencyResponseError
 from straightcomp_ros.frequency_response.closed_form import LoopResponse, friction_damping, loop_response
+from straightcomp_ros.frequency_response.loop_excitation import loop_multisine, multisine_injection
 from straightcomp_ros.frequency_response.measured_response import MeasuredResponse, measured_response
-from straightcomp_ros.frequency_response.multisine import MultisineParameters, multisine
+from straightcomp_ros.frequency_response.multisine import Multisine, MultisineParameters
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles
 from straightcomp_ros.offline.simulation import Simulation, node_set
+from straightcomp_ros.stage.description import StageParameters
 
 WITHIN_DB, WITHIN_DEG = 1.0, 5.0
 """Deviations up to which a model explains a measurement."""
 _SETTLE = 1.0
 """s before the excitation, in which the law settles."""
-_FADE = 0.25
-"""s over which the excitation rises and falls."""
 _SPARE = 0.5
 """s of rest after the excitation."""
 
@@ -90,15 +89,8 @@ def measure_simulated(
     """
     nodes = node_set(values)
     stage, control = nodes.controller.stage, nodes.controller.control
-    law, limit = make_law(control, stage), min(stage.actuator.current_limit, stage.drive.largest_current)
-
-    def expected(frequencies: NDArray[np.float64]) -> LoopResponse:
-        return loop_response(law, stage, frequencies, stage.friction.viscous)
-
-    excitation = multisine(parameters, stage.rate, expected)
-    injection = Injection(
-        excitation.currents, fade=max(1, round(_FADE * stage.rate)), limit=limit, travel=parameters.travel
-    )
+    excitation = loop_multisine(parameters, make_law(control, stage), stage)
+    injection = multisine_injection(parameters, excitation, stage)
     duration = excitation.currents.size / stage.rate
     simulation = Simulation(values, motion=(_motion(nodes.cell.stage.motion, duration, moving), 0))
     first, rows = round(_SETTLE * stage.rate), array("d")
@@ -111,18 +103,44 @@ def measure_simulated(
             simulation.inject(injection)
         elif index > first:
             asked = command.equivalent_current + command.switching_current
-            rows.extend((command.current - max(-limit, min(limit, asked)), command.current, sample.y))
+            rows.extend((asked, command.current, sample.y))
 
     simulation.run(progress, observe)
     if injection.stopped:
         raise FrequencyResponseError(
             f"the excitation was ended early: {injection.stopped}; take less current, or allow more travel"
         )
-    signal, command, reading = np.frombuffer(rows).reshape(-1, 3).T
-    measured = measured_response(excitation, signal, command, reading)
+    asked, commands, reading = np.frombuffer(rows).reshape(-1, 3).T
+    return compared_response(excitation, asked, commands, reading, control, stage, injection.clipped)
+
+
+def compared_response(
+    excitation: Multisine,
+    asked: NDArray[np.float64],
+    commands: NDArray[np.float64],
+    reading: NDArray[np.float64],
+    control: ControlParameters,
+    stage: StageParameters,
+    clipped: int,
+) -> ComparedResponse:
+    """The response from series (n,) that begin with the excitation, beside that of a description.
+
+    Args:
+        excitation: what was injected.
+        asked: the law's current without the excitation, before the limit, A.
+        commands: with it, A.
+        reading: y, m.
+        control: the law and its gains.
+        stage: the description.
+        clipped: samples in which the limit cut the excitation.
+    """
+    limit = stage.highest_current
+    signal = commands - np.clip(asked, -limit, limit)
+    measured = measured_response(excitation, signal, commands, reading)
     damping = friction_damping(stage.friction, measured.speed)
-    model = loop_response(law, stage, measured.frequencies, damping)
-    return ComparedResponse(control.law, measured, model, damping, injection.clipped, duration)
+    model = loop_response(make_law(control, stage), stage, measured.frequencies, damping)
+    duration = excitation.currents.size / stage.rate
+    return ComparedResponse(control.law, measured, model, damping, clipped, duration)
 
 
 def _motion(motion: MotionParameters, duration: float, moving: bool) -> Trajectory:

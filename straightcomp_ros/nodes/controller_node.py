@@ -10,14 +10,17 @@ from rclpy.node import Node
 
 from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
+from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Command, Law
-from straightcomp_ros.control.laws import make_law, prepare_all
+from straightcomp_ros.control.laws import OPEN_LOOP, make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.design.least_margins import missing_margin
+from straightcomp_ros.frequency_response.loop_excitation import made_injection
 from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
+from straightcomp_ros.runtime.excitation_service import ExcitationService
 from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -26,9 +29,10 @@ from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.streams import SubscriptionQueue, subscribe, unspun_node
 from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.watch import ErrorWatch
 from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES
+from straightcomp_ros.timing.node_timing import EXCITATION, LOST, OVERRUNS, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05
 _PAUSE_S = 0.001
@@ -59,7 +63,8 @@ class ControllerComponent:
             parameters.stage.rate,
             self._beside.run if not lockstep else lambda job: job(),
         )
-        self._servo = Servo(self._made(parameters), learning=self._learning)
+        self._law = self._made(parameters)
+        self._servo = Servo(self._law, learning=self._learning)
         self._new_pairing = partial(Pairing, parameters.lead_ns, wait=lockstep)
         self._pairing = self._new_pairing()
         rate = parameters.stage.rate
@@ -68,6 +73,8 @@ class ControllerComponent:
         self._samples_seen = self._commands = self._refused = 0
         self._gaps = StampGaps()
         self._trip = tripper(node)
+        self._error_watch = ErrorWatch(parameters.error_limit)
+        self._excitation = ExcitationService(node, self._servo, self._made_injection, self._left_travel)
         self._silent, self._seen = 0, 0
         self.loop: Loop | None = None
         self._unspun: Node | None = None
@@ -103,14 +110,34 @@ class ControllerComponent:
                 f"parameter 'control.law': {parameters.control.law!r} is not the law that the learning started with; "
                 f"allowed while 'learning.learn' is true: {self._parameters.control.law}"
             )
+        former = self._parameters
+        same_law = (parameters.control, parameters.stage) == (former.control, former.stage)
         # Eigenvalues take several cycles.
-        law = self._beside.result(lambda: self._made(parameters), self._go_on)
+        law = self._law if same_law else self._beside.result(lambda: self._made(parameters), self._go_on)
 
         def take_over() -> None:
-            self._parameters = parameters
-            self._servo.change(law, round(FADE_TIME * parameters.stage.rate))
+            self._parameters, self._law = parameters, law
+            self._error_watch.limit = parameters.error_limit
+            if not same_law:
+                self._servo.change(law, round(FADE_TIME * parameters.stage.rate))
 
         return take_over
+
+    def _made_injection(self) -> Injection:
+        """The excitation of the parameters; its table of currents takes many cycles."""
+        parameters = self._parameters
+
+        def make() -> Injection:
+            # A law of its own: the one that runs must not be stepped from two threads.
+            law = make_law(parameters.control, parameters.stage)
+            return made_injection(parameters.excitation, law, parameters.stage)
+
+        return self._beside.result(make, self._go_on)
+
+    def _left_travel(self, reason: str) -> None:
+        # Under a law the excitation fades out and the platform is held. In open loop nothing holds it.
+        if self._parameters.control.law == OPEN_LOOP:
+            self._trip(Fault.FOLLOWING_ERROR, f"excitation in open loop: {reason}")
 
     def _made(self, parameters: ControllerNodeParameters) -> Law:
         """The law of these parameters; ParameterError if it lacks a margin that they require."""
@@ -188,6 +215,10 @@ class ControllerComponent:
                 self._refused += 1
             else:
                 answers.append((stamp_ns, command, age_ns * 1e-9))
+                finding = self._error_watch.check(command.error, amplifier_on=self._servo.running)
+                if finding is not None:
+                    self._trip(*finding)
+        self._excitation.look()
         return answers
 
     def _write(self, answers: list[Answer]) -> None:
@@ -216,6 +247,7 @@ class ControllerComponent:
             "commands": self._commands,
             "refused_samples": self._refused,
             "unmatched_samples": self._pairing.unmatched,
+            EXCITATION: self._excitation.state,
             **(self.loop.report() if self.loop else {OVERRUNS: 0}),
             **(self._learning.counters() if self._learning is not None else {}),
         }

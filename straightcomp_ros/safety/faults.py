@@ -94,6 +94,13 @@ class Fault(enum.Enum):
         "the bag is finished, the logger fails (the time is until its process has ended); the loop goes on",
         "free space; start the logger again, with another folder",
     )
+    FOLLOWING_ERROR = Description(
+        17,
+        "|r − y| beyond `error_limit`, after it has been within; or an excitation in open loop has moved the platform "
+        "by `excitation.travel`",
+        "controller",
+        60.0,
+    )
 
     @property
     def label(self) -> str:

@@ -158,6 +158,32 @@ class ClockWatch:
             self._offset_ns = offset_ns
 
 
+class ErrorWatch:
+    """The following error r − y, once it was within its limit with the amplifier on; NaN is beyond it.
+
+    Attributes:
+        limit: in m; may be changed.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self.limit = limit
+        self._held = False
+
+    def check(self, error: float, *, amplifier_on: bool) -> Finding | None:
+        """The fault of a sample with ``error`` in m, if any; told once."""
+        within = abs(error) <= self.limit
+        if not amplifier_on or within:
+            self._held = amplifier_on
+            return None
+        if not self._held:
+            return None
+        self._held = False
+        return (
+            Fault.FOLLOWING_ERROR,
+            f"the platform is {error * 1e6:.1f} µm from its reference; allowed: ±{self.limit * 1e6:g} µm",
+        )
+
+
 class CommandWatch:
     """Error counter of commands that answer a sample again, which a single controller never does."""
 

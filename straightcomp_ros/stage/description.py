@@ -62,6 +62,11 @@ class StageParameters:
         return round(1e9 / self.rate)
 
     @property
+    def highest_current(self) -> float:
+        """Largest control current in A that the limit and the D/A converter allow."""
+        return min(self.actuator.current_limit, self.drive.largest_current)
+
+    @property
     def dead_time(self) -> float:
         """T_d = delay T + T/2 + 1/(2π f_amplifier) in s: delay, mean age of a held command, and the amplifier's lag."""
         return (self.drive.delay + 0.5) * self.period + 1.0 / (2.0 * math.pi * self.drive.bandwidth)

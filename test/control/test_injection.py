@@ -34,9 +34,18 @@ def test_beyond_the_travel_the_signal_fades_out_at_once_and_says_why() -> None:
     answers(injection, 500)
     injection.step(0.0, -1.1e-4)
     fading = answers(injection, 200)
-    assert "|y − r| was 110 µm; allowed: 100 µm" in injection.stopped
+    assert "y − r changed by 110 µm; allowed: 100 µm" in injection.stopped
     assert np.abs(np.diff(fading)).max() <= 0.002 + 1e-12 and (fading[99:] == 0.0).all()
     assert injection.finished
+
+
+def test_travel_counts_from_where_the_signal_began() -> None:
+    injection = made()
+    for _ in range(100):
+        injection.step(0.0, 5e-3)
+    assert not injection.stopped
+    injection.step(0.0, 5e-3 - 1.1e-4)
+    assert injection.stopped
 
 
 def test_an_error_that_is_no_number_ends_the_signal_too() -> None:

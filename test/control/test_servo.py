@@ -1,6 +1,6 @@
 import math
 
-from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
 from straightcomp_ros.control.servo import AMPLIFIER_OFF, Servo
 from straightcomp_ros.stage.description import StageParameters
 
@@ -58,3 +58,11 @@ def test_after_a_clock_step_backward_the_law_starts_anew():
     for step in range(100):
         loop.step(10**12 + step * T, 0.0, 0.0, HELD)
     assert same(loop.step(10**6, 0.0, 0.0, HELD), fresh.step(0, 0.0, 0.0, HELD))
+
+
+def test_in_open_loop_the_command_is_zero_and_the_error_is_told():
+    loop = Servo(make_law(ControlParameters(law=OPEN_LOOP), StageParameters()))
+    assert not loop.running
+    answer = loop.step(T, 3e-6, 0.1, HELD)
+    assert answer is not None and answer.current == 0.0 and answer.error == 1e-6 - 3e-6
+    assert loop.running

@@ -30,6 +30,7 @@ NUMBERS = {
     "board": 14,
     "tripped": 15,
     "recording_stopped": 16,
+    "following_error": 17,
 }
 """Of every fault that ever was in a release: add to it, and take nothing away."""
 

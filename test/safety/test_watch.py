@@ -8,7 +8,7 @@ import pytest
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, SampleWatch, StageWatch, WatchParameters
+from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, ErrorWatch, SampleWatch, StageWatch, WatchParameters
 from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
@@ -297,3 +297,21 @@ def test_following_takes_less_than_half_a_step_at_once_and_no_more(slewed_ms, st
     found.follow()
     clocks.offset += stepped_ms * 1_000_000
     assert (clocks.seen_by(found) or [None])[0] == fault
+
+
+def test_a_following_error_is_a_fault_once_it_was_within_its_limit():
+    watch = ErrorWatch(1e-5)
+    assert watch.check(1e-3, amplifier_on=True) is None  # not yet there
+    assert watch.check(1e-6, amplifier_on=True) is None
+    finding = watch.check(-2e-5, amplifier_on=True)
+    assert finding is not None and finding[0] is Fault.FOLLOWING_ERROR and "-20.0 µm" in finding[1]
+    assert watch.check(-2e-5, amplifier_on=True) is None  # told once
+
+
+def test_a_following_error_that_is_no_number_is_a_fault_and_with_the_amplifier_off_none_is():
+    watch = ErrorWatch(1e-5)
+    watch.check(0.0, amplifier_on=True)
+    assert watch.check(1.0, amplifier_on=False) is None
+    assert watch.check(1.0, amplifier_on=True) is None
+    watch.check(0.0, amplifier_on=True)
+    assert watch.check(math.nan, amplifier_on=True) is not None

@@ -190,20 +190,38 @@ def _latched_and_silent(stand: Stand, trial: Trial, failures: list[str]) -> int 
 
 
 def _disk_full(stand: Stand) -> int:
-    client = stand.node.create_client(SetParameters, "logger/set_parameters")
+    return _set(stand, "logger", "min_free_bytes", 10**18)
+
+
+_TIGHT_M, _WIDE_M = 1e-9, 0.1
+
+
+def _error_limited(stand: Stand) -> int:
+    return _set(stand, "controller", "error_limit", _TIGHT_M)
+
+
+def _latched_and_unlimited(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
+    found = _latched(stand, trial, failures)
+    _set(stand, "controller", "error_limit", _WIDE_M)
+    return found
+
+
+def _set(stand: Stand, node: str, name: str, value: object) -> int:
+    """Set a parameter of a node; returns when, ns since the epoch."""
+    client = stand.node.create_client(SetParameters, f"{node}/set_parameters")
     stand.until(client.service_is_ready, _PATIENCE_S)
-    value = Parameter("min_free_bytes", value=10**18).to_parameter_msg()
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     at_ns = time.time_ns()
     for _ in range(_REQUESTS):
-        answered = client.call_async(SetParameters.Request(parameters=[value])).done
-        if stand.until(partial(_answered_or_ended, stand, answered), _ANSWER_S):
+        answered = client.call_async(request).done
+        if stand.until(partial(_answered_or_ended, stand, node, answered), _ANSWER_S):
             break
     stand.node.destroy_client(client)
     return at_ns
 
 
-def _answered_or_ended(stand: Stand, answered: Callable[[], bool]) -> bool:
-    return answered() or stand.exit_code("logger") is not None
+def _answered_or_ended(stand: Stand, node: str, answered: Callable[[], bool]) -> bool:
+    return answered() or stand.exit_code(node) is not None
 
 
 _STOP, _KILL = signal.SIGSTOP, signal.SIGKILL
@@ -222,6 +240,7 @@ TRIALS = (
     Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0), _latched),
     Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS), _latched),
     Trial("two controllers on one topic", Fault.TWO_CONTROLLERS, _echoed, _latched_and_silent),
+    Trial("following error", Fault.FOLLOWING_ERROR, _error_limited, _latched_and_unlimited),
     *(
         Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), _latched_and_going_on(name))
         for name in ("controller", "feedforward")
