@@ -2,12 +2,14 @@
 
 import yaml
 
+from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.straightness.guide_map import load_map
 
 _ALLOWANCE = 1.5
 """Of a later stroke over this one: a peak-to-peak moves from stroke to stroke."""
@@ -18,10 +20,12 @@ def acceptance(work: Work) -> Outcome:
     """Make one cycle, judge it, and write `limits.yaml`."""
     bag = work.folder / "bags" / "acceptance"
     try:
-        record, straightness = work.machine.stroke(work.values, bag, work.travel)
+        work.machine.stroke(work.values, bag, work.travel)
     except LeftTravel as error:
         return Outcome(False, str(error))
-    verdict = judged_run(record, straightness, by_node(work.values), straightness)
+    run = evaluate_bag(bag)
+    record, straightness = run.record, load_map(work.stage.guide)
+    verdict = judged_run(record, straightness, by_node(work.values), straightness, run.stalls)
     figures = {**evaluate(record, straightness).to_display(), **verdict._asdict()}
     if not verdict.in_order:
         return Outcome(False, f"the stroke is not in order: {verdict}", figures)

@@ -1,6 +1,6 @@
-"""What commissioning asks of a machine. The simulated one answers at once; a running graph can be another.
+"""What commissioning asks of a machine: the simulated one, which answers at once, or a running graph.
 
-Each call leaves the amplifier off, whatever happens in it.
+Each call leaves the amplifier off, whatever happens in it, and raises `CommissioningError` if the machine fails.
 """
 
 from dataclasses import dataclass
@@ -10,11 +10,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.configuration.node_parameters import Values
+from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters
 from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
-from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 Array = NDArray[np.float64]
 
@@ -28,6 +27,7 @@ class Series:
         x, y: readings, m.
         current: measured control current of the coils, A; NaN while the amplifier is off.
         command: commanded in answer to each sample, A.
+        latency: from each sample until its command arrived at the machine's driver, s; NaN where none arrived.
         left_at: the sample at which the platform was beyond the travel that was allowed, and the amplifier went off;
             those after it tell how far it coasts. None if it stayed within.
     """
@@ -37,6 +37,7 @@ class Series:
     y: Array
     current: Array
     command: Array
+    latency: Array
     left_at: int | None = None
 
 
@@ -46,14 +47,15 @@ class Machine(Protocol):
     def listen(self, seconds: float) -> Series:
         """Samples with the amplifier off."""
 
-    def play(self, currents: Array, travel: float) -> Series:
-        """Samples with the amplifier on and these commands, A; off as soon as y is ``travel`` (m) from its start.
+    def play(self, excitation: ExcitationParameters) -> Series:
+        """Samples in open loop, from the first current of a shake or a ramp on; the amplifier goes off as soon as y has
+        moved by the excitation's ``travel``.
 
         The series then goes on for some samples, in which the platform comes to rest.
         """
 
-    def stroke(self, values: Values, bag: Path, travel: float) -> tuple[StrokeRecord, StraightnessMap]:
-        """One cycle of the stage under the controller of ``values``, recorded as ``bag``; also the controller's map.
+    def stroke(self, values: Values, bag: Path, travel: float) -> None:
+        """One cycle of the stage under the controller of ``values``, recorded as ``bag``.
 
         Raises:
             LeftTravel: y was farther than ``travel`` (m) from its reference; the amplifier went off at once.

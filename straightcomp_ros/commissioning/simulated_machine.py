@@ -7,19 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.machine import Array, Series
 from straightcomp_ros.configuration.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
 from straightcomp_ros.control.law import Command
+from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters, simple_currents
 from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, measure_simulated
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.settings.declaration import to_mapping
-from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 _COASTING = 0.1
 """s that a series goes on for when the amplifier has been switched off."""
@@ -53,16 +52,16 @@ class SimulatedMachine:
         hardware = self._hardware()
         return self._run(hardware, np.zeros(round(seconds * self._driver.stage.rate)), np.inf)
 
-    def play(self, currents: Array, travel: float) -> Series:
+    def play(self, excitation: ExcitationParameters) -> Series:
         """See `Machine`."""
         hardware = self._hardware()
         hardware.enable()
         try:
-            return self._run(hardware, currents, travel)
+            return self._run(hardware, simple_currents(excitation, self._driver.stage), excitation.travel)
         finally:
             hardware.disable()
 
-    def stroke(self, values: Values, bag: Path, travel: float) -> tuple[StrokeRecord, StraightnessMap]:
+    def stroke(self, values: Values, bag: Path, travel: float) -> None:
         """See `Machine`."""
         whole = self._with_controller(values)
         simulation = Simulation(whole, wiring=self._wiring)
@@ -81,8 +80,7 @@ class SimulatedMachine:
                         "platform, and at the magnets"
                     )
 
-            record = simulation.run(observe=observe)
-        return record, simulation.map
+            simulation.run(observe=observe)
 
     def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
         """See `Machine`."""
@@ -117,4 +115,5 @@ class SimulatedMachine:
                 break
         stamps = np.array([row[0] for row in rows], np.int64)
         x, y, measured, command = np.array([row[1:] for row in rows]).reshape(-1, 4).T
-        return Series(stamps, x, y, measured, command, left_at)
+        latency = np.full(len(rows), delay_ns * 1e-9)
+        return Series(stamps, x, y, measured, command, latency, left_at)

@@ -11,6 +11,7 @@ from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.connection import connection
 from straightcomp_ros.commissioning.signs_and_scales import signs_and_scales
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
+from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters
 
 
 @pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)
@@ -77,8 +78,8 @@ def test_a_platform_that_strays_from_its_reference_ends_the_stroke(tmp_path: Pat
 
 def test_the_amplifier_is_off_as_soon_as_the_platform_has_left_the_travel() -> None:
     machine = SimulatedMachine(values_of())
-    series = machine.play(np.full(4000, 0.02), 3e-6)
-    assert series.left_at is not None and len(series.y) < 400
+    series = machine.play(ExcitationParameters(signal="ramp_up", current=0.4, duration=2.0, travel=3e-6))
+    assert series.left_at is not None and len(series.y) < 4000
     off = series.left_at
     assert np.abs(series.y[:off]).max() <= 3e-6 < abs(series.y[off])
     assert np.isfinite(series.current[: off + 1]).all() and np.isnan(series.current[off + 1 :]).all()
