@@ -54,7 +54,8 @@ def signs_and_scales(work: Work) -> Outcome:
     for signal in ("ramp_up", "ramp_down"):
         ramp = ExcitationParameters(signal=signal, current=_highest(stage), duration=_RAMP_TIME, travel=_travel(stage))
         pushed = work.machine.play(ramp)
-        currents.append(math.nan if pushed.left_at is None else float(pushed.command[pushed.left_at]))
+        # The answer to the sample itself may be zero already.
+        currents.append(math.nan if pushed.left_at is None else float(pushed.command[max(0, pushed.left_at - 1)]))
         moved.append(float(pushed.y[-1] - pushed.y[0]))
         farthest = max(farthest, float(np.abs(pushed.y - pushed.y[0]).max()))
     figures |= {"breakaway_currents_A": currents, "farthest_um": farthest * 1e6}

@@ -1,0 +1,79 @@
+"""Samples of a running graph, as its logger recorded them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.commissioning import CommissioningError
+from straightcomp_ros.commissioning.machine import Series
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER
+
+_COASTING = 0.1
+"""s that a series goes on for when the amplifier has been switched off."""
+
+
+def recorded_series(bag: Path) -> Series:
+    """All samples of ``bag``; those without a command have NaN for it.
+
+    Raises:
+        CommissioningError: the bag cannot be read.
+    """
+    wanted = (ENCODER, COMMAND, DRIVER_STATE)
+    try:
+        streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted})
+    except BagError as error:
+        raise CommissioningError(str(error)) from error
+    if ENCODER.topic not in streams:
+        none = np.empty(0)
+        return Series(np.empty(0, np.int64), none, none, none, none, none)
+    encoder = streams[ENCODER.topic]
+    stamps, rows = np.unique(encoder.stamp, return_index=True)
+
+    def matching(topic: str, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        found = np.full(len(stamps), np.nan)
+        if topic in streams:
+            own, places = np.unique(streams[topic].stamp, return_index=True)
+            _, here, there = np.intersect1d(stamps, own, assume_unique=True, return_indices=True)
+            found[here] = streams[topic].columns[name][places[there]]
+        return found
+
+    x, y, current = (encoder.columns[name][rows] for name in ("x", "y", "coil_current"))
+    command = matching(COMMAND.topic, "control_current")
+    return Series(stamps, x, y, current, command, matching(DRIVER_STATE.topic, "command_latency"))
+
+
+def excited(series: Series, travel: float, rate: float) -> Series:
+    """The part of an open-loop series from its first current on, until the platform has come to rest.
+
+    Args:
+        series: of a graph under the law `open_loop`, whose commands are those of the excitation.
+        travel: beyond which the amplifier went off, m.
+        rate: of the samples, Hz.
+
+    Raises:
+        CommissioningError: there is no current in it.
+    """
+    acting = np.flatnonzero(np.nan_to_num(series.command) != 0.0)
+    if not acting.size:
+        raise CommissioningError("the bag has no command other than zero: the controller did not excite the loop")
+    # A ramp begins with a zero of its own.
+    first = max(0, int(acting[0]) - 1)
+    off = np.flatnonzero(np.isnan(series.current[first:]))
+    end = first + int(off[0]) if off.size else len(series.stamps)
+    beyond = np.flatnonzero(~(np.abs(series.y[first:] - series.y[first]) <= travel))
+    left_at = int(beyond[0]) if beyond.size else None
+    if left_at is not None:
+        # The part in which the platform comes to rest.
+        end = max(end, first + left_at + 1) + round(_COASTING * rate)
+    part = slice(first, end)
+    return Series(
+        series.stamps[part],
+        series.x[part],
+        series.y[part],
+        series.current[part],
+        np.nan_to_num(series.command[part]),
+        series.latency[part],
+        left_at,
+    )

@@ -1,0 +1,79 @@
+"""A frequency response from a bag of the excited loop."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.frequency_response import FrequencyResponseError
+from straightcomp_ros.frequency_response.loop_excitation import loop_multisine
+from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, compared_response
+from straightcomp_ros.stage.description import StageParameters
+
+_ALIKE = 0.9
+"""Least correlation of what was injected with the excitation."""
+
+
+def response_from_bag(
+    bag: Path, parameters: MultisineParameters, control: ControlParameters, stage: StageParameters
+) -> ComparedResponse:
+    """The response of a loop that the controller's service ``~/excite`` excited.
+
+    Samples are counted as the controller answered them: a lost one shifts the excitation too.
+
+    Args:
+        bag: with encoder, command and the controller's state.
+        parameters: of the excitation.
+        control: law and gains under which it was made.
+        stage: the description that the response is compared with.
+
+    Raises:
+        FrequencyResponseError: the bag cannot be read, or has not the whole excitation.
+    """
+    wanted = (ENCODER, COMMAND, CONTROLLER_STATE)
+    try:
+        streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted})
+    except BagError as error:
+        raise FrequencyResponseError(str(error)) from error
+    missing = [stream.topic for stream in wanted if stream.topic not in streams]
+    if missing:
+        raise FrequencyResponseError(f"bag {bag}: has no messages on {', '.join(missing)}")
+    common = np.unique(streams[ENCODER.topic].stamp)
+    for stream in wanted[1:]:
+        common = np.intersect1d(common, streams[stream.topic].stamp)
+
+    def column(topic: str, name: str) -> NDArray[np.float64]:
+        stamps, places = np.unique(streams[topic].stamp, return_index=True)
+        found: NDArray[np.float64] = streams[topic].columns[name][places[np.searchsorted(stamps, common)]]
+        return found
+
+    commands = column(COMMAND.topic, "control_current")
+    asked = column(CONTROLLER_STATE.topic, "equivalent_current") + column(CONTROLLER_STATE.topic, "switching_current")
+    excitation = loop_multisine(parameters, make_law(control, stage), stage)
+    limit = stage.highest_current
+    added = np.nan_to_num(commands - np.clip(asked, -limit, limit))
+    first, alike = _place(added, excitation.currents)
+    part = slice(first, first + excitation.currents.size)
+    if alike < _ALIKE or len(commands[part]) < excitation.currents.size:
+        raise FrequencyResponseError(
+            f"bag {bag}: has not the whole excitation (correlation {alike:.2f}; allowed: >= {_ALIKE:g}); was it ended "
+            "early, or made with other parameters?"
+        )
+    reading = column(ENCODER.topic, "y")
+    clipped = int(np.count_nonzero(np.abs(commands[part]) >= limit))
+    return compared_response(excitation, asked[part], commands[part], reading[part], control, stage, clipped)
+
+
+def _place(series: NDArray[np.float64], wanted: NDArray[np.float64]) -> tuple[int, float]:
+    """Where ``wanted`` (m,) begins in ``series`` (n,), and how well it correlates with what is there."""
+    size = series.size + wanted.size
+    product = np.fft.irfft(np.fft.rfft(series, size) * np.fft.rfft(wanted, size).conj(), size)
+    first = int(np.argmax(product[: max(1, series.size)]))
+    there = series[first : first + wanted.size]
+    power = float(np.sqrt(np.sum(there**2) * np.sum(wanted**2)))
+    return first, float(product[first]) / power if power else 0.0

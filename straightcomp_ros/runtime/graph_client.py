@@ -1,0 +1,194 @@
+"""A client that asks the nodes of a running graph and waits for their answers.
+
+A thread of its own spins the client's node, so that whoever calls may compute or wait as long as it likes.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.client import Client
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from straightcomp_ros.contract import HEARTBEAT, SAFETY_STATE, STAGE_TRAJECTORY
+from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.runtime.graph_watch import GraphWatch
+from straightcomp_ros.runtime.heartbeats import Heartbeats
+from straightcomp_ros.runtime.middleware import own_profile
+from straightcomp_ros.runtime.remote_parameters import RemoteParameters
+from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
+from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+
+ANSWER_S = 20.0
+"""Longest wait for an answer: a busy computer takes long to configure a node."""
+_START_S = 60.0
+_POLL_S = 0.01
+_WATCH_S = 0.05
+_BEAT_S = 0.1
+_UP = ("unconfigured", "inactive", "active")
+_STEPS = {
+    ("unconfigured", "inactive"): Transition.TRANSITION_CONFIGURE,
+    ("inactive", "active"): Transition.TRANSITION_ACTIVATE,
+    ("active", "inactive"): Transition.TRANSITION_DEACTIVATE,
+    ("inactive", "unconfigured"): Transition.TRANSITION_CLEANUP,
+}
+
+
+class GraphError(RuntimeError):
+    """A node does not answer, or refuses; the message names it and its reason."""
+
+
+class GraphClient:
+    """Lifecycle, parameters, amplifier and motion of the graph; as a context manager it leaves ROS at its end.
+
+    While it lives it publishes heartbeats, by which cell and gateway know that somebody else uses the machine.
+
+    Args:
+        name: of this client's node.
+        nodes: of the graph.
+        namespace: of all of them.
+        trouble: returns why the graph cannot work any more; empty if it can.
+
+    Attributes:
+        doing: what is being done, in the heartbeats.
+        safety: the driver's newest safety state.
+    """
+
+    def __init__(
+        self, name: str, nodes: Sequence[str], namespace: str = "", trouble: Callable[[], str] = lambda: ""
+    ) -> None:
+        self._trouble = trouble
+        with own_profile():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            self._node = Node(name, namespace=namespace or None)
+        node, self.doing, self.safety = self._node, "", SafetyState()
+        self._clients: dict[str, Client] = {
+            "driver/enable": node.create_client(SetBool, "driver/enable"),
+            "driver/reset_fault": node.create_client(Trigger, "driver/reset_fault"),
+            "controller/excite": node.create_client(SetBool, "controller/excite"),
+        }
+        for one in nodes:
+            self._clients[f"{one}/change_state"] = node.create_client(ChangeState, f"{one}/change_state")
+            self._clients[f"{one}/get_state"] = node.create_client(GetState, f"{one}/get_state")
+        self._parameters = {one: AsyncParameterClient(node, one) for one in nodes}
+        self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
+        self._beats = node.create_publisher(DiagnosticStatus, HEARTBEAT, 10)
+        self.heartbeats = Heartbeats(node, nodes)
+        self._remote = RemoteParameters(node, nodes)
+        self._watch = GraphWatch(node, batches=False)
+        node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
+        node.create_timer(_WATCH_S, self._watch.fetch)
+        node.create_timer(_BEAT_S, self._beat)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> GraphClient:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown(timeout_sec=1.0)
+        self._thread.join(timeout=2.0)
+        rclpy.try_shutdown()
+
+    def values(self) -> dict[str, dict[str, Any]]:
+        """All parameters of the nodes, by node and dotted name, as they were when this client found them."""
+        self.wait(lambda: self._remote.complete, _START_S, "the nodes do not tell their parameters")
+        return {node: dict(section) for node, section in self._remote.values.items()}
+
+    def wait(self, done: Callable[[], bool], within: float, otherwise: str) -> None:
+        """Wait until ``done``; GraphError ``otherwise`` after ``within`` s, or when the graph cannot work any more."""
+        end = time.monotonic() + within
+        while not done():
+            trouble = self._trouble()
+            if trouble or time.monotonic() > end:
+                raise GraphError(trouble or otherwise)
+            time.sleep(_POLL_S)
+
+    def bring(self, node: str, goal: str) -> None:
+        """Bring ``node`` to the lifecycle state ``goal``: unconfigured, inactive or active."""
+        here = self.ask(f"{node}/get_state", GetState.Request()).current_state.label
+        while here != goal:
+            if here not in _UP:
+                raise GraphError(f"node '{node}' is in state '{here}'; allowed: {', '.join(_UP)}")
+            step = 1 if _UP.index(goal) > _UP.index(here) else -1
+            there = _UP[_UP.index(here) + step]
+            request = ChangeState.Request(transition=Transition(id=_STEPS[here, there]))
+            if not self.ask(f"{node}/change_state", request).success:
+                raise GraphError(f"node '{node}' did not become {there}; its log says why")
+            here = there
+
+    def give(self, node: str, values: Mapping[str, Any]) -> None:
+        """Set parameters of ``node``, all or none."""
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        future = self._parameters[node].set_parameters_atomically(parameters)
+        self.wait(future.done, ANSWER_S, f"node '{node}' does not answer")
+        result = future.result().result
+        if not result.successful:
+            raise GraphError(f"node '{node}': {result.reason}")
+
+    def ask(self, service: str, request: Any) -> Any:
+        """The response of a service."""
+        client = self._clients[service]
+        self.wait(client.service_is_ready, _START_S, f"service '{service}' is not there; does the node run?")
+        future = client.call_async(request)
+        self.wait(future.done, ANSWER_S, f"service '{service}' does not answer")
+        return future.result()
+
+    def require(self, service: str, request: Any) -> None:
+        """Call a service that answers with success and message; GraphError with its message if it refuses."""
+        response = self.ask(service, request)
+        if not response.success:
+            raise GraphError(f"{service}: {response.message or 'refused'}")
+
+    def move(self, waypoints: Sequence[Waypoint]) -> None:
+        """Move the stage along ``waypoints``, from now."""
+        self._trajectory.publish(message_from_waypoints(waypoints))
+
+    @property
+    def stage_listens(self) -> bool:
+        """Whether somebody subscribes to the stage's trajectory."""
+        return bool(self._trajectory.get_subscription_count())
+
+    @property
+    def x(self) -> float:
+        """Newest position of the stage, m; NaN before the first."""
+        return self._watch.observation({}).x
+
+    @property
+    def samples_come(self) -> bool:
+        """Whether samples arrive."""
+        return self._watch.observation({}).fresh
+
+    def unrecorded(self) -> Sequence[str]:
+        """Topics that the logger is not connected to yet."""
+        return self._watch.observation(self.heartbeats.states).unrecorded
+
+    def _on_safety_state(self, message: DiagnosticStatus) -> None:
+        self.safety = SafetyState.of(message)
+
+    def _beat(self) -> None:
+        self._beats.publish(
+            DiagnosticStatus(
+                name=self._node.get_name(), message=self.doing, hardware_id=self._node.get_fully_qualified_name()
+            )
+        )
+
+    def _spin(self) -> None:
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
