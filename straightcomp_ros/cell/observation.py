@@ -19,6 +19,7 @@ class Observation:
     unrecorded: tuple[str, ...] = ()  # topics that the logger, if there is one, is not connected to
     descriptions: Mapping[str, str] = field(default_factory=dict)  # of the stage, of each node that tells its own
     fresh: bool = False  # samples are arriving
+    commissioning: str = ""  # what commissioning, or an excitation of the loop, is doing; empty if none is at work
     amplifier_on: bool = False  # samples are arriving, and the driver reports the amplifier on
     stamp_ns: int = 0  # of the newest sample, ns since the epoch; 0 before the first
     first_ns: int = 0  # stamp of the first sample seen
@@ -57,8 +58,13 @@ class Observation:
         return f"the nodes' descriptions of the stage differ ({found}): start all with one stage file"
 
     @property
+    def occupied(self) -> str:
+        """That commissioning is at work, and at what; empty if not."""
+        return f"the machine is being commissioned: {self.commissioning}" if self.commissioning else ""
+
+    @property
     def obstacle(self) -> str:
         """Why a cycle cannot start now; empty if it can."""
         unrecorded = f"not recorded: {', '.join(self.unrecorded)}" if self.unrecorded else ""
         motion = "" if self.still else "the stage moves"
-        return self.fault or self.absence or self.contradiction or unrecorded or motion
+        return self.occupied or self.fault or self.absence or self.contradiction or unrecorded or motion

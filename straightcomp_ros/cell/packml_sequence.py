@@ -25,6 +25,7 @@ _REPORTED_WITHIN_S = 1.5
 """Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
 MOST_STROKES = 1_000_000
 AMPLIFIER_OFF = "the amplifier went off"
+_BEGINNING = (Command.RESET, Command.START)
 _WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
 _WITH_AMPLIFIER = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
 Answer = Callable[[str], None]
@@ -103,6 +104,8 @@ class CellSequence:
     def command(self, command: Command, strokes: int = 0) -> str:
         """Execute a command, with the number of ``strokes`` for Start; returns the reason for a refusal, or ``""``."""
         reason = refusal(command, self.state)
+        if not reason and command in _BEGINNING:
+            reason = self._seen.occupied
         to_be_run = {Command.START: strokes, Command.UNHOLD: self.movements.strokes}.get(command, 0)
         if not reason and not 0 <= to_be_run <= MOST_STROKES:
             reason = f"strokes {strokes} is out of range; allowed: 0 to {MOST_STROKES}"
@@ -172,6 +175,8 @@ class CellSequence:
         # In Stopped another client may use the graph: its faults are only shown as alarms.
         if self.state in _WITHOUT_AMPLIFIER:
             return ""
+        if seen.occupied and self.state in (State.IDLE, State.COMPLETE):
+            return seen.occupied
         if seen.fault or self.state in (State.RESETTING, State.STOPPING, State.COMPLETE):
             return seen.fault
         off = self.state in _WITH_AMPLIFIER and not seen.amplifier_on
@@ -192,6 +197,8 @@ class CellSequence:
         ready_since = self._now
         while True:
             obstacle = self._seen.obstacle or self._machine.obstacle
+            if self._seen.occupied:
+                raise _Failed(self._seen.occupied)
             if self._seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
                 raise _Failed(self._seen.contradiction)
             if obstacle:

@@ -7,24 +7,24 @@ description, --set stage.uncertainty.… how well it is known.
 """
 
 import argparse
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.options import add_namespace, check_range, output_folder
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, require_ros, working
+from straightcomp_ros.cli.graph_option import RUNNING, add_graph_option, graph_access
+from straightcomp_ros.cli.options import check_range, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
 from straightcomp_ros.commissioning import STEP_NAMES
 
 SUMMARY = "measure, tune and verify a stage, step by step"
-GRAPHS = ("start", "start-emulated", "running")
 _LARGEST = 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="STAGE", nargs="?", help="stage file; not with --graph running")
     add_setting_option(parser)
+    add_graph_option(parser)
     add = parser.add_argument
     add("--output", "-o", metavar="DIR", required=True, help="folder of the record, the bags and the results")
     add(
@@ -33,13 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="STEP",
         help=f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}",
     )
-    add(
-        "--graph",
-        choices=GRAPHS,
-        help="the machine is that of a graph of nodes: start them with this stage (start), or with an emulated board "
-        "on a CAN bus between processes (start-emulated), or use those that run (running)",
-    )
-    add_namespace(parser)
     add("--evaluations", type=int, default=400, metavar="N", help="candidates of the design (default: %(default)s)")
     add("--machines", type=int, default=200, metavar="N", help="uncertain machines of its check (default: %(default)s)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
@@ -48,33 +41,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     for name in ("evaluations", "machines"):
         check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
-    if (options.graph == "running") == bool(options.file):
-        raise CommandFailed("STAGE: allowed with all but --graph running, whose nodes have a description", exit_code=2)
-    if options.namespace and options.graph != "running":
-        raise CommandFailed("--namespace: allowed with --graph running", exit_code=2)
+    if (options.graph == RUNNING) == bool(options.file):
+        raise CommandFailed(
+            f"STAGE: not with --graph {RUNNING}, whose nodes have a description; needed otherwise", exit_code=2
+        )
+    values = stage_values(options) if options.file else {}
     folder = output_folder("--output", options.output)
-    with _machine(options, folder) as (machine, values, tell):
-        _commission(options, folder, machine, values, tell)
-
-
-@contextmanager
-def _machine(options: argparse.Namespace, folder: Path) -> Iterator[tuple[Any, Any, Callable[[str], None]]]:
-    """The machine, the parameters with which it is described, and how to say what is being done with it."""
-    values = {} if options.graph == "running" else stage_values(options)
-    # Only here: the steps import all of the design.
-    if options.graph is None:
+    if options.graph:
+        with graph_access(options, values, folder) as (machine, found, tell):
+            _commission(options, folder, machine, found, tell)
+    else:
+        # Only here: the steps import all of the design.
         from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 
-        yield SimulatedMachine(values), values, lambda doing: None
-        return
-    require_ros()
-    from straightcomp_ros.runtime.machine_access import running_graph, started_graph
-
-    emulated = options.graph == "start-emulated"
-    running = options.graph == "running"
-    graph = running_graph(folder, options.namespace) if running else started_graph(values, folder, emulated=emulated)
-    with graph as access:
-        yield access
+        _commission(options, folder, SimulatedMachine(values), values, lambda doing: None)
 
 
 def _commission(

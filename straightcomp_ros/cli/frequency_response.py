@@ -1,17 +1,23 @@
-"""Measure the frequency responses of plant and loop on the simulated stage: a multisine is added to the commands.
+"""Measure the frequency responses of plant and loop: a multisine is added to the commands, at rest or in motion.
+
+Without --graph the machine is the simulated stage, in simulated time.
 
 Prints the margins as measured, beside those of the description in closed form, and says whether the description
 explains the plant: within 1 dB and 5°, or within the measurement's confidence, wherever the coherence is above 0.9.
 """
 
 import argparse
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from straightcomp_ros.cli.graph_option import add_graph_option, graph_access
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.options import PICTURES, output_file
 from straightcomp_ros.cli.output import console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.node_parameters import Values, node_parameters
 from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.response_margins import ResponseMargins, response_margins
 from straightcomp_ros.frequency_response.simulated_measurement import (
@@ -45,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         unit = f" {one.unit}" if one.unit else ""
         text = f"{one.description} (default: {one.default:g}{unit})"
         add(f"--{one.name}", type=one.kind, default=one.default, metavar=one.unit or "N", help=text)
+    add_graph_option(parser)
     add("--moving", action="store_true", help="measure while the stage makes strokes, not at rest")
     add("--output", "-o", metavar="FILE", help="save Bode and Nyquist plots (PNG, SVG or PDF)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
@@ -55,7 +62,10 @@ def run(options: argparse.Namespace) -> None:
     plot = output_file("--output", options.output, PICTURES) if options.output else None
     excitation = from_mapping(MultisineParameters, {one.name: getattr(options, one.name) for one in _excitation()})
     with working("measuring") as advance:
-        found = measure_simulated(values, excitation, moving=options.moving, progress=advance)
+        if options.graph is None:
+            found = measure_simulated(values, excitation, moving=options.moving, progress=advance)
+        else:
+            found, values = _measure_running(options, values, excitation)
     name = node_parameters("controller", values).stage.name
     if plot is not None:
         # Only here: matplotlib takes longer to import than the measurement.
@@ -66,6 +76,17 @@ def run(options: argparse.Namespace) -> None:
         print_json({"stage": name, "moving": options.moving, **_figures(found)})
     else:
         _print(found, name)
+
+
+def _measure_running(
+    options: argparse.Namespace, values: Values, excitation: MultisineParameters
+) -> tuple[ComparedResponse, Values]:
+    """The response of a graph's loop, and its parameters; the bag is kept beside the plot, if there is one."""
+    with ExitStack() as stack:
+        folder = Path(options.output).parent if options.output else Path(stack.enter_context(TemporaryDirectory()))
+        access = stack.enter_context(graph_access(options, values, folder))
+        access.tell("frequency response")
+        return access.machine.response(access.values, excitation, moving=options.moving), access.values
 
 
 def _margins(found: ComparedResponse) -> tuple[ResponseMargins, ResponseMargins]:

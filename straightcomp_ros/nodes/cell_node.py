@@ -111,7 +111,7 @@ class CellNode(Runnable):
         if self.done.done():
             return
         self._watch.fetch()
-        self._seen = self._watch.observation(self._services.states)
+        self._seen = self._watch.observation(self._services.states, self._services.commissioning)
         self._sequence.tick(self._seen)
         try:
             next(self._steps)

@@ -54,7 +54,7 @@ class OpcuaNode:
 
     def _tick(self) -> None:
         self._watch.fetch()
-        seen = self._watch.observation(self._services.states)
+        seen = self._watch.observation(self._services.states, self._services.commissioning)
         for request in self._server.requests():
             self._commands += 1
             self._obey(request)

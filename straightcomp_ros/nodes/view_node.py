@@ -70,7 +70,10 @@ class ViewNode:
         self._show()
 
     def _show(self) -> None:
-        seen, reports = self._watch.observation(self._services.states), self._watch.reports()
+        seen, reports = (
+            self._watch.observation(self._services.states, self._services.commissioning),
+            self._watch.reports(),
+        )
         nodes = {
             node: {"state": state} | {shown: reports.get(node, {}).get(key, "") for shown, key in _OF_NODE.items()}
             for node, state in seen.nodes.items()

@@ -40,6 +40,9 @@ _STATUS = {
     "StrokesAsked": Value(T.UInt32, "Strokes forward and back of the last Start", lambda s: s.strokes),
     "StrokesDone": Value(T.UInt32, "Of these", lambda s: s.strokes_done),
     "Centred": Value(T.Boolean, "Reference in the middle of the travel, by Center", lambda s: s.centred),
+    "Commissioning": Value(
+        T.String, "What commissioning is doing; empty: no cycle is refused for it", lambda s: s.seen.commissioning
+    ),
     "FaultCode": Value(T.UInt32, "Number of the latched fault (docs/safety.md); 0: none", lambda s: s.seen.fault_code),
     "AmplifierOn": Value(T.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
 }

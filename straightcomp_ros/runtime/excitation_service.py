@@ -8,8 +8,7 @@ from std_srvs.srv import SetBool
 
 from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.frequency_response import FrequencyResponseError
-
-RUNNING, FINISHED = "running", "finished"
+from straightcomp_ros.timing.node_timing import EXCITING, FINISHED
 
 
 class Excitable(Protocol):
@@ -30,7 +29,7 @@ class ExcitationService:
         left_travel: called with the reason when the platform left the allowed travel.
 
     Attributes:
-        state: empty before the first excitation, then `RUNNING`, then `FINISHED` or why it ended early.
+        state: see :data:`~straightcomp_ros.timing.node_timing.EXCITATION`.
     """
 
     def __init__(
@@ -70,7 +69,7 @@ class ExcitationService:
         except (FrequencyResponseError, ValueError) as error:
             return str(error)
         self._servo.inject(injection)
-        self._injection, self.state = injection, RUNNING
+        self._injection, self.state = injection, EXCITING
         return ""
 
     def _stop(self) -> str:

@@ -24,7 +24,7 @@ from straightcomp_ros.contract import (
 from straightcomp_ros.runtime.batch_streams import batched_queue
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
-from straightcomp_ros.timing.node_timing import DESCRIPTION, LOST, SAMPLES, reporting_node
+from straightcomp_ros.timing.node_timing import DESCRIPTION, EXCITATION, EXCITING, LOST, SAMPLES, reporting_node
 
 _REPORT_LASTS_S = 5.0
 _YIELD_EVERY = 64
@@ -109,8 +109,8 @@ class GraphWatch:
         oldest = time.monotonic() - _REPORT_LASTS_S
         return {node: values for node, (came, values) in self._reports.items() if came > oldest}
 
-    def observation(self, states: Mapping[str, str]) -> Observation:
-        """The graph now, given the ``states`` of its nodes."""
+    def observation(self, states: Mapping[str, str], commissioning: str = "") -> Observation:
+        """The graph now, given the ``states`` of its nodes and what a client that commissions it is doing."""
         fresh = time.monotonic() - self._last_came < self._fresh
         reports = self.reports()
         controller = reports.get("controller", {})
@@ -126,6 +126,7 @@ class GraphWatch:
             unrecorded=self._unrecorded(reports) if "logger" in states else (),
             descriptions=self._own | told,
             fresh=fresh,
+            commissioning=commissioning or ("excitation" if controller.get(EXCITATION) == EXCITING else ""),
             amplifier_on=fresh and self._safety.amplifier_on,
             still=self._strokes.still,
             stroke_error_pp=self._strokes.last_pp,

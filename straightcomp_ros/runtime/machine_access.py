@@ -15,12 +15,10 @@ from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environm
 from straightcomp_ros.commissioning import CommissioningError
 from straightcomp_ros.configuration.node_parameters import STAGE, Values, node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
+from straightcomp_ros.contract import COMMISSIONING
 from straightcomp_ros.runtime.graph_client import GraphClient, GraphError
 from straightcomp_ros.runtime.running_machine import RunningMachine
 from straightcomp_ros.settings.declaration import belongs_to_ros
-
-NAME = "commissioning"
-"""Of the client's node, by whose heartbeats cell and gateway know that it is at work."""
 
 
 class Access(NamedTuple):
@@ -44,7 +42,7 @@ def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] 
         CommissioningError: the graph cannot be used, or stopped working.
     """
     try:
-        with GraphClient(NAME, RECORDED, namespace, trouble) as client:
+        with GraphClient(COMMISSIONING, RECORDED, namespace, trouble) as client:
             values = described(client.values())
             machine = RunningMachine(client, values, folder)
 

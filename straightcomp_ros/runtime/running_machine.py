@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Iterator
@@ -92,20 +93,25 @@ class RunningMachine:
             self._client.move(waypoints)
             self._sleep(waypoints[-1].time_ns * 1e-9 + _SETTLE_S)
 
-    def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
-        """See `Machine`."""
+    def response(self, values: Values, excitation: MultisineParameters, *, moving: bool = False) -> ComparedResponse:
+        """See `Machine`; with ``moving`` the stage makes strokes meanwhile, otherwise it stands where it is."""
         asked = to_mapping(excitation)
         controller = {**values.get("controller", {}), **{f"excitation.{name}": one for name, one in asked.items()}}
         controller["excitation.signal"] = "multisine"
         values = {**values, "controller": controller}
         nodes = node_parameters("controller", values)
         self._prepare(values, error_limit=2.0 * excitation.travel)
-        bag = self._bag("frequency_response")
+        bag, duration = self._bag("frequency_response"), 2.0 * excitation.period * excitation.draws + 2.0 * _SETTLE_S
+        motion = nodes.stage.motion
+        if moving:
+            self._approach(motion.start, motion.speed, motion.acceleration)
         try:
             with self._recorded(bag), self._switched_on():
                 self._sleep(2.0 * _SETTLE_S)
+                if moving:
+                    self._client.move(cycles(motion, math.ceil(duration * 1e9 / cycles(motion, 1)[-1].time_ns)))
                 self._client.require("controller/excite", SetBool.Request(data=True))
-                self._sleep(2.0 * excitation.period * excitation.draws + 2.0 * _SETTLE_S)
+                self._sleep(duration)
         except LeftTravel as error:
             raise FrequencyResponseError(str(error)) from error
         return response_from_bag(bag, excitation, nodes.control, nodes.stage)

@@ -401,3 +401,31 @@ def test_whatever_comes_only_transitions_of_the_tables_happen(events):
             if before is bench.sequence.state and before in AT_REST_WITHOUT_CURRENT:
                 assert not bench.seen.amplifier_on
     assert math.isfinite(bench.seen.x)
+
+
+def test_while_the_machine_is_commissioned_no_cycle_is_begun():
+    bench = Bench()
+    bench.seen = replace(bench.seen, commissioning="identification")
+    bench.tick()
+    assert bench.sequence.command(Command.RESET) == "the machine is being commissioned: identification"
+    assert bench.sequence.state is State.STOPPED and "on" not in bench.told
+
+
+def test_a_cell_that_learns_of_commissioning_while_it_resets_fails_at_once():
+    bench = Bench()
+    bench.sequence.command(Command.RESET)
+    bench.seen = replace(bench.seen, commissioning="design")
+    bench.tick()
+    assert bench.sequence.state is FAILED[State.RESETTING] and "being commissioned: design" in bench.sequence.message
+
+
+def test_commissioning_takes_an_idle_cell_to_aborted_with_the_reason():
+    bench = Bench()
+    bench.sequence.command(Command.RESET)
+    for _ in range(60):
+        bench.tick()
+    assert bench.sequence.state is State.IDLE
+    bench.seen = replace(bench.seen, commissioning="connection")
+    for _ in range(3):
+        bench.tick()
+    assert bench.sequence.state is State.ABORTED and "being commissioned: connection" in bench.sequence.message
