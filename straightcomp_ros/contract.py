@@ -112,5 +112,8 @@ TRIP = "trip"
 """diagnostic_msgs/DiagnosticStatus: makes the driver switch the amplifier off; name: the fault, message: the reason."""
 HEARTBEAT = "heartbeat"
 """diagnostic_msgs/DiagnosticStatus, ten times a second from each lifecycle node: its name, and its state as message."""
+COMMISSIONING_STATE = "commissioning_state"
+"""diagnostic_msgs/DiagnosticStatus, latched, from the node `commissioning` when it begins or ends something: its name,
+level, what was found, and a value `running`."""
 COMMISSIONING = "commissioning"
 """Name in the heartbeats of a client that commissions the machine, with what it does as message: no cycle may run."""

@@ -4,13 +4,10 @@ import argparse
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from straightcomp_ros.cli.options import add_namespace
 from straightcomp_ros.cli.output import CommandFailed, require_ros
-
-if TYPE_CHECKING:
-    from straightcomp_ros.runtime.machine_access import Access
 
 RUNNING, START, EMULATED = "running", "start", "start-emulated"
 
@@ -28,8 +25,8 @@ def add_graph_option(parser: argparse.ArgumentParser) -> None:
 
 def graph_access(
     options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]], folder: Path
-) -> "AbstractContextManager[Access]":
-    """The machine that --graph names; ``values`` are for nodes that are started, ``folder`` gets bags and logs.
+) -> AbstractContextManager[Any]:
+    """The `Access` to the machine that --graph names; ``values`` are for nodes that are started, ``folder`` gets bags and logs.
 
     Raises:
         CommandFailed: the options contradict each other, or ROS is not there.

@@ -243,6 +243,16 @@ class OpcuaNodeParameters:
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
 
+@dataclass(frozen=True)
+class CommissioningNodeParameters:
+    """Parameters of the node `commissioning`."""
+
+    output: str = parameter("", "Folder of the record, the bags and the results; must be given")
+    evaluations: int = parameter(400, "Candidates of the design", "[1, 100000]")
+    machines: int = parameter(200, "Uncertain machines of the design's check", "[1, 100000]")
+    realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
+
+
 NODE_PARAMETERS: Mapping[str, type] = {
     "driver": DriverNodeParameters,
     "feedforward": FeedforwardNodeParameters,
@@ -251,6 +261,7 @@ NODE_PARAMETERS: Mapping[str, type] = {
     "cell": CellNodeParameters,
     "player": PlayerNodeParameters,
     "opcua": OpcuaNodeParameters,
+    "commissioning": CommissioningNodeParameters,
 }
 """Parameter set of each node, by the node's name."""
 

@@ -58,7 +58,7 @@ class GraphClient:
     While it lives it publishes heartbeats, by which cell and gateway know that somebody else uses the machine.
 
     Args:
-        name: of this client's node.
+        name: of this client in the heartbeats.
         nodes: of the graph.
         namespace: of all of them.
         trouble: returns why the graph cannot work any more; empty if it can.
@@ -74,7 +74,9 @@ class GraphClient:
         self._trouble = trouble
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-            self._node = Node(name, namespace=namespace or None)
+            # Another name than that of a node which starts such clients.
+            self._node = Node(f"{name}_client", namespace=namespace or None)
+        self._name = name
         node, self.doing, self.safety = self._node, "", SafetyState()
         self._clients: dict[str, Client] = {
             "driver/enable": node.create_client(SetBool, "driver/enable"),
@@ -184,9 +186,7 @@ class GraphClient:
 
     def _beat(self) -> None:
         self._beats.publish(
-            DiagnosticStatus(
-                name=self._node.get_name(), message=self.doing, hardware_id=self._node.get_fully_qualified_name()
-            )
+            DiagnosticStatus(name=self._name, message=self.doing, hardware_id=self._node.get_fully_qualified_name())
         )
 
     def _spin(self) -> None:

@@ -44,7 +44,7 @@ def matching(status: str) -> list[str]:
 
 
 def test_all_our_nodes_are_known_here() -> None:
-    assert reporting() == ["controller", "driver", "feedforward", "logger", "opcua", "player"]
+    assert reporting() == ["commissioning", "controller", "driver", "feedforward", "logger", "opcua", "player"]
 
 
 @pytest.mark.parametrize("namespace", ["", "line_3/", "hall/line_3/"])
