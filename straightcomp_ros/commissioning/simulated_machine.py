@@ -86,7 +86,7 @@ class SimulatedMachine:
 
     def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
         """See `Machine`."""
-        return measure_simulated(self._with_controller(values), excitation)
+        return measure_simulated(self._with_controller(values), excitation, wiring=self._wiring)
 
     def _with_controller(self, values: Values) -> dict[str, Mapping[str, Any]]:
         return {**values, "driver": self.parameters}
