@@ -12,6 +12,8 @@ from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, add_stage_argument, stage_values
 from straightcomp_ros.commissioning import STEP_NAMES
+from straightcomp_ros.straightness.survey import read_survey
+from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 
 SUMMARY = "measure, tune and verify a stage, step by step"
 _LARGEST = 100_000
@@ -30,6 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--evaluations", type=int, default=400, metavar="N", help="candidates of the design (default: %(default)s)")
     add("--machines", type=int, default=200, metavar="N", help="uncertain machines of its check (default: %(default)s)")
+    add(
+        "--check-survey",
+        metavar="FILE",
+        help="independent measurement of the guide at some places, at least twice: acceptance checks the map by it",
+    )
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -37,13 +44,22 @@ def run(options: argparse.Namespace) -> None:
     for name in ("evaluations", "machines"):
         check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
     values = stage_values(options)
+    # Wide meshes will do, for a check.
+    check = (
+        read_survey(options.check_survey, min_points=LEAST_POINTS, max_gap=WIDEST_GAP) if options.check_survey else None
+    )
     folder = output_folder("--output", options.output)
     # Only here: the steps import all of the design.
     from straightcomp_ros.commissioning.procedure import Procedure
     from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 
     procedure = Procedure(
-        SimulatedMachine(values), values, folder, evaluations=options.evaluations, machines=options.machines
+        SimulatedMachine(values),
+        values,
+        folder,
+        evaluations=options.evaluations,
+        machines=options.machines,
+        check_survey=check,
     )
     done: dict[str, Any] = {}
     failed = ""
