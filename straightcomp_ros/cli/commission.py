@@ -16,6 +16,8 @@ from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
 from straightcomp_ros.commissioning import STEP_NAMES
+from straightcomp_ros.straightness.survey import Survey, read_survey
+from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 
 SUMMARY = "measure, tune and verify a stage, step by step"
 _LARGEST = 100_000
@@ -35,6 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--evaluations", type=int, default=400, metavar="N", help="candidates of the design (default: %(default)s)")
     add("--machines", type=int, default=200, metavar="N", help="uncertain machines of its check (default: %(default)s)")
+    add(
+        "--check-survey",
+        metavar="FILE",
+        help="independent measurement of the guide at some places, at least twice: acceptance checks the map by it",
+    )
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -46,23 +53,34 @@ def run(options: argparse.Namespace) -> None:
             f"STAGE: not with --graph {RUNNING}, whose nodes have a description; needed otherwise", exit_code=2
         )
     values = stage_values(options) if options.file else {}
+    # Wide meshes will do, for a check.
+    check = (
+        read_survey(options.check_survey, min_points=LEAST_POINTS, max_gap=WIDEST_GAP) if options.check_survey else None
+    )
     folder = output_folder("--output", options.output)
     if options.graph:
         with graph_access(options, values, folder) as (machine, found, tell):
-            _commission(options, folder, machine, found, tell)
+            _commission(options, folder, check, machine, found, tell)
     else:
         # Only here: the steps import all of the design.
         from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 
-        _commission(options, folder, SimulatedMachine(values), values, lambda doing: None)
+        _commission(options, folder, check, SimulatedMachine(values), values, lambda doing: None)
 
 
 def _commission(
-    options: argparse.Namespace, folder: Path, machine: Any, values: Any, tell: Callable[[str], None]
+    options: argparse.Namespace,
+    folder: Path,
+    check: Survey | None,
+    machine: Any,
+    values: Any,
+    tell: Callable[[str], None],
 ) -> None:
     from straightcomp_ros.commissioning.procedure import Procedure
 
-    procedure = Procedure(machine, values, folder, evaluations=options.evaluations, machines=options.machines)
+    procedure = Procedure(
+        machine, values, folder, evaluations=options.evaluations, machines=options.machines, check_survey=check
+    )
     done: dict[str, Any] = {}
     failed = ""
     for step in [options.only] if options.only else procedure.remaining():

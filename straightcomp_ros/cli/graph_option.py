@@ -26,7 +26,9 @@ def add_graph_option(parser: argparse.ArgumentParser) -> None:
 def graph_access(
     options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]], folder: Path
 ) -> AbstractContextManager[Any]:
-    """The `Access` to the machine that --graph names; ``values`` are for nodes that are started, ``folder`` gets bags and logs.
+    """The `Access` to the machine that --graph names.
+
+    Nodes that are started get ``values``; ``folder`` gets bags and logs.
 
     Raises:
         CommandFailed: the options contradict each other, or ROS is not there.

@@ -1,4 +1,10 @@
-"""Step `acceptance`: a stroke of the stage under the designed law, and limits for all later ones."""
+"""Step `acceptance`: a stroke of the stage under the designed law, and limits for all later ones.
+
+The stroke tells how well the platform follows the map. Whether the map is that of the guide, only a check survey tells.
+"""
+
+import dataclasses
+from typing import Any
 
 import yaml
 
@@ -9,7 +15,9 @@ from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.settings.whole_file import write_whole
-from straightcomp_ros.straightness.guide_map import load_map
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+from straightcomp_ros.straightness.survey_check import survey_check
+from straightcomp_ros.straightness.text import SurveyError
 
 _ALLOWANCE = 1.5
 """Of a later stroke over this one: a peak-to-peak moves from stroke to stroke."""
@@ -25,14 +33,53 @@ def acceptance(work: Work) -> Outcome:
         return Outcome(False, str(error))
     run = evaluate_bag(bag)
     record, straightness = run.record, load_map(work.stage.guide)
-    verdict = judged_run(record, straightness, by_node(work.values), straightness, run.stalls)
+    # A real machine does not know the truth, so that a simulated one must not be judged by it.
+    known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
+    verdict = judged_run(known, straightness, by_node(work.values), straightness, run.stalls)
     figures = {**evaluate(record, straightness).to_display(), **verdict._asdict()}
     if not verdict.in_order:
         return Outcome(False, f"the stroke is not in order: {verdict}", figures)
+    checked, told = _checked(work, straightness)
+    figures |= checked
+    if checked and not checked["survey_agrees"]:
+        return Outcome(False, told, figures)
     limits = {name: float(f"{_ALLOWANCE * figures[name]:.3g}") for name in _LIMITED}
     write_whole(work.folder / "limits.yaml", yaml.safe_dump(limits, sort_keys=False))
     return Outcome(
         True,
-        f"{figures['encoder_pp_um']:.2f} µm p-p, {figures['encoder_rms_um']:.3f} µm RMS by the encoder",
+        f"{figures['encoder_pp_um']:.2f} µm p-p, {figures['encoder_rms_um']:.3f} µm RMS by the encoder; {told}",
         {**figures, "limits": limits},
+    )
+
+
+def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any], str]:
+    """Figures of the check survey, none without one, and what it says."""
+    if work.check_survey is None:
+        return {}, "the survey of the guide was not verified (--check-survey)"
+    try:
+        found = survey_check(straightness, work.check_survey, work.stage.uncertainty.map_noise)
+    except SurveyError as error:
+        return {"survey_agrees": False}, str(error)
+    figures = {
+        "survey_agrees": found.agrees,
+        "survey_difference_um": found.difference * 1e6,
+        "survey_difference_allowed_um": found.allowed * 1e6,
+        "survey_check": work.check_survey.source,
+        "survey_check_points": found.points,
+        "survey_check_runs": found.runs,
+        "survey_checked_from_m": found.span[0],
+        "survey_checked_to_m": found.span[1],
+    }
+    where = f"at {found.points} places from {found.span[0] * 1e3:.6g} to {found.span[1] * 1e3:.6g} mm"
+    differs = f"by {found.difference * 1e6:.3g} µm RMS (allowed: {found.allowed * 1e6:.3g} µm) {where}, beside a line"
+    if found.agrees:
+        return figures, f"the survey agrees with the check: they differ {differs}"
+    cause = (
+        "the check has the opposite sign; look at the sign of the survey"
+        if found.opposite
+        else "look whether the survey is of this guide, its unit and its zero of x, and at the check"
+    )
+    return figures, (
+        f"the survey is not that of the guide: they differ {differs}, where the guide itself has "
+        f"{found.guide * 1e6:.3g} µm; {cause}"
     )

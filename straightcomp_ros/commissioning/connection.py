@@ -8,8 +8,10 @@ _LISTEN = 2.0
 """s."""
 _SLOW = 1e-3
 """Largest relative difference between the rate and the described one."""
-_NOISY = 20.0
-"""Largest RMS of y at rest, counts."""
+_NOISY = 3.0
+"""Largest RMS of y at rest, relative to the described noise and the rounding to a count."""
+_ROUNDING = 0.5
+"""Largest RMS of a reading between two counts, counts."""
 
 
 def connection(work: Work) -> Outcome:
@@ -47,7 +49,11 @@ def connection(work: Work) -> Outcome:
             "error counters",
             figures,
         )
-    if noise > _NOISY:
-        sentence = f"y moves by {noise:.0f} counts RMS with the amplifier off; look at the encoder of y and its shield"
+    allowed = _NOISY * (stage.uncertainty.sensor_noise + _ROUNDING)
+    if noise > allowed:
+        sentence = (
+            f"y moves by {noise:.2g} counts RMS with the amplifier off (allowed by 'stage.uncertainty.sensor_noise': "
+            f"{allowed:.2g}); look at the encoder of y and its shield, and at what shakes the machine"
+        )
         return Outcome(False, sentence, figures)
     return Outcome(True, f"{len(series.stamps)} samples at {rate:.6g} Hz, none lost; noise {noise:.2g} counts", figures)

@@ -7,10 +7,12 @@ from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.frequency_response import FrequencyResponseError
 from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.response_margins import response_margins
-from straightcomp_ros.frequency_response.simulated_measurement import WITHIN_DB, WITHIN_DEG
+from straightcomp_ros.frequency_response.simulated_measurement import WITHIN_DB, WITHIN_DEG, ComparedResponse
 
 _LEAST_PHASE = 10.0
 _LEAST_GAIN = 1.3
+_ALIKE_DB = 0.5
+"""Deviations are alike if half of them are within this of their median."""
 
 
 def frequency_response(work: Work) -> Outcome:
@@ -43,7 +45,7 @@ def frequency_response(work: Work) -> Outcome:
         return Outcome(
             False,
             f"what was identified does not explain the measured plant: up to {gain.max(initial=0.0):.2g} dB and "
-            f"{phase.max(initial=0.0):.2g}° off (allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°)",
+            f"{phase.max(initial=0.0):.2g}° off (allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°){_changed(found)}",
             figures,
         )
     if (margins.phase or 180.0) < _LEAST_PHASE or (margins.gain_high or 10.0) < _LEAST_GAIN:
@@ -56,4 +58,21 @@ def frequency_response(work: Work) -> Outcome:
         if margins.phase is not None
         else f"the model explains the plant; peak of |S| {margins.peak:.2f}",
         figures,
+    )
+
+
+def _changed(found: ComparedResponse) -> str:
+    """What one factor of force over mass would explain; empty if none does.
+
+    From the higher half of the coherent lines: there, neither friction nor the magnets' stiffness tells.
+    """
+    gain, _ = found.deviations
+    high = gain[found.measured.coherent]
+    high = high[high.size // 2 :]
+    middle = float(np.median(high)) if high.size else 0.0
+    if abs(middle) <= WITHIN_DB or float(np.median(np.abs(high - middle))) > _ALIKE_DB:
+        return ""
+    return (
+        f": a current accelerates the platform {10.0 ** (middle / 20.0):.2g} times as much as when it was identified; "
+        "look whether the platform is loose, or has lost a part of its load, and at the coils"
     )

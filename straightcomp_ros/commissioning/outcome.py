@@ -8,6 +8,7 @@ from typing import Any
 from straightcomp_ros.commissioning.machine import Machine
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.survey import Survey
 
 _TRAVEL = 3e-4
 _TRAVEL_SHARE = 0.35
@@ -45,6 +46,7 @@ class Work:
         evaluations: candidates of the search for gains.
         machines: uncertain machines of its verification.
         outcomes: of the steps that are done, by name.
+        check_survey: an independent measurement of the guide, by which the map is checked; None without one.
         progress: called with the fraction of the step that is done.
     """
 
@@ -55,6 +57,7 @@ class Work:
     evaluations: int
     machines: int
     outcomes: Mapping[str, Outcome]
+    check_survey: Survey | None = None
     progress: Callable[[float], None] = lambda fraction: None
 
     @property

@@ -21,6 +21,7 @@ from straightcomp_ros.commissioning.signs_and_scales import signs_and_scales
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
 from straightcomp_ros.settings.plain_json import plain
 from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.straightness.survey import Survey
 
 _DONE_BY = (
     connection,
@@ -46,15 +47,26 @@ class Procedure:
         folder: where the record and all files are; a record of the same description is taken up again.
         evaluations: candidates of the search for gains.
         machines: uncertain machines of its verification.
+        check_survey: an independent measurement of the guide, by which `acceptance` checks the map.
 
     Raises:
         CommissioningError: the folder has a record of another description, or one that cannot be read.
         ParameterError: a value is refused.
     """
 
-    def __init__(self, machine: Machine, values: Values, folder: Path, *, evaluations: int, machines: int) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        values: Values,
+        folder: Path,
+        *,
+        evaluations: int,
+        machines: int,
+        check_survey: Survey | None = None,
+    ) -> None:
         self._machine, self._values, self._folder = machine, values, folder
         self._evaluations, self._machines = evaluations, machines
+        self._check_survey = check_survey
         self._description = node_parameters("controller", values).stage
         self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
         self.outcomes = self._read()
@@ -98,6 +110,7 @@ class Procedure:
             self._evaluations,
             self._machines,
             dict(self.outcomes),
+            self._check_survey,
             progress,
         )
 

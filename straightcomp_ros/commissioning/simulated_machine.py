@@ -1,7 +1,8 @@
 """The simulated stage as a machine under commissioning, in simulated time."""
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -64,15 +65,15 @@ class SimulatedMachine:
     def stroke(self, values: Values, bag: Path, travel: float) -> None:
         """See `Machine`."""
         whole = self._with_controller(values)
-        simulation = Simulation(whole, wiring=self._wiring)
+        wired: list[Hardware] = []
+        simulation = Simulation(whole, wiring=lambda hardware: self._kept(hardware, wired))
         shutil.rmtree(bag, ignore_errors=True)
-        with SimulatedRun(bag, by_node(whole), simulation.delay) as run:
+        with self._off_after(wired), SimulatedRun(bag, by_node(whole), simulation.delay) as run:
 
             def observe(sample: Sample, truth: Truth, reference: Sequence[float], command: Command, age: float) -> None:
                 run.add(sample, truth, reference, command, age)
                 strayed = abs(sample.y - reference[0])
                 if not strayed <= travel:
-                    # In simulated time nothing moves on once the simulation has ended.
                     raise LeftTravel(
                         f"the platform left its reference by {strayed * 1e6:.0f} µm under law "
                         f"'{simulation.law}' (allowed: {travel * 1e6:.0f} µm) {sample.stamp_ns * 1e-9:.2f} s after "
@@ -84,7 +85,25 @@ class SimulatedMachine:
 
     def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
         """See `Machine`."""
-        return measure_simulated(self._with_controller(values), excitation)
+        wired: list[Hardware] = []
+        with self._off_after(wired):
+            return measure_simulated(
+                self._with_controller(values), excitation, wiring=lambda hardware: self._kept(hardware, wired)
+            )
+
+    def _kept(self, hardware: SimulatedHardware, wired: list[Hardware]) -> Hardware:
+        wired.append(self._wiring(hardware))
+        return wired[-1]
+
+    @staticmethod
+    @contextmanager
+    def _off_after(wired: list[Hardware]) -> Iterator[None]:
+        """Whatever happens, the amplifier is off afterwards: a simulation leaves it on."""
+        try:
+            yield
+        finally:
+            for hardware in wired:
+                hardware.disable()
 
     def _with_controller(self, values: Values) -> dict[str, Mapping[str, Any]]:
         return {**values, "driver": self.parameters}

@@ -9,6 +9,7 @@ each a mean over the draws of phases. How the draws differ tells the noise, and 
 add (R. Pintelon and J. Schoukens, System Identification, 2nd ed., 2012, sections 2.7 and 4.3).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,7 @@ class MeasuredResponse:
         plant_radius, open_loop_radius, sensitivity_radius: (lines,) of the circles in the complex plane that hold the
             true values with a confidence of 95 %, in the responses' units.
         speed: RMS velocity of the platform at the lines, m/s.
+        draws: of phases, which the circles are from.
     """
 
     frequencies: Array
@@ -44,11 +46,22 @@ class MeasuredResponse:
     open_loop_radius: Array
     sensitivity_radius: Array
     speed: float
+    draws: int
 
     @property
     def coherent(self) -> NDArray[np.bool_]:
         """(lines,) Where the coherence is above 0.9."""
         return self.coherence > 0.9
+
+    @property
+    def jointly(self) -> float:
+        """Factor by which the circles must grow so that those of all coherent lines hold at once with 95 %.
+
+        Each line then has the confidence 0.95^(1/n) of Z. Šidák, Journal of the American Statistical Association, 1967.
+        Of n lines with 95 % each, one in twenty is outside by chance.
+        """
+        each = _CONFIDENCE ** (1.0 / max(1, int(self.coherent.sum())))
+        return _radius_factor(each, self.draws) / _radius_factor(_CONFIDENCE, self.draws)
 
 
 def measured_response(excitation: Multisine, signal: Array, command: Array, reading: Array) -> MeasuredResponse:
@@ -65,8 +78,7 @@ def measured_response(excitation: Multisine, signal: Array, command: Array, read
     sensitivity, output = per_u.mean(axis=0), per_y.mean(axis=0)
     plant = output / sensitivity
     draws = len(d)
-    # At 95 %, for a complex mean of few draws.
-    factor = np.sqrt(float(fisher.ppf(_CONFIDENCE, 2, 2 * (draws - 1))) / (draws * (draws - 1)))
+    factor = _radius_factor(_CONFIDENCE, draws)
 
     def radius(residuals: Complex) -> Array:
         return np.asarray(factor * np.sqrt((np.abs(residuals) ** 2).sum(axis=0)))
@@ -81,7 +93,13 @@ def measured_response(excitation: Multisine, signal: Array, command: Array, read
         open_loop_radius=sensitivity_radius / np.abs(sensitivity) ** 2,
         sensitivity_radius=sensitivity_radius,
         speed=float(np.sqrt(0.5 * np.mean(np.sum(np.abs(2.0 * np.pi * excitation.frequencies * y) ** 2, axis=1)))),
+        draws=draws,
     )
+
+
+def _radius_factor(confidence: float, draws: int) -> float:
+    """Radius of the circle of a complex mean over few draws, relative to the root of its residuals' sum of squares."""
+    return math.sqrt(float(fisher.ppf(confidence, 2, 2 * (draws - 1))) / (draws * (draws - 1)))
 
 
 def _lines(excitation: Multisine, series: Array) -> Complex:

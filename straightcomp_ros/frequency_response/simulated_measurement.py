@@ -15,7 +15,8 @@ from straightcomp_ros.frequency_response.closed_form import LoopResponse, fricti
 from straightcomp_ros.frequency_response.loop_excitation import loop_multisine, multisine_injection
 from straightcomp_ros.frequency_response.measured_response import MeasuredResponse, measured_response
 from straightcomp_ros.frequency_response.multisine import Multisine, MultisineParameters
-from straightcomp_ros.hardware.interface import Sample, Truth
+from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
+from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles
 from straightcomp_ros.offline.simulation import Simulation, node_set
 from straightcomp_ros.stage.description import StageParameters
@@ -58,13 +59,18 @@ class ComparedResponse:
     def explained(self) -> bool:
         """Whether there are coherent lines, and none contradicts the description.
 
-        A line contradicts it if it deviates by more than `WITHIN_DB` or `WITHIN_DEG`, and by more than its circle.
+        A line contradicts it if it is certainly off by more than `WITHIN_DB` or `WITHIN_DEG`: if no value in its circle
+        is nearer. The circles are those that hold for all coherent lines at once.
         """
         measured = self.measured
-        gain, phase = np.abs(self.deviations)
-        certain = np.abs(measured.response.plant - self.model.plant) > measured.plant_radius
-        contradicts = measured.coherent & certain & ((gain > WITHIN_DB) | (phase > WITHIN_DEG))
-        return bool(measured.coherent.any() and not contradicts.any())
+        size = np.abs(measured.response.plant)
+        radius = np.minimum(1.0, measured.jointly * measured.plant_radius / size)
+        gain, phase = self.deviations
+        with np.errstate(divide="ignore"):
+            least, most = gain + 20.0 * np.log10(1.0 - radius), gain + 20.0 * np.log10(1.0 + radius)
+        turned = np.abs(phase) - np.degrees(np.arcsin(radius))
+        off = (least > WITHIN_DB) | (most < -WITHIN_DB) | (turned > WITHIN_DEG)
+        return bool(measured.coherent.any() and not (measured.coherent & off).any())
 
 
 def measure_simulated(
@@ -72,6 +78,7 @@ def measure_simulated(
     parameters: MultisineParameters,
     *,
     moving: bool = False,
+    wiring: Callable[[SimulatedHardware], Hardware] | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> ComparedResponse:
     """Measure the loop of the simulated stage under the parameters of the nodes.
@@ -80,6 +87,7 @@ def measure_simulated(
         values: parameters by node and dotted name.
         parameters: of the excitation.
         moving: the stage makes strokes meanwhile; otherwise it stands in the middle of the stroke.
+        wiring: puts something between the machine and its driver.
         progress: called with the fraction that is done.
 
     Raises:
@@ -92,7 +100,7 @@ def measure_simulated(
     excitation = loop_multisine(parameters, make_law(control, stage), stage)
     injection = multisine_injection(parameters, excitation, stage)
     duration = excitation.currents.size / stage.rate
-    simulation = Simulation(values, motion=(_motion(nodes.cell.stage.motion, duration, moving), 0))
+    simulation = Simulation(values, motion=(_motion(nodes.cell.stage.motion, duration, moving), 0), wiring=wiring)
     first, rows = round(_SETTLE * stage.rate), array("d")
     index = 0
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.model.commanded_plant import BIAS
 from straightcomp_ros.trials.faults.faulty_machine import FaultyHardware
 
 
@@ -45,3 +46,30 @@ def encoder_dead(hardware: SimulatedHardware) -> Rewired:
 def lossy_bus(hardware: SimulatedHardware) -> Rewired:
     random = np.random.default_rng(1)
     return Rewired(hardware, lambda sample: None if random.random() < 0.01 else sample)
+
+
+def noisy_encoder(hardware: SimulatedHardware) -> Rewired:
+    """Ten times the described noise of half a count."""
+    random = np.random.default_rng(1)
+    return Rewired(hardware, lambda sample: sample._replace(y=sample.y + 1e-7 * round(random.normal(0.0, 5.0))))
+
+
+class OneCoilDead(Rewired):
+    """The coil of the far magnet carries no current.
+
+    The other one's, I0 + i, is what (2) makes of half of it as bias and half of it as control current; and half of it
+    is what the board measures as the difference of both coils.
+    """
+
+    def __init__(self, inner: SimulatedHardware) -> None:
+        super().__init__(inner, lambda sample: sample)
+        self._half = 0.5 * inner._bias
+
+    def enable(self) -> None:
+        super().enable()
+        assert isinstance(self._inner, SimulatedHardware)
+        self._inner._plant.state[BIAS] = self._half
+        super().write(self._half, 0)
+
+    def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
+        super().write(self._half + 0.5 * current, at_ns, sample_ns)

@@ -12,16 +12,7 @@ from straightcomp_ros.hardware.interface import Hardware
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 
 TRUTH = "simulated.truth."
-ROUGH = {
-    "platform.stop": 8e-4,
-    "uncertainty.mass": 0.4,
-    "uncertainty.force": 0.4,
-    "uncertainty.air_gap": 0.4,
-    "uncertainty.friction": 3.0,
-    "uncertainty.amplifier": 2.0,
-    "uncertainty.shortest_delay": 0.6,
-    "uncertainty.longest_delay": 1.4,
-}
+ROUGH = Path(__file__).with_name("rough.yaml")
 MACHINES: Mapping[str, Mapping[str, float]] = {
     "as described": {},
     "strong, narrow and light, with little friction": {
@@ -39,8 +30,8 @@ MACHINES: Mapping[str, Mapping[str, float]] = {
 
 def values_of(machine: Mapping[str, float] = MACHINES["as described"], **stage: Any) -> dict[str, dict[str, Any]]:
     """Parameters by node and dotted name."""
-    values = shipped_parameters()
-    values["stage"] |= {**ROUGH, **{name.replace("__", "."): value for name, value in stage.items()}}
+    values = shipped_parameters(stage=str(ROUGH))
+    values["stage"] |= {name.replace("__", "."): value for name, value in stage.items()}
     values["driver"] |= machine
     return values
 

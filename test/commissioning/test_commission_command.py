@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from roughly_known import ROUGH
 
 from straightcomp_ros.cli.main import main
@@ -14,11 +13,8 @@ from straightcomp_ros.commissioning.procedure import STEPS
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> str:
-    file = tmp_path / "stage.yaml"
-    facts = {f"stage.{name}": value for name, value in {**ROUGH, "name": "rough"}.items()}
-    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": facts}}))
-    return str(file)
+def stage() -> str:
+    return str(ROUGH)
 
 
 def answer(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
