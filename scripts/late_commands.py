@@ -19,6 +19,7 @@ from straightcomp_ros.analysis.record import find_motion
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.commissioning.timing_budget import stalled
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
 from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
 from straightcomp_ros.offline.sweep.starts import spreads, values_of_starts
@@ -40,17 +41,6 @@ def typical_delays(period_ns: int) -> NDArray[np.int64]:
     return delays
 
 
-def stalled(period_ns: int, stall_ms: float, first: int) -> tuple[NDArray[np.int64], list[int]]:
-    """Delays (n,) in ns of a host that stalls: what it had to answer meanwhile comes at the end of the stall. And the
-    samples at which it does, the first of which is ``first``."""
-    length = round(stall_ms * 1e6 / period_ns)
-    delays = np.full(_SAMPLES, period_ns, dtype=np.int64)
-    starts = list(range(first, _SAMPLES - length - _AFTERMATH, _EVERY))
-    for start in starts:
-        delays[start : start + length] = np.maximum(period_ns, np.arange(length, 0, -1) * period_ns)
-    return delays, starts
-
-
 def jitter(values: Values, delays: NDArray[np.int64], period_ns: int) -> None:
     """Print the stroke's error for each time of action: median of nine starts (min to max)."""
     print("acts after [samples]   p-p / µm   RMS / µm")
@@ -66,14 +56,16 @@ def stalls(values: Values, period_ns: int) -> None:
     for stall_ms in _STALLS_MS:
         largest: list[float] = []
         for first in (1000, 1040, 1080):
-            delays, starts = stalled(period_ns, stall_ms, first)
+            length = round(stall_ms * 1e6 / period_ns)
+            starts = range(first, _SAMPLES - length - _AFTERMATH, _EVERY)
+            delays = stalled(_SAMPLES, period_ns, period_ns, stall_ms, starts)
             record, straightness = run_stroke(values, delays)
             error = true_error(record, straightness)
             if error is None:
                 raise AssertionError("a simulation has truth")
             moving = np.zeros(error.size, dtype=bool)
             moving[find_motion(record).samples()] = True
-            after = round(stall_ms * 1e6 / period_ns) + _AFTERMATH
+            after = length + _AFTERMATH
             largest += [np.abs(error[k : k + after]).max() * 1e6 for k in starts if moving[k : k + after].all()]
         median, p98 = np.percentile(largest, (50, 98))
         print(f"{stall_ms:10d}   {median:11.3f} {p98:11.3f} {max(largest):11.3f}   {len(largest)}")

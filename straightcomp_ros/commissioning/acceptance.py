@@ -12,7 +12,9 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.commissioning import LeftTravel
+from straightcomp_ros.commissioning.certificate import STROKE
 from straightcomp_ros.commissioning.outcome import Outcome, Work
+from straightcomp_ros.commissioning.timing_budget import timing_budget
 from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
@@ -39,6 +41,12 @@ def acceptance(work: Work) -> Outcome:
     figures = {**evaluate(record, straightness).to_display(), **verdict._asdict()}
     if not verdict.in_order:
         return Outcome(False, f"the stroke is not in order: {verdict}", figures)
+    # Only here: matplotlib takes longer to import than the stroke to evaluate.
+    from straightcomp_ros.analysis.pictures import plot_run
+
+    metrics = evaluate(record, straightness)
+    plot_run(record, straightness, metrics, work.folder / STROKE, f"Acceptance of stage '{work.stage.name}'")
+    figures["timing"] = timing_budget(work.described(), run.latency, work.travel)
     checked, told = _checked(work, straightness)
     figures |= checked
     if checked and not checked["survey_agrees"]:

@@ -1,11 +1,19 @@
 """Step `connection`: do samples come, all of them, at their rate, and how much noise is in them?"""
 
+from typing import Any
+
 import numpy as np
 
+from straightcomp_ros.commissioning.machine import Array, Series
 from straightcomp_ros.commissioning.outcome import Outcome, Work
+from straightcomp_ros.commissioning.timing_budget import PERCENTILES
 
-_LISTEN = 2.0
+_LISTEN = 30.0
 """s."""
+_FIRST_US, _STEP, _STEPS = 10.0, 1.25, 42
+"""Of the histogram of latencies: up to 0.1 s."""
+_TELLING, _COUNT_WITHIN = 4, 0.2
+"""Different readings from which the count can be told, and its largest relative difference from the described one."""
 _SLOW = 1e-3
 """Largest relative difference between the rate and the described one."""
 _NOISY = 3.0
@@ -18,23 +26,28 @@ def connection(work: Work) -> Outcome:
     """Listen with the amplifier off."""
     stage = work.stage
     series = work.machine.listen(_LISTEN)
-    expected = round(_LISTEN * stage.rate)
     if len(series.stamps) < 2:
         return Outcome(
             False, f"{len(series.stamps)} samples in {_LISTEN:g} s; is the board powered, and its bus connected?"
         )
     steps = np.diff(series.stamps)
-    period_ns = float(np.median(steps))
-    rate = 1e9 / period_ns
-    lost = max(int(np.sum(np.maximum(np.round(steps / period_ns) - 1.0, 0.0))), expected - len(series.stamps))
+    rate = 1e9 / float(np.median(steps))
+    taken = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(steps * rate * 1e-9)).astype(np.int64))])
+    expected = int(taken[-1]) + 1
+    lost = expected - len(series.stamps)
     noise = float(np.std(series.y)) / stage.encoder.y_resolution
-    figures = {
+    slope, _ = np.polyfit(taken, (series.stamps - series.stamps[0]).astype(np.float64), 1)
+    figures: dict[str, Any] = {
         "samples": len(series.stamps),
         "lost_samples": lost,
         "rate_Hz": rate,
+        "clock_drift_ppm": (stage.rate * float(slope) * 1e-9 - 1.0) * 1e6,
         "jitter_us": float(np.std(steps)) * 1e-3,
+        "latency_us": _latency(series),
+        "latency_histogram": _histogram(series),
         "noise_y_counts": noise,
         "noise_x_counts": float(np.std(series.x)) / stage.encoder.x_resolution,
+        "count_y_nm": _count(series.y) * 1e9,
     }
     if not np.isfinite(series.y).all() or not np.isfinite(series.x).all():
         return Outcome(False, "a reading is not a number; look at the encoders and their interface", figures)
@@ -49,6 +62,10 @@ def connection(work: Work) -> Outcome:
             "error counters",
             figures,
         )
+    count, described = figures["count_y_nm"], stage.encoder.y_resolution * 1e9
+    if np.unique(series.y).size >= _TELLING and abs(count / described - 1.0) > _COUNT_WITHIN:
+        sentence = f"y comes in steps of {count:.4g} nm; the description says {described:.4g} nm"
+        return Outcome(False, f"{sentence} ('stage.encoder.y_resolution')", figures)
     allowed = _NOISY * (stage.uncertainty.sensor_noise + _ROUNDING)
     if noise > allowed:
         sentence = (
@@ -56,4 +73,32 @@ def connection(work: Work) -> Outcome:
             f"{allowed:.2g}); look at the encoder of y and its shield, and at what shakes the machine"
         )
         return Outcome(False, sentence, figures)
-    return Outcome(True, f"{len(series.stamps)} samples at {rate:.6g} Hz, none lost; noise {noise:.2g} counts", figures)
+    latency = figures["latency_us"]
+    late = f"commands after {latency['p50']:.0f} µs (p99 {latency['p99']:.0f} µs)" if latency else "no commands"
+    return Outcome(
+        True,
+        f"{len(series.stamps)} samples at {rate:.6g} Hz, none lost; {late}; noise {noise:.2g} counts",
+        figures,
+    )
+
+
+def _latency(series: Series) -> dict[str, float]:
+    """Percentiles of the time from a sample until its command arrived, µs; none without commands."""
+    told = series.latency[np.isfinite(series.latency)]
+    return {f"p{p:g}": float(np.percentile(told, p)) * 1e6 for p in PERCENTILES} if told.size else {}
+
+
+def _histogram(series: Series) -> list[list[float]]:
+    """Rows of (latency in µs up to which, commands), each step a quarter more than the one before."""
+    told = series.latency[np.isfinite(series.latency)] * 1e6
+    if not told.size:
+        return []
+    edges = np.geomspace(_FIRST_US, _FIRST_US * _STEP**_STEPS, _STEPS + 1)
+    counts, _ = np.histogram(np.clip(told, edges[0], edges[-1]), edges)
+    return [[float(edge), int(count)] for edge, count in zip(edges[1:], counts, strict=True) if count]
+
+
+def _count(readings: Array) -> float:
+    """The smallest step between two readings, m; 0 if they are all the same."""
+    steps = np.abs(np.diff(np.unique(readings)))
+    return float(steps.min()) if steps.size else 0.0

@@ -2,15 +2,13 @@
 
 import numpy as np
 
-from straightcomp_ros.commissioning.certificate import LOOP
+from straightcomp_ros.commissioning.certificate import LEAST_GAIN, LEAST_PHASE, LOOP
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.frequency_response import FrequencyResponseError
 from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.response_margins import response_margins
 from straightcomp_ros.frequency_response.simulated_measurement import WITHIN_DB, WITHIN_DEG, ComparedResponse
 
-_LEAST_PHASE = 10.0
-_LEAST_GAIN = 1.3
 _ALIKE_DB = 0.5
 """Deviations are alike if half of them are within this of their median."""
 
@@ -48,7 +46,7 @@ def frequency_response(work: Work) -> Outcome:
             f"{phase.max(initial=0.0):.2g}° off (allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°){_changed(found)}",
             figures,
         )
-    if (margins.phase or 180.0) < _LEAST_PHASE or (margins.gain_high or 10.0) < _LEAST_GAIN:
+    if (margins.phase or 180.0) < LEAST_PHASE or (margins.gain_high or 10.0) < LEAST_GAIN:
         sentence = f"the measured margins are too small: phase {margins.phase:.0f}°, gain {margins.gain_high:.2g}"
         return Outcome(False, sentence, figures)
     return Outcome(
