@@ -38,8 +38,10 @@ def program_arguments(
     """Arguments of the program, NAME=VALUE, for a board on a stage; ``bus`` is empty in lockstep."""
     drive, encoder, hold = stage.drive, stage.encoder, parameters.hold(stage)
     wire = can.make_wire()
-    counts = wire.sample.signals
-    x, y = (_scale(own, counts.step(name)) for own, name in ((encoder.x_resolution, "x"), (encoder.y_resolution, "y")))
+    x, y = (
+        _scale(own, wire.homes[name].signals.step(name))
+        for own, name in ((encoder.x_resolution, "x"), (encoder.y_resolution, "y"))
+    )
     values = {
         "bus": bus,
         "lead_ns": lead_ns,
@@ -105,7 +107,7 @@ class BoardProgram:
         self._encoder, self._code_current = stage.encoder, stage.drive.current_step
         self._truth_id = self._emulator.truth_id if can.simulated_stage and can.fd else 0
         self._current_step = wire.command.signals.step("current")
-        self._started = False
+        self._name, self._started = can.firmware, False
         self.socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             command = [can.firmware, f"machine={theirs.fileno()}", *arguments]
@@ -138,7 +140,7 @@ class BoardProgram:
         packet = self.socket.recv(_LONGEST)
         if not packet:
             code = self._process.wait(_END_S)
-            raise HardwareError(f"firmware '{self._process.args[0]}' has ended with code {code}")  # type: ignore[index]
+            raise HardwareError(f"firmware '{self._name}' has ended with code {code}")
         return packet
 
     def answer(self, packet: bytes) -> None:

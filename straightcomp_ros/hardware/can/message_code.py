@@ -151,8 +151,11 @@ class Signals:
         """The function from a payload to a command; it raises FrameError."""
         reading = Reading(self.message, list(self.signals.values()))
         lines = self._checks(reading)
-        values = {"alive": "None", "enable": "", "reset": "False", "current": self._value(reading, "current")}
-        values["echo"] = reading.raw[self.signals["echo"].name] if "echo" in self.signals else "None"
+        values = dict.fromkeys(Command._fields, "None")
+        if "current" in self.signals:
+            values["current"] = self._value(reading, "current")
+        if "echo" in self.signals:
+            values["echo"] = reading.raw[self.signals["echo"].name]
         if "alive" in self.signals:
             values["alive"] = "alive"
         for field in ("enable", "reset"):
