@@ -1,6 +1,7 @@
 """Frames of several messages that belong together: those of one sample, or those of one command.
 
-They belong together if they have the same count. Where a message has none, they do if they arrive within half a period
+They belong together if they have the same count, and if not half as many periods lie between them as the count can tell
+apart: then it has begun again. Where a message has none, they do if they arrive within half a period
 of the first; two samples then differ by more, unless the bus or the host is late by that much.
 """
 
@@ -15,8 +16,6 @@ from straightcomp_ros.hardware.can.frames import Command, Report
 Frame = TypeVar("Frame", Report, Command)
 OPEN = 3
 """Sets that may wait for frames: on a bus, frames of two samples are swapped, never those of many."""
-_SAME_COUNT = 0.5
-"""Of what a count can tell apart, in periods: a frame later than that belongs to another sample with the same count."""
 
 
 @dataclass
@@ -44,7 +43,7 @@ class FrameSets(Generic[Frame]):
 
     def __init__(self, messages: int, modulus: int, period_ns: int) -> None:
         self._messages, self._modulus = messages, modulus
-        self._longest_ns = round(period_ns * (_SAME_COUNT * modulus if modulus else 0.5))
+        self._longest_ns = period_ns * (modulus or 1) // 2
         self._sets: list[_Set[Frame]] = []
         """Oldest first."""
         self.incomplete = self.repeated = self.out_of_order = 0

@@ -188,7 +188,7 @@ class Signals:
         for field in shown:
             if field in self.values:
                 lines.append(f"{field} = values_of_{field}[{field}]")
-                names[f"values_of_{field}"] = _sent(self.values[field])
+                names[f"values_of_{field}"] = sent_values(self.values[field])
         lines += writing.lines
         if self.crc:
             lines += [f"crc = {self.crc.computed}", f"return {self.crc.sealed}"]
@@ -206,7 +206,7 @@ class Signals:
         )
 
 
-def _sent(values: Mapping[Any, int]) -> dict[Any, int]:
+def sent_values(values: Mapping[Any, int]) -> dict[Any, int]:
     """The raw value that says each meaning, also for those that have none of their own (-1).
 
     For "off" that is any that is free; for "fault", which the fault code says, that for "off".

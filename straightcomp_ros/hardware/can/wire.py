@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -60,7 +61,7 @@ class Wire:
     """
 
     def __init__(self, dbc: Dbc, meaning: WireParameters, node: int = 1, fd: bool = True) -> None:
-        self.dbc, self.meaning, self._node = dbc, meaning, node
+        self.dbc, self.meaning, self.fd, self._node = dbc, meaning, fd, node
         self._places: dict[str, str] = {}
         self._roles = roles = Roles(dbc, meaning, fd)
         signals, homes = roles.signals, roles.homes
@@ -100,6 +101,14 @@ class Wire:
     def identifiers(self) -> list[int]:
         """Of all frames that the board sends."""
         return [*self.reports, *([self.heartbeat.identifier] if self.heartbeat else [])]
+
+    def source(self) -> str:
+        """Name of the DBC file, and a checksum of it with the meaning: by it a firmware knows whether it has these
+        frames."""
+        usual = to_mapping(WireParameters())
+        said = {name: value for name, value in to_mapping(self.meaning).items() if value != usual[name]}
+        content = self.dbc.path.read_bytes() + repr(sorted(said.items())).encode()
+        return f"{self.dbc.path.name} {hashlib.sha256(content).hexdigest()[:12]}"
 
     def fault_words(self, code: int) -> str:
         """What the DBC file calls a fault code of the board."""
@@ -152,7 +161,8 @@ class Wire:
                 raise RefusedParameter(f"{place}.data_id", str(error)) from None
             crc_signal = self._roles.in_every_frame(message, protected.crc, f"{place}.crc")
             try:
-                crc = Crc(message, crc_signal, alive, protected.profile, ids)
+                by_identifier = not protected.data_id
+                crc = Crc(message, crc_signal, alive, protected.profile, ids, by_identifier=by_identifier)
             except DbcError as error:
                 raise RefusedParameter(f"{place}.crc", str(error)) from None
         elif protected.crc or protected.data_id:
