@@ -10,9 +10,7 @@ FOLDER = Path(__file__).resolve().parent.parent / "firmware" / "generated"
 
 def texts() -> dict[str, str]:
     """Text of each file in firmware/generated/, by its name."""
-    return frames_in_c(
-        {f"wire_{name}": CanParameters(fd=fd).make_wire() for name, fd in (("classic", False), ("fd", True))}
-    )
+    return frames_in_c([CanParameters(fd=fd).make_wire() for fd in (False, True)])
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def firmware_of(firmware):
         folder = BUILD / Path(can.dbc).stem
         with _alone():
             folder.mkdir(exist_ok=True)
-            for name, text in frames_in_c({"wire_board": can.make_wire()}).items():
+            for name, text in frames_in_c([can.make_wire()]).items():
                 if not (folder / name).exists() or (folder / name).read_text() != text:
                     (folder / name).write_text(text)
             _make(shutil.which("cc") or "gcc", f"GENERATED={folder}", f"BUILD={folder / 'build'}")

@@ -121,7 +121,10 @@ static uint32_t age_of(const struct board *board, const struct command *command)
         const uint32_t newest = wrapped(board->counter, most);
         const uint32_t answered = wrapped(command->echo, most);
 
-        age = (newest >= answered) ? (newest - answered) : ((most - (answered - newest)) + 1u);
+        age = newest - answered;
+        if (newest < answered) {
+            age = (most - (answered - newest)) + 1u;
+        }
     }
     return age;
 }
@@ -227,13 +230,6 @@ bool board_receive(struct board *board, uint32_t identifier, const uint8_t *data
     return for_this_board;
 }
 
-uint32_t board_next_counter(const struct board *board)
-{
-    const bool begins = !board->sampled || (board->counter >= board->config.wire->counter_most);
-
-    return begins ? 0u : (board->counter + 1u);
-}
-
 void board_act(struct board *board, int64_t now_ns)
 {
     output_act(&board->output, now_ns);
@@ -249,7 +245,7 @@ void board_sample(struct board *board, int64_t now_ns, const struct board_readin
     output_act(&board->output, now_ns);
     output_sample(&board->output, now_ns, reading->y);
     board->newest_ns = now_ns;
-    board->counter = board_next_counter(board);
-    board->sampled = true;
+    board->counter = board->next_counter;
+    board->next_counter = (board->counter >= board->config.wire->counter_most) ? 0u : (board->counter + 1u);
     report_sample(board, now_ns, reading);
 }

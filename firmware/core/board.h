@@ -55,7 +55,7 @@ struct board {
     struct board_turn turns[WIRE_FRAMES];
     uint8_t strikes;
     uint32_t counter; /* of the newest sample */
-    bool sampled;
+    uint32_t next_counter;
     uint32_t oldest_echo; /* samples */
     int64_t newest_ns;
     int64_t next_heartbeat_ns;
@@ -79,9 +79,6 @@ void board_act(struct board *board, int64_t now_ns);
 
 /* When board_act() is to be called next; OUTPUT_NEVER if there is nothing to do. */
 int64_t board_next_ns(const struct board *board);
-
-/* Number of the sample that board_sample() takes next. */
-uint32_t board_next_counter(const struct board *board);
 
 /* Switch off and latch a fault that the hardware reports. */
 void board_trip(struct board *board, enum board_fault fault);

@@ -18,9 +18,8 @@
 #define WIRE_EXTENDED (0x80000000u)
 /* Bytes of the longest frame. */
 #define WIRE_LONGEST (64u)
-/* Messages of a board and of its host, at most: one for each signal that means something. */
+/* Messages of a board, at most: one for each signal that means something. */
 #define WIRE_FRAMES (7u)
-#define WIRE_ORDERS (4u)
 
 /* Why the amplifier is off. */
 enum board_fault {
@@ -88,7 +87,6 @@ struct wire_heartbeat {
 
 struct wire {
     const char *source; /* what it was made from */
-    bool fd;            /* made for a bus of CAN FD */
     uint8_t frame_count;
     uint8_t order_count;
     const struct wire_frame *frames;
@@ -101,8 +99,8 @@ struct wire {
     bool (*fits)(const struct wire_report *report); /* whether both readings are within their signals */
 };
 
-/* All that were made, for one kind of bus each. */
-extern const struct wire *const wires[];
-extern const size_t wire_count;
+/* For each kind of bus; NULL if it was not made. */
+extern const struct wire *const wire_classic;
+extern const struct wire *const wire_fd;
 
 #endif

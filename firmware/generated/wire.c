@@ -1,4 +1,4 @@
-/* The frames of straightcomp.dbc 412fc3034879, made by straightcomp can firmware: do not edit. */
+/* The frames of straightcomp.dbc, made by straightcomp: do not edit. */
 #include "frames.h"
 #include "wire.h"
 
@@ -59,12 +59,12 @@ static void pack_heartbeat(uint8_t *data, bool boot_up)
     (void)frames_heartbeat_pack(data, &frame, 1u);
 }
 
-static bool wire_classic_fits(const struct wire_report *report)
+static bool classic_fits(const struct wire_report *report)
 {
     return (limited(scaled(report->scaling->x, report->x), INT64_C(-33554431), INT64_C(33554431)) == scaled(report->scaling->x, report->x)) && (limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)) == scaled(report->scaling->y, report->y));
 }
 
-static const struct wire_frame wire_classic_frames[] = {
+static const struct wire_frame classic_frames[] = {
     {
         .identifier = 0x181u,
         .length = 8u,
@@ -87,7 +87,7 @@ static const struct wire_frame wire_classic_frames[] = {
     },
 };
 
-static const struct wire_order wire_classic_orders[] = {
+static const struct wire_order classic_orders[] = {
     {
         .identifier = 0x201u,
         .length = 5u,
@@ -96,7 +96,7 @@ static const struct wire_order wire_classic_orders[] = {
     },
 };
 
-static const struct wire_heartbeat wire_classic_heartbeat = {
+static const struct wire_heartbeat classic_heartbeat = {
     .identifier = 0x701u,
     .length = 1u,
     .fd = false,
@@ -104,19 +104,18 @@ static const struct wire_heartbeat wire_classic_heartbeat = {
     .pack = pack_heartbeat,
 };
 
-static const struct wire wire_classic = {
+static const struct wire classic = {
     .source = "straightcomp.dbc 412fc3034879",
-    .fd = false,
     .frame_count = 2u,
     .order_count = 1u,
-    .frames = wire_classic_frames,
-    .orders = wire_classic_orders,
+    .frames = classic_frames,
+    .orders = classic_orders,
     .order_modulus = 0u,
     .counter_most = 4026531839u,
     .echoes = true,
     .echo_most = 255u,
-    .heartbeat = &wire_classic_heartbeat,
-    .fits = wire_classic_fits,
+    .heartbeat = &classic_heartbeat,
+    .fits = classic_fits,
 };
 
 static void pack_encoder_fd(uint8_t *data, const struct wire_report *report, uint32_t page)
@@ -157,12 +156,12 @@ static bool unpack_command_fd(struct command *command, const uint8_t *data, size
     return known;
 }
 
-static bool wire_fd_fits(const struct wire_report *report)
+static bool fd_fits(const struct wire_report *report)
 {
     return (limited(scaled(report->scaling->x, report->x), INT64_C(-33554431), INT64_C(33554431)) == scaled(report->scaling->x, report->x)) && (limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)) == scaled(report->scaling->y, report->y));
 }
 
-static const struct wire_frame wire_fd_frames[] = {
+static const struct wire_frame fd_frames[] = {
     {
         .identifier = 0x381u,
         .length = 16u,
@@ -175,7 +174,7 @@ static const struct wire_frame wire_fd_frames[] = {
     },
 };
 
-static const struct wire_order wire_fd_orders[] = {
+static const struct wire_order fd_orders[] = {
     {
         .identifier = 0x301u,
         .length = 8u,
@@ -184,7 +183,7 @@ static const struct wire_order wire_fd_orders[] = {
     },
 };
 
-static const struct wire_heartbeat wire_fd_heartbeat = {
+static const struct wire_heartbeat fd_heartbeat = {
     .identifier = 0x701u,
     .length = 1u,
     .fd = false,
@@ -192,20 +191,19 @@ static const struct wire_heartbeat wire_fd_heartbeat = {
     .pack = pack_heartbeat,
 };
 
-static const struct wire wire_fd = {
+static const struct wire fd = {
     .source = "straightcomp.dbc 205cb27bd5ef",
-    .fd = true,
     .frame_count = 1u,
     .order_count = 1u,
-    .frames = wire_fd_frames,
-    .orders = wire_fd_orders,
+    .frames = fd_frames,
+    .orders = fd_orders,
     .order_modulus = 0u,
     .counter_most = 4026531839u,
     .echoes = true,
     .echo_most = 4026531839u,
-    .heartbeat = &wire_fd_heartbeat,
-    .fits = wire_fd_fits,
+    .heartbeat = &fd_heartbeat,
+    .fits = fd_fits,
 };
 
-const struct wire *const wires[] = {&wire_classic, &wire_fd};
-const size_t wire_count = 2u;
+const struct wire *const wire_classic = &classic;
+const struct wire *const wire_fd = &fd;

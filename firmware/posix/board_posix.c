@@ -62,7 +62,7 @@ static void sample(struct process *process, int64_t until_ns)
         uint32_t identifier;
 
         board_act(&process->board, process->next_sample_ns);
-        machine_sample(process->machine, process->next_sample_ns, board_next_counter(board), &reading, &truth, &identifier);
+        machine_sample(process->machine, process->next_sample_ns, board->next_counter, &reading, &truth, &identifier);
         if (truth.size > 0u) {
             send_frame(process, identifier, true, truth.bytes, truth.size);
         }
@@ -181,7 +181,7 @@ int main(int count, char **arguments)
         }
         (void)memcpy(&process.next_sample_ns, &first[1], 8u);
     } else {
-        bus_start(&process.bus, options.bus, options.config.wire->fd);
+        bus_start(&process.bus, options.bus, options.fd);
         process.next_sample_ns = clock_ns(CLOCK_MONOTONIC) + options.lead_ns;
     }
     if (!board_start(&process.board, &options.config, send_frame, drive, &process, process.next_sample_ns)) {

@@ -54,22 +54,16 @@ static bool read_argument(struct argument *arguments, const char *text)
 /* The frames of this kind of bus, if they were made from what the host has; NULL, with a message, if not. */
 static const struct wire *wire_made_from(const char *source, bool fd)
 {
-    const struct wire *found = NULL;
+    const struct wire *own = fd ? wire_fd : wire_classic;
+    const bool right = (own != NULL) && (strcmp(own->source, source) == 0);
 
-    for (size_t i = 0u; i < wire_count; i++) {
-        if ((wires[i]->fd == fd) && (strcmp(wires[i]->source, source) == 0)) {
-            found = wires[i];
-        }
+    if (!right) {
+        (void)fprintf(stderr,
+                      "board_posix: built with the frames of '%s', not with those of '%s' on %s; straightcomp can "
+                      "firmware makes them from a stage file\n",
+                      (own != NULL) ? own->source : "another kind of bus", source, fd ? "CAN FD" : "classic CAN");
     }
-    if (found == NULL) {
-        (void)fprintf(stderr, "board_posix: built without the frames of '%s', %s; built with:", source,
-                      fd ? "CAN FD" : "classic CAN");
-        for (size_t i = 0u; i < wire_count; i++) {
-            (void)fprintf(stderr, " '%s', %s;", wires[i]->source, wires[i]->fd ? "CAN FD" : "classic CAN");
-        }
-        (void)fprintf(stderr, " straightcomp can firmware makes them from a stage file\n");
-    }
-    return found;
+    return right ? own : NULL;
 }
 
 bool options_read(struct options *options, int count, char **arguments)
@@ -116,7 +110,8 @@ bool options_read(struct options *options, int count, char **arguments)
     options->bus = known[BUS].text;
     options->lead_ns = known[LEAD].whole;
     options->config.node = (uint8_t)known[NODE].whole;
-    options->config.wire = wire_made_from(known[SOURCE].text, known[FD].whole != 0);
+    options->fd = known[FD].whole != 0;
+    options->config.wire = wire_made_from(known[SOURCE].text, options->fd);
     options->config.period_ns = known[PERIOD].whole;
     options->config.delay_ns = known[DELAY].whole;
     options->config.current_limit = (board_real)known[CURRENT_LIMIT].real;

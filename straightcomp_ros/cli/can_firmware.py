@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     wire = node_parameters("driver", stage_values(options)).can.make_wire()
     try:
-        texts = frames_in_c({"wire_board": wire})
+        texts = frames_in_c([wire])
     except DbcError as error:
         raise CommandFailed(f"{wire.dbc.file}: {error}", exit_code=2) from error
     folder: Path = options.output
