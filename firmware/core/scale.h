@@ -17,8 +17,10 @@ struct scale {
 /* Scaled to the nearest count, a tie to the even one, as Python's round() does. */
 int64_t scaled(struct scale scale, int32_t counts);
 
-/* The nearest whole number, a tie to the even one, of a value between -2^62 and 2^62. */
-int64_t nearest(board_real value);
+/* The nearest whole number, a tie to the even one, of a value between -2^30 and 2^30; the other takes any up to 2^62, but
+ * more of a processor that has no whole numbers of 64 bits. */
+int32_t nearest(board_real value);
+int64_t nearest_of_many(board_real value);
 
 int64_t limited(int64_t value, int64_t least, int64_t largest);
 board_real limited_real(board_real value, board_real least, board_real largest);

@@ -14,7 +14,7 @@ from straightcomp_ros.hardware.can.signal_code import in_page
 if TYPE_CHECKING:
     from cantools.database.can import Signal
 
-_MOST_COUNTS = 2**32
+_MOST_COUNTS, _SHORT = 2**32, 31
 _LARGEST_FLOAT = 3.4028234663852886e38
 _FLOATS = {32: "float", 64: "double"}
 _KEYWORDS = re.compile(
@@ -79,7 +79,7 @@ def number_in_c(signals: Signals, field: str) -> Number:
     if scale != 1:
         raw = f"({raw} / {_real(scale)})"
     if not signal.is_float:
-        raw = f"nearest({raw})"
+        raw = f"nearest{'' if signal.length < _SHORT else '_of_many'}({raw})"
     return Number(_typed(signal, raw), f"(({value} >= {least}) && ({value} <= {largest}))")
 
 
