@@ -1,14 +1,9 @@
 #include "board.h"
 
-#include "command.h"
 #include "report.h"
-#include "wire.h"
-#include "wire_limits.h"
 
 #define STRIKE (4u)
 #define STRIKE_LIMIT (16u)
-/* Samples: the oldest that the eight bits of a classic frame distinguish from a future one. */
-#define OLDEST_CLASSIC_ECHO ((WIRE_ECHO_MODULUS * 4u) / 5u)
 
 static bool scale_allowed(struct scale scale)
 {
@@ -18,14 +13,13 @@ static bool scale_allowed(struct scale scale)
 static bool config_allowed(const struct board_config *config)
 {
     const struct output_config *output = &config->output;
-    const bool bus = (config->node >= 1u) && (config->node <= 127u);
+    const bool bus = (config->wire != NULL) && (config->node >= 1u) && (config->node <= 127u);
     const bool times = (config->period_ns > 0) && (config->delay_ns >= 0) && (output->command_timeout_ns > 0) &&
                        (output->hold_after_ns > 0);
-    const bool currents = (config->current_limit > 0) && (output->half_codes > 0) &&
+    const bool currents = (config->current_limit > (board_real)0) && (output->half_codes > 0) &&
                           (output->code_current > (board_real)0);
 
-    return bus && times && currents && scale_allowed(config->x) && scale_allowed(config->y) &&
-           scale_allowed(config->current);
+    return bus && times && currents && scale_allowed(config->scaling.x) && scale_allowed(config->scaling.y);
 }
 
 bool board_start(struct board *board, const struct board_config *config, board_send_t send, output_drive_t drive,
@@ -34,15 +28,15 @@ bool board_start(struct board *board, const struct board_config *config, board_s
     const bool allowed = config_allowed(config);
 
     if (allowed) {
+        const struct wire *wire = config->wire;
         const int64_t oldest = config->output.command_timeout_ns / config->period_ns;
-        const uint32_t most_echoes = config->fd ? (WIRE_COUNTER_MODULUS - 1u) : OLDEST_CLASSIC_ECHO;
-        const int64_t most = (int64_t)most_echoes;
+        /* An older one cannot be told from one that is yet to come. */
+        const int64_t most = wire->echoes ? ((((int64_t)wire->echo_most + 1) * 4) / 5) : 0;
         const struct board started = {
             .config = *config,
             .send = send,
             .context = context,
             .fault = BOARD_FAULT_NONE,
-            .command_alive = COMMAND_NO_ALIVE,
             /* An answer to a sample older than the timeout counts as no answer. */
             .oldest_echo = (uint32_t)((oldest < most) ? oldest : most),
             /* The first sample is yet to come: what is commanded before it waits for none. */
@@ -52,6 +46,7 @@ bool board_start(struct board *board, const struct board_config *config, board_s
 
         *board = started;
         output_start(&board->output, &board->config.output, drive, context, now_ns);
+        command_sets_start(&board->commands, wire->order_count, wire->order_modulus, config->period_ns);
         report_boot_up(board);
     }
     return allowed;
@@ -109,31 +104,43 @@ static void strike(struct board *board)
     }
 }
 
-/* How many samples ago the one was taken that a command answers. */
-static uint32_t age_of(const struct board *board, uint32_t echo)
+/* The remainder of a count that begins again after `most`. */
+static uint32_t wrapped(uint32_t count, uint32_t most)
 {
-    /* An echo beyond the counter's modulus is no number of a sample; the remainder makes it an old or a new one. */
-    const uint32_t modulus = board->config.fd ? WIRE_COUNTER_MODULUS : WIRE_ECHO_MODULUS;
-    const uint32_t newest = board->counter % modulus;
-    const uint32_t answered = echo % modulus;
-    uint32_t age = modulus - (answered - newest);
+    return (most == UINT32_MAX) ? count : (count % (most + 1u));
+}
 
-    if (newest >= answered) {
+/* How many samples ago the one was taken that a command answers. */
+static uint32_t age_of(const struct board *board, const struct command *command)
+{
+    uint32_t age = 0u;
+
+    if (board->config.wire->echoes) {
+        /* An echo beyond its modulus is no number of a sample; the remainder makes it an old or a new one. */
+        const uint32_t most = board->config.wire->echo_most;
+        const uint32_t newest = wrapped(board->counter, most);
+        const uint32_t answered = wrapped(command->echo, most);
+
         age = newest - answered;
+        if (newest < answered) {
+            age = (most - (answered - newest)) + 1u;
+        }
     }
     return age;
 }
 
-static void switch_off_by_command(struct board *board, const struct command *command)
+static void switch_off_by_command(struct board *board)
 {
-    /* "Off" is obeyed from any frame that passes its checks, even an old one. */
+    /* "Off" is obeyed from any frame that passes its checks, even an old one, or one whose others do not come. */
     board->seen_off = true;
     output_switch_off(&board->output);
-    if (command->reset) {
-        output_reset(&board->output);
-        board->fault = BOARD_FAULT_NONE;
-        board->strikes = 0u;
-    }
+}
+
+static void reset_by_command(struct board *board)
+{
+    output_reset(&board->output);
+    board->fault = BOARD_FAULT_NONE;
+    board->strikes = 0u;
 }
 
 static void apply(struct board *board, const struct command *command, uint32_t age, int64_t at_ns)
@@ -152,12 +159,16 @@ static void apply(struct board *board, const struct command *command, uint32_t a
 
 static void obey(struct board *board, const struct command *command, int64_t at_ns)
 {
-    const bool repeated = command->alive == board->command_alive;
-    const uint32_t age = age_of(board, command->echo);
+    const bool counts = (command->given & COMMAND_ALIVE) != 0u;
+    const bool repeated = counts && board->commanded && (command->alive == board->command_alive);
+    const bool may_reset = command->reset || ((command->given & COMMAND_RESET) == 0u);
+    const uint32_t age = age_of(board, command);
 
-    if (!command->enable) {
-        switch_off_by_command(board, command);
+    if (!command->enable && may_reset) {
+        /* Where no signal asks for it, each "off" resets. */
+        reset_by_command(board);
     }
+    board->commanded = counts;
     board->command_alive = command->alive;
     if (repeated || (age > board->oldest_echo)) {
         board->refused_commands++;
@@ -165,7 +176,10 @@ static void obey(struct board *board, const struct command *command, int64_t at_
         if (board->strikes > 0u) {
             board->strikes--;
         }
-        if ((command->current > board->config.current_limit) || (command->current < -board->config.current_limit)) {
+        const board_real limit = board->config.current_limit;
+
+        /* A comparison with what is no number is false. */
+        if (!((command->current >= -limit) && (command->current <= limit))) {
             trip_by_command(board, BOARD_FAULT_CURRENT_RANGE);
         } else {
             apply(board, command, age, at_ns);
@@ -173,18 +187,44 @@ static void obey(struct board *board, const struct command *command, int64_t at_
     }
 }
 
+/* Take a command, or a part of one whose other signals come in other messages. */
+static void hear(struct board *board, uint8_t part, struct command *command, int64_t at_ns)
+{
+    enum command_part result = COMMAND_WHOLE;
+
+    if (((command->given & COMMAND_ENABLE) != 0u) && !command->enable) {
+        switch_off_by_command(board);
+    }
+    if (board->config.wire->order_count > 1u) {
+        result = command_sets_add(&board->commands, part, command, at_ns);
+    }
+    if (result == COMMAND_WHOLE) {
+        obey(board, command, at_ns);
+    } else if (result == COMMAND_REPEATED) {
+        board->refused_commands++;
+    } else {
+        /* The others are yet to come. */
+    }
+}
+
 bool board_receive(struct board *board, uint32_t identifier, const uint8_t *data, size_t length, int64_t at_ns)
 {
-    const uint32_t own = board->config.fd ? WIRE_COMMAND_FD_FRAME_ID : WIRE_COMMAND_FRAME_ID;
-    const bool for_this_board = identifier == report_identifier(board, own);
+    const struct wire *wire = board->config.wire;
+    bool for_this_board = false;
 
-    if (for_this_board) {
-        struct command command;
+    for (uint8_t part = 0u; part < wire->order_count; part++) {
+        const struct wire_order *order = &wire->orders[part];
 
-        if (command_checked(&command, board->config.fd, identifier, data, length)) {
-            obey(board, &command, at_ns);
-        } else {
-            strike(board);
+        if (identifier == report_identifier(board, order->identifier)) {
+            struct command command = {0};
+
+            for_this_board = true;
+            if ((length == order->length) && order->unpack(&command, data, length) &&
+                protection_right(&order->protection, identifier, command.alive, data, length)) {
+                hear(board, part, &command, at_ns);
+            } else {
+                strike(board);
+            }
         }
     }
     return for_this_board;
@@ -205,7 +245,7 @@ void board_sample(struct board *board, int64_t now_ns, const struct board_readin
     output_act(&board->output, now_ns);
     output_sample(&board->output, now_ns, reading->y);
     board->newest_ns = now_ns;
-    board->counter = board->sampled ? ((board->counter + 1u) % WIRE_COUNTER_MODULUS) : 0u;
-    board->sampled = true;
+    board->counter = board->next_counter;
+    board->next_counter = (board->counter >= board->config.wire->counter_most) ? 0u : (board->counter + 1u);
     report_sample(board, now_ns, reading);
 }

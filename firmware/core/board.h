@@ -11,43 +11,35 @@
 #include <stdint.h>
 
 #include "output.h"
-#include "scale.h"
+#include "wire.h"
 
-/* Sends a frame with a standard identifier; `fd`: in the format of CAN FD, with bit rate switch. It must not wait. */
+/* Sends a frame, whose identifier has WIRE_EXTENDED set if it is one of 29 bits; `fd`: in the format of CAN FD, with bit
+ * rate switch. It must not wait. */
 typedef void (*board_send_t)(void *context, uint32_t identifier, bool fd, const uint8_t *data, size_t length);
 
-/* Why the amplifier is off; the numbers are those of the DBC. */
-enum board_fault {
-    BOARD_FAULT_NONE = 0,
-    BOARD_FAULT_COMMAND_TIMEOUT = 1,
-    BOARD_FAULT_COMMAND_CHECK = 2,
-    BOARD_FAULT_CURRENT_RANGE = 3,
-    BOARD_FAULT_ENCODER = 4,
-    BOARD_FAULT_OVERCURRENT = 5,
-    BOARD_FAULT_SUPPLY = 6,
-    BOARD_FAULT_INTERNAL = 7
-};
-
-enum board_amplifier { BOARD_AMPLIFIER_OFF = 1, BOARD_AMPLIFIER_ON = 2, BOARD_AMPLIFIER_FAULT = 3 };
-
 struct board_config {
-    uint8_t node;          /* 1 to 127 */
-    bool fd;               /* frames of CAN FD */
-    int64_t period_ns;     /* of the samples */
-    int64_t delay_ns;      /* from a sample until its command acts */
-    int32_t current_limit; /* largest control current that is accepted, counts of the frame */
-    struct scale x;        /* from counts of the encoder to those of the frame */
-    struct scale y;
-    struct scale current; /* from counts of the current measurement */
+    const struct wire *wire;   /* the frames */
+    uint8_t node;              /* 1 to 127 */
+    int64_t period_ns;         /* of the samples */
+    int64_t delay_ns;          /* from a sample until its command acts */
+    board_real current_limit;  /* largest control current that is accepted, A */
+    struct wire_scaling scaling;
     struct output_config output;
 };
 
-/* One simultaneous reading, in counts of the converters. */
+/* One simultaneous reading. */
 struct board_reading {
-    int32_t x;
+    int32_t x; /* counts of the encoders */
     int32_t y;
-    int32_t current;
-    bool valid; /* both encoders work */
+    board_real current; /* in the coils, A */
+    bool valid;         /* both encoders work */
+};
+
+/* Which frame of one identifier is the next. */
+struct board_turn {
+    uint32_t samples; /* until it is sent */
+    uint32_t alive;
+    uint32_t page;
 };
 
 struct board {
@@ -57,11 +49,13 @@ struct board {
     struct output output;
     enum board_fault fault; /* latched; a command timeout is latched in `output` */
     bool seen_off;
-    uint8_t command_alive; /* of the last command; 15 before the first */
-    uint8_t current_alive;
+    bool commanded;
+    uint32_t command_alive; /* of the last command, if `commanded` */
+    struct command_sets commands;
+    struct board_turn turns[WIRE_FRAMES];
     uint8_t strikes;
     uint32_t counter; /* of the newest sample */
-    bool sampled;
+    uint32_t next_counter;
     uint32_t oldest_echo; /* samples */
     int64_t newest_ns;
     int64_t next_heartbeat_ns;
@@ -76,7 +70,8 @@ bool board_start(struct board *board, const struct board_config *config, board_s
 /* Take one sample, read at `now_ns`, and send it. What is due by then is done before: read the converters, then call. */
 void board_sample(struct board *board, int64_t now_ns, const struct board_reading *reading);
 
-/* Take a frame of the bus that arrived at `at_ns`, and say whether it is for this board. Then look at board_next_ns(). */
+/* Take a frame of the bus that arrived at `at_ns`, and say whether it is for this board. In an identifier of 29 bits
+ * WIRE_EXTENDED is set. Then look at board_next_ns(). */
 bool board_receive(struct board *board, uint32_t identifier, const uint8_t *data, size_t length, int64_t at_ns);
 
 /* Do what is due by `now_ns`: call it at board_next_ns(). */

@@ -1,7 +1,5 @@
 #include "output.h"
 
-#include "wire_limits.h"
-
 void output_start(struct output *output, const struct output_config *config, output_drive_t drive, void *context,
                   int64_t now_ns)
 {
@@ -71,9 +69,7 @@ static void take_effect(struct output *output, const struct output_command *comm
     const struct output_config *config = output->config;
 
     if (output->on) {
-        const board_real asked = (board_real)command->current * (board_real)WIRE_CURRENT_COUNT;
-
-        set_code(output, command->at_ns, nearest_code(config, asked));
+        set_code(output, command->at_ns, nearest_code(config, command->current));
         output->mean += config->hold_weight * (current_of(output) - output->mean);
         output->hold_at_ns = command->at_ns + config->hold_after_ns;
         output->holding = false;
@@ -92,7 +88,7 @@ static void begin_to_hold(struct output *output)
     set_code(output, at_ns, holding_code(output));
 }
 
-bool output_command(struct output *output, int16_t current, int64_t at_ns)
+bool output_command(struct output *output, board_real current, int64_t at_ns)
 {
     const bool room = output->waiting_count < OUTPUT_WAITING;
 

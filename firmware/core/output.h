@@ -10,12 +10,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Type of the holding law. With float, for a processor that computes only that quickly, a holding current may differ
- * from the reference by one step of the D/A converter. */
-#ifndef BOARD_REAL
-#define BOARD_REAL double
-#endif
-typedef BOARD_REAL board_real;
+#include "real.h"
 
 /* Commands that wait for their time, at most: one for each sample of the longest delay, 10, and some more. */
 #define OUTPUT_WAITING (16u)
@@ -40,7 +35,7 @@ struct output_config {
 
 struct output_command {
     int64_t at_ns;
-    int16_t current; /* counts of the frame */
+    board_real current; /* A */
 };
 
 struct output {
@@ -67,8 +62,8 @@ struct output {
 void output_start(struct output *output, const struct output_config *config, output_drive_t drive, void *context,
                   int64_t now_ns);
 
-/* Have a command act at `at_ns`, or now if that has passed. False if too many wait: it is dropped. */
-bool output_command(struct output *output, int16_t current, int64_t at_ns);
+/* Have a current in A act at `at_ns`, or now if that has passed. False if too many wait: it is dropped. */
+bool output_command(struct output *output, board_real current, int64_t at_ns);
 
 /* Do what is due by `now_ns`. */
 void output_act(struct output *output, int64_t now_ns);

@@ -12,7 +12,6 @@
 #include "bus.h"
 #include "machine.h"
 #include "options.h"
-#include "wire_limits.h"
 
 /* Frames taken between two looks at the clock: a babbling node must not keep the board from its samples. */
 #define AT_ONCE (64)
@@ -58,13 +57,12 @@ static void sample(struct process *process, int64_t until_ns)
 {
     while (process->next_sample_ns <= until_ns) {
         const struct board *board = &process->board;
-        const uint32_t counter = board->sampled ? ((board->counter + 1u) % WIRE_COUNTER_MODULUS) : 0u;
         struct board_reading reading;
         struct packet truth;
         uint32_t identifier;
 
         board_act(&process->board, process->next_sample_ns);
-        machine_sample(process->machine, process->next_sample_ns, counter, &reading, &truth, &identifier);
+        machine_sample(process->machine, process->next_sample_ns, board->next_counter, &reading, &truth, &identifier);
         if (truth.size > 0u) {
             send_frame(process, identifier, true, truth.bytes, truth.size);
         }
@@ -80,7 +78,8 @@ static void answer_done(const struct process *process)
 
     packet_add_byte(&packet, (uint8_t)board_reported_amplifier(&process->board));
     packet_add_byte(&packet, (uint8_t)board_reported_fault(&process->board));
-    packet_add_byte(&packet, process->board.command_alive);
+    packet_add_byte(&packet, process->board.commanded ? 1u : 0u);
+    packet_add_word(&packet, process->board.command_alive);
     packet_add_word(&packet, process->board.counter);
     packet_add_word(&packet, process->board.refused_commands);
     machine_send(process->machine, &packet);
@@ -182,7 +181,7 @@ int main(int count, char **arguments)
         }
         (void)memcpy(&process.next_sample_ns, &first[1], 8u);
     } else {
-        bus_start(&process.bus, options.bus, options.config.fd);
+        bus_start(&process.bus, options.bus, options.fd);
         process.next_sample_ns = clock_ns(CLOCK_MONOTONIC) + options.lead_ns;
     }
     if (!board_start(&process.board, &options.config, send_frame, drive, &process, process.next_sample_ns)) {

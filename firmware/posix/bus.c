@@ -1,5 +1,7 @@
 #include "bus.h"
 
+#include "wire.h"
+
 #include <errno.h>
 #include <linux/can.h>
 #include <linux/can/raw.h>
@@ -14,9 +16,10 @@
 #define REOPEN_NS (100000000)
 /* Head of the hub's packets: time in ns (8 bytes), identifier (4), flags (1); see hardware/can/hub.py. */
 #define HUB_HEAD (13u)
+#define HUB_EXTENDED (1u)
 #define HUB_FD (8u)
 #define HUB_BIT_RATE_SWITCH (16u)
-#define HUB_OTHERS (7u) /* extended, remote, error */
+#define HUB_OTHERS (6u) /* remote, error */
 
 int64_t clock_ns(int clock)
 {
@@ -113,10 +116,12 @@ static ssize_t sent_to_hub(const struct bus *bus, uint32_t identifier, bool fd, 
 {
     uint8_t packet[HUB_HEAD + BUS_LONGEST];
     const int64_t now_ns = clock_ns(CLOCK_REALTIME);
+    const uint32_t address = identifier & ~WIRE_EXTENDED;
+    const uint8_t extended = (address != identifier) ? (uint8_t)HUB_EXTENDED : 0u;
 
     (void)memcpy(&packet[0], &now_ns, 8u);
-    (void)memcpy(&packet[8], &identifier, 4u);
-    packet[12] = fd ? (uint8_t)(HUB_FD | HUB_BIT_RATE_SWITCH) : 0u;
+    (void)memcpy(&packet[8], &address, 4u);
+    packet[12] = fd ? (uint8_t)(extended | HUB_FD | HUB_BIT_RATE_SWITCH) : extended;
     (void)memcpy(&packet[HUB_HEAD], data, length);
     return send(bus->descriptor, packet, HUB_HEAD + length, MSG_NOSIGNAL);
 }
@@ -161,6 +166,9 @@ static int received_from_hub(const struct bus *bus, struct bus_frame *frame)
     }
     (void)memcpy(&frame->sent_ns, &packet[0], 8u);
     (void)memcpy(&frame->identifier, &packet[8], 4u);
+    if ((packet[12] & HUB_EXTENDED) != 0u) {
+        frame->identifier |= WIRE_EXTENDED;
+    }
     frame->length = (size_t)size - HUB_HEAD;
     (void)memcpy(frame->data, &packet[HUB_HEAD], frame->length);
     return 1;
@@ -182,7 +190,7 @@ static int received_from_interface(const struct bus *bus, struct bus_frame *fram
     if (size < 0) {
         return -1;
     }
-    if ((raw.can_id & (CAN_EFF_FLAG | CAN_RTR_FLAG | CAN_ERR_FLAG)) != 0u) {
+    if ((raw.can_id & (CAN_RTR_FLAG | CAN_ERR_FLAG)) != 0u) {
         return 0;
     }
     frame->sent_ns = clock_ns(CLOCK_REALTIME);
@@ -193,7 +201,8 @@ static int received_from_interface(const struct bus *bus, struct bus_frame *fram
         (void)memcpy(&at, CMSG_DATA(stamp), sizeof(at));
         frame->sent_ns = ((int64_t)at.tv_sec * 1000000000) + at.tv_nsec;
     }
-    frame->identifier = raw.can_id & CAN_SFF_MASK;
+    /* Its flag of an extended identifier is WIRE_EXTENDED. */
+    frame->identifier = raw.can_id;
     frame->length = (raw.len <= BUS_LONGEST) ? raw.len : BUS_LONGEST;
     (void)memcpy(frame->data, raw.data, frame->length);
     return 1;

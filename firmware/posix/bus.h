@@ -18,7 +18,7 @@ struct bus {
 };
 
 struct bus_frame {
-    uint32_t identifier;
+    uint32_t identifier; /* WIRE_EXTENDED is set in one of 29 bits */
     size_t length;
     uint8_t data[BUS_LONGEST];
     int64_t sent_ns; /* on the system's clock, CLOCK_REALTIME */
@@ -35,7 +35,7 @@ void bus_open_again(struct bus *bus);
 /* Send without waiting; a frame that the bus does not take is counted and lost. */
 void bus_send(struct bus *bus, uint32_t identifier, bool fd, const uint8_t *data, size_t length);
 
-/* Take the next data frame with a standard identifier; false if there is none. */
+/* Take the next data frame; false if there is none. */
 bool bus_receive(struct bus *bus, struct bus_frame *frame);
 
 #endif

@@ -6,8 +6,8 @@
 #include <string.h>
 #include <sys/socket.h>
 
-/* Three counts, whether they are valid, identifier of the frame with the truth. */
-#define READING_HEAD (17u)
+/* Two counts, the current in A, whether they are valid, identifier of the frame with the truth. */
+#define READING_HEAD (21u)
 
 struct packet packet_of(uint8_t kind)
 {
@@ -66,6 +66,7 @@ void machine_sample(int socket, int64_t at_ns, uint32_t counter, struct board_re
     struct packet request = packet_of(MACHINE_SAMPLE);
     uint8_t answer[READING_HEAD + MACHINE_LONGEST];
     size_t size;
+    double current;
 
     packet_add_time(&request, at_ns);
     packet_add_word(&request, counter);
@@ -77,9 +78,10 @@ void machine_sample(int socket, int64_t at_ns, uint32_t counter, struct board_re
     }
     (void)memcpy(&reading->x, &answer[0], 4u);
     (void)memcpy(&reading->y, &answer[4], 4u);
-    (void)memcpy(&reading->current, &answer[8], 4u);
-    reading->valid = answer[12] != 0u;
-    (void)memcpy(truth_identifier, &answer[13], 4u);
+    (void)memcpy(&current, &answer[8], 8u);
+    reading->current = (board_real)current;
+    reading->valid = answer[16] != 0u;
+    (void)memcpy(truth_identifier, &answer[17], 4u);
     truth->size = size - READING_HEAD;
     (void)memcpy(truth->bytes, &answer[READING_HEAD], truth->size);
 }

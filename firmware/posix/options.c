@@ -18,8 +18,9 @@ struct argument {
 };
 
 enum {
-    MACHINE, BUS, LEAD, NODE, FD, PERIOD, DELAY, CURRENT_LIMIT, X_NUMERATOR, X_DENOMINATOR, Y_NUMERATOR, Y_DENOMINATOR,
-    TIMEOUT, HOLD_AFTER, HALF_CODES, CODE_CURRENT, WEIGHT, KEPT, BRAKING, STIFFNESS, Y_COUNT, ARGUMENTS
+    MACHINE, BUS, LEAD, NODE, FD, SOURCE, PERIOD, DELAY, CURRENT_LIMIT, X_NUMERATOR, X_DENOMINATOR, Y_NUMERATOR,
+    Y_DENOMINATOR, TIMEOUT, HOLD_AFTER, HALF_CODES, CODE_CURRENT, WEIGHT, KEPT, BRAKING, STIFFNESS, X_COUNT, Y_COUNT,
+    ARGUMENTS
 };
 
 static bool read_value(struct argument *argument, const char *text)
@@ -50,6 +51,21 @@ static bool read_argument(struct argument *arguments, const char *text)
     return false;
 }
 
+/* The frames of this kind of bus, if they were made from what the host has; NULL, with a message, if not. */
+static const struct wire *wire_made_from(const char *source, bool fd)
+{
+    const struct wire *own = fd ? wire_fd : wire_classic;
+    const bool right = (own != NULL) && (strcmp(own->source, source) == 0);
+
+    if (!right) {
+        (void)fprintf(stderr,
+                      "board_posix: built with the frames of '%s', not with those of '%s' on %s; straightcomp can "
+                      "firmware makes them from a stage file\n",
+                      (own != NULL) ? own->source : "another kind of bus", source, fd ? "CAN FD" : "classic CAN");
+    }
+    return right ? own : NULL;
+}
+
 bool options_read(struct options *options, int count, char **arguments)
 {
     struct argument known[ARGUMENTS] = {
@@ -58,9 +74,10 @@ bool options_read(struct options *options, int count, char **arguments)
         [LEAD] = {.name = "lead_ns"},
         [NODE] = {.name = "node"},
         [FD] = {.name = "fd"},
+        [SOURCE] = {.name = "source", .kind = TEXT},
         [PERIOD] = {.name = "period_ns"},
         [DELAY] = {.name = "delay_ns"},
-        [CURRENT_LIMIT] = {.name = "current_limit"},
+        [CURRENT_LIMIT] = {.name = "current_limit", .kind = REAL},
         [X_NUMERATOR] = {.name = "x_numerator"},
         [X_DENOMINATOR] = {.name = "x_denominator"},
         [Y_NUMERATOR] = {.name = "y_numerator"},
@@ -73,9 +90,9 @@ bool options_read(struct options *options, int count, char **arguments)
         [KEPT] = {.name = "hold_kept", .kind = REAL},
         [BRAKING] = {.name = "hold_braking", .kind = REAL},
         [STIFFNESS] = {.name = "hold_stiffness", .kind = REAL},
+        [X_COUNT] = {.name = "x_count", .kind = REAL},
         [Y_COUNT] = {.name = "y_count", .kind = REAL},
     };
-    const struct scale one = {1, 1};
 
     for (int i = 1; i < count; i++) {
         if (!read_argument(known, arguments[i])) {
@@ -93,16 +110,17 @@ bool options_read(struct options *options, int count, char **arguments)
     options->bus = known[BUS].text;
     options->lead_ns = known[LEAD].whole;
     options->config.node = (uint8_t)known[NODE].whole;
-    options->config.fd = known[FD].whole != 0;
+    options->fd = known[FD].whole != 0;
+    options->config.wire = wire_made_from(known[SOURCE].text, options->fd);
     options->config.period_ns = known[PERIOD].whole;
     options->config.delay_ns = known[DELAY].whole;
-    options->config.current_limit = (int32_t)known[CURRENT_LIMIT].whole;
-    options->config.x.numerator = (int32_t)known[X_NUMERATOR].whole;
-    options->config.x.denominator = (int32_t)known[X_DENOMINATOR].whole;
-    options->config.y.numerator = (int32_t)known[Y_NUMERATOR].whole;
-    options->config.y.denominator = (int32_t)known[Y_DENOMINATOR].whole;
-    /* The simulated measurement of the current has the frame's own counts. */
-    options->config.current = one;
+    options->config.current_limit = (board_real)known[CURRENT_LIMIT].real;
+    options->config.scaling.x.numerator = (int32_t)known[X_NUMERATOR].whole;
+    options->config.scaling.x.denominator = (int32_t)known[X_DENOMINATOR].whole;
+    options->config.scaling.y.numerator = (int32_t)known[Y_NUMERATOR].whole;
+    options->config.scaling.y.denominator = (int32_t)known[Y_DENOMINATOR].whole;
+    options->config.scaling.x_count = (board_real)known[X_COUNT].real;
+    options->config.scaling.y_count = (board_real)known[Y_COUNT].real;
     options->config.output.command_timeout_ns = known[TIMEOUT].whole;
     options->config.output.hold_after_ns = known[HOLD_AFTER].whole;
     options->config.output.half_codes = (int32_t)known[HALF_CODES].whole;
@@ -112,5 +130,5 @@ bool options_read(struct options *options, int count, char **arguments)
     options->config.output.hold_braking = (board_real)known[BRAKING].real;
     options->config.output.hold_stiffness = (board_real)known[STIFFNESS].real;
     options->config.output.y_count = (board_real)known[Y_COUNT].real;
-    return true;
+    return options->config.wire != NULL;
 }

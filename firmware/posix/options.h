@@ -10,6 +10,7 @@
 struct options {
     int64_t machine;  /* descriptor of the machine's socket */
     const char *bus;  /* empty: lockstep, the machine has the bus and the time too */
+    bool fd;          /* a bus of CAN FD */
     int64_t lead_ns;  /* time for which the process begins before the sampling time */
     struct board_config config;
 };

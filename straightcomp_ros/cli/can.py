@@ -1,4 +1,4 @@
 """Tools for the CAN bus."""
 
 SUMMARY = "a CAN bus between processes, and recorded buses"
-TOOLS = ("hub", "replay")
+TOOLS = ("hub", "replay", "firmware")

@@ -21,7 +21,7 @@ def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Findin
     ends = motion.start, motion.start + motion.stroke
     yield _range("wire x", wire.sample.signals, "x", ends, stage.encoder.x_resolution, "m")
     stop = stage.platform.stop
-    yield _range("wire y", wire.sample.signals, "y", (-stop, stop), stage.encoder.y_resolution, "m")
+    yield _range("wire y", wire.homes["y"].signals, "y", (-stop, stop), stage.encoder.y_resolution, "m")
     limit = actuator.current_limit
     yield _range("wire command", wire.command.signals, "current", (-limit, limit), stage.drive.current_step, "A")
     if wire.current is not None:
@@ -36,7 +36,7 @@ def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Findin
 
 def _names(can: CanParameters) -> list[str]:
     wire = can.make_wire()
-    return [frames.signals.message.name for frames in (*wire.reports.values(), wire.command)]
+    return [frames.signals.message.name for frames in (*wire.reports.values(), *wire.commands)]
 
 
 def _range(name: str, signals: Signals, field: str, ends: tuple[float, float], resolution: float, unit: str) -> Finding:

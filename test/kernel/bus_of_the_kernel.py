@@ -5,14 +5,25 @@ import multiprocessing
 import subprocess
 import time
 
+import numpy as np
+
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.design.automatic_design import closed_form
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.nodes.dsp_emulator import emulate
+from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
+from straightcomp_ros.straightness.guide_map import load_map
 
 RATE = 100
 """Hz: what the guest's one processor carries on a busy computer. No law holds the platform then; friction does."""
+LAW_STAGE = {"rate": 250, "actuator.bias_current": 0.5, "actuator.current_limit": 0.45}
+"""For strokes under the control law, whose commands must come in time: a rate that the guest carries beside other work,
+and magnets of half the bias, which drive the platform away half as fast."""
 PATIENCE_S = 60.0
 HOST, BOARD = "vxcan0", "vxcan1"
 """The two ends of a cable, of which each can be spoiled by itself."""
@@ -39,10 +50,17 @@ class Cable:
         link("del", HOST)
 
 
-def parameters(fd, channel, **changed):
-    """Of the driver node: patient with a slow processor, on this channel."""
-    values = shipped_parameters()
-    values["stage"].update({"rate": RATE, "motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1})
+def parameters(fd, channel, file=None, **changed):
+    """Of the driver node: patient with a slow processor, on this channel; ``file`` has a board's own frames."""
+    return node_parameters("driver", node_values(fd, channel, file, **changed))
+
+
+def node_values(fd, channel, file=None, stage=None, **changed):
+    """Parameters of all nodes by node and dotted name, see :func:`parameters`; ``stage`` changes the description."""
+    values = shipped_parameters(stage=file)
+    values["stage"].update(
+        {"rate": RATE, "motion.stroke": 0.1, "motion.settle": 0.5, "motion.pause": 0.1, **(stage or {})}
+    )
     values["driver"].update(
         {
             "hardware": "can",
@@ -61,14 +79,14 @@ def parameters(fd, channel, **changed):
             **changed,
         }
     )
-    return node_parameters("driver", values)
+    return values
 
 
 class EmulatedBoard:
     """`straightcomp dsp` on the board's end of the cable, forked from this process to be there at once."""
 
-    def __init__(self, fd, program=""):
-        own = parameters(fd, BOARD, **{"can.firmware": str(program)})
+    def __init__(self, fd, program="", file=None, **changed):
+        own = parameters(fd, BOARD, file, **{"can.firmware": str(program), **changed})
         self._process = multiprocessing.get_context("fork").Process(target=emulate, args=(own, 0.0))
         self._process.start()
 
@@ -84,8 +102,8 @@ class EmulatedBoard:
 class Driver:
     """The driver's side: what the node does in its loop, without ROS, with commands of no current."""
 
-    def __init__(self, fd, **changed):
-        own = parameters(fd, HOST, **changed)
+    def __init__(self, fd, file=None, **changed):
+        own = parameters(fd, HOST, file, **changed)
         self.stage = own.stage
         self.answering = True
         self.samples = []
@@ -118,7 +136,11 @@ class Driver:
         self.samples += fresh
         for sample, _ in fresh:
             if self.answering and hardware.state is not State.FAULT:
-                hardware.write(0.0, time.time_ns(), sample.stamp_ns)
+                hardware.write(self.current(sample), time.time_ns(), sample.stamp_ns)
+
+    def current(self, sample):
+        """The control current that answers a sample."""
+        return 0.0
 
     def switch_on(self):
         def enabled():
@@ -145,3 +167,32 @@ class Driver:
 
     def close(self):
         self.hardware.close()
+
+
+class ServoDriver(Driver):
+    """The driver's side with feedforward and law in its loop: the law of the controller, with the gains that the closed
+    form has for this stage.
+
+    The machine's reference is that of the map at each sample's own x, since nothing is beside the loop here.
+    """
+
+    def __init__(self, fd, file, stage):
+        super().__init__(fd, file, stage=stage)
+        values = node_values(fd, HOST, file, stage)
+        law = node_parameters("controller", values).control.law
+        gains = closed_form(make_scenario(values, [law]), law)
+        values["controller"].update(gains)
+        controller = node_parameters("controller", values)
+        self._servo = Servo(make_law(controller.control, self.stage))
+        self.map = load_map(self.stage.guide)
+        self._feedforward = Feedforward(self.map, FeedforwardParameters(), self.stage.motion.highest_speed)
+
+    def current(self, sample):
+        reference = self._feedforward.step(sample.stamp_ns, sample.x)
+        command = self._servo.step(sample.stamp_ns, sample.y, sample.current, reference)
+        return command.current if command else 0.0
+
+    def true_errors(self, begin):
+        """r(x) − y of the machine itself, in m, for the samples from number ``begin`` on that came with the truth."""
+        told = [truth for _, truth in self.samples[begin:] if truth is not None]
+        return np.array([self.map.reference(truth.x)[0] - truth.y for truth in told])

@@ -7,17 +7,31 @@ import time
 
 import numpy as np
 import pytest
-from bus_of_the_kernel import BOARD, HOST, PATIENCE_S, RATE, Cable, Driver, EmulatedBoard, link, parameters
+from bus_of_the_kernel import (
+    BOARD,
+    HOST,
+    LAW_STAGE,
+    PATIENCE_S,
+    RATE,
+    Cable,
+    Driver,
+    EmulatedBoard,
+    ServoDriver,
+    link,
+    parameters,
+)
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import recorded_frames
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
+from straightcomp_ros.settings.share import share_path
 
 pytestmark = pytest.mark.live
 
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+FOREIGN = str(share_path("config/board_motorola.yaml"))
 FD = pytest.mark.parametrize("fd", [True], ids=["fd"])
 
 
@@ -87,6 +101,33 @@ def test_handshake_switching_on_a_stroke_and_switching_off(board, driver, fd):
     driver.hardware.disable()
     driver.until(lambda: np.isnan(driver.samples[-1][0].current))
     assert driver.hardware.state is State.OFF
+
+
+@FD
+@pytest.mark.parametrize(
+    ("file", "program"),
+    [(None, ""), (FOREIGN, ""), (FOREIGN, "board_posix")],
+    ids=["own frames", "foreign frames", "foreign frames, firmware"],
+)
+def test_a_stroke_under_the_control_law(request, cable, fd, file, program):
+    """`-rP` shows the figures."""
+    path = program and request.getfixturevalue("firmware_of")(parameters(fd, BOARD, file).can) / program
+    with (
+        contextlib.closing(EmulatedBoard(fd, path, file, stage=LAW_STAGE)),
+        contextlib.closing(ServoDriver(fd, file, LAW_STAGE)) as driver,
+    ):
+        driver.switch_on()
+        driver.run(0.5)
+        waypoints = forward_and_back(driver.stage.motion)
+        begin, lost = len(driver.samples), driver.hardware.lost_samples
+        driver.hardware.move(Trajectory(waypoints), time.time_ns())
+        driver.run(waypoints[-1].time_ns * 1e-9)
+        errors = driver.true_errors(begin)
+        lost = driver.hardware.lost_samples - lost
+        print(f"p-p {np.ptp(errors) * 1e6:.2f} µm, {len(errors)} samples, {lost} lost")
+        assert driver.hardware.state is State.ON and driver.hardware.fault == ""
+        # Without a law the magnets drive the platform to its stops, 2.4 mm apart.
+        assert len(errors) > 0.8 * waypoints[-1].time_ns / driver.stage.period_ns and np.ptp(errors) < 0.1e-3
 
 
 @FD

@@ -36,6 +36,7 @@ def test_every_part_of_the_core_is_among_what_mypy_judges() -> None:
         "straightness",
         "analysis",
         "timing",
+        "hardware",
         "messages",
         "contract.py",
         "settings/declaration.py",

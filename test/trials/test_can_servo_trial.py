@@ -2,6 +2,7 @@
 latched safe state, and never takes a wrong sample."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -16,42 +17,48 @@ from straightcomp_ros.trials.bench.can_servo_trial import run_servo_trial
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 FOREIGN = node_parameters("driver", shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))).can
+SPLIT_FILE = Path(__file__).parents[1] / "hardware" / "can" / "split.yaml"
+SPLIT = node_parameters("driver", shipped_parameters(stage=str(SPLIT_FILE))).can
+"""A board with a message for each axis, to which the host sends two."""
 BUSES = pytest.mark.parametrize(
-    "board", [CanParameters(fd=False), CanParameters(fd=True), FOREIGN], ids=["classic", "fd", "foreign"]
+    "board",
+    [CanParameters(fd=False), CanParameters(fd=True), FOREIGN, SPLIT],
+    ids=["classic", "fd", "foreign", "split"],
 )
 
 
 @pytest.fixture(params=["", "board_posix"], ids=["emulator", "firmware"])
-def program(request):
-    return str(request.getfixturevalue("firmware") / request.param) if request.param else ""
-
-
-def with_program(board, program):
-    if program and board.dbc:
-        pytest.skip("the firmware core has the frames of config/straightcomp.dbc alone")
-    return replace(board, firmware=program)
+def with_program(request):
+    """``with_program(board)`` is a board that is the emulator or the firmware."""
+    if not request.param:
+        return lambda board: board
+    firmware_of = request.getfixturevalue("firmware_of")
+    return lambda board: replace(board, firmware=str(firmware_of(board) / request.param))
 
 
 @BUSES
-def test_single_faults_are_bridged_and_the_servo_stays_on(program, board):
+def test_single_faults_are_bridged_and_the_servo_stays_on(with_program, board):
     rates = {kind: 0.002 for kind in KINDS if kind != "cut"}
-    trial = run_servo_trial(rates, GUIDE, with_program(board, program), frames=3000, seed=3)
+    trial = run_servo_trial(rates, GUIDE, with_program(board), frames=3000, seed=3)
     assert sum(trial.injected.values()) > 50
     assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
     assert trial.unflagged_wrong == trial.unsafe == 0
 
 
 @BUSES
-def test_each_cut_latches_a_fault_and_the_servo_comes_back_after_the_reset(program, board):
-    trial = run_servo_trial({"cut": 0.001}, GUIDE, with_program(board, program), frames=4000, seed=2)
+def test_each_cut_latches_a_fault_and_the_servo_comes_back_after_the_reset(with_program, board):
+    trial = run_servo_trial({"cut": 0.001}, GUIDE, with_program(board), frames=4000, seed=2)
     assert trial.injected["cut"] >= 2
     assert 1 <= sum(trial.latched.values()) <= trial.injected["cut"]
     assert trial.unflagged_wrong == trial.unsafe == 0 and trial.on > 0.3
 
 
 @BUSES
-def test_a_bus_that_spoils_many_frames_is_given_up_by_one_side_or_the_other(program, board):
-    trial = run_servo_trial({"corrupt": 0.22}, GUIDE, with_program(board, program), frames=6000, seed=1)
+def test_a_bus_that_spoils_many_frames_is_given_up_by_one_side_or_the_other(with_program, board):
+    # Of two frames for each sample, half as many have to be spoiled.
+    trial = run_servo_trial(
+        {"corrupt": 0.22 if board is not SPLIT else 0.11}, GUIDE, with_program(board), frames=6000, seed=1
+    )
     words = {"too many frames failed their checks", "the board reports: command check"}
     assert words & set(trial.latched) and trial.on < 0.8
     assert trial.unflagged_wrong == trial.unsafe == 0

@@ -50,7 +50,7 @@ class CanHardware(Hardware):
         self._stage_frames = EmulatorFrames(parameters.node, wire) if parameters.simulated_stage else None
         self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
         self._numbers: dict[int, int] = {}
-        self._newest_number = self._alive = self._deadline_ns = 0
+        self._newest_number = self._turn = self._deadline_ns = 0
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
         self._fault_kind = Fault.BOARD
@@ -153,8 +153,9 @@ class CanHardware(Hardware):
         counters: dict[str, object] = {
             "received": receiver.received,
             "lost": sequence.lost,
-            "repeated": sequence.repeated,
-            "out_of_order": sequence.out_of_order,
+            "incomplete": receiver.sets.incomplete,
+            "repeated": sequence.repeated + receiver.sets.repeated,
+            "out_of_order": sequence.out_of_order + receiver.sets.out_of_order,
             "stale": receiver.stale,
             "counter_jumps": sequence.jumps,
             "strikes": receiver.strikes,
@@ -268,15 +269,18 @@ class CanHardware(Hardware):
         self._deadline_ns = self._clock() + round(self._parameters.answer_timeout * 1e9)
 
     def _send(self, number: int, current: float = 0.0) -> bool:
-        frames = self._wire.command
-        echo = number % (self._wire.echo_modulus or 1)
-        command = Command(self._alive, self._wanted, self._resetting, current if self._wanted else 0.0, echo)
-        sent = self._link.send(frames.identifier, frames.pack(command), fd=frames.fd)
-        if sent:
-            if self._wire.current is None:
-                self._receiver.current = command.current
-            self._alive = (self._alive + 1) % frames.alive_modulus
-        return sent
+        asked = current if self._wanted else 0.0
+        command = Command(0, self._wanted, self._resetting, asked, number % (self._wire.echo_modulus or 1))
+        sent = 0
+        for frames in self._wire.commands:
+            payload = frames.pack(command._replace(alive=self._turn % frames.alive_modulus))
+            sent += self._link.send(frames.identifier, payload, fd=frames.fd)
+        # A count that was sent, if only in one of several messages, must not come again.
+        self._turn += sent > 0
+        complete = sent == len(self._wire.commands)
+        if complete and self._wire.current is None:
+            self._receiver.current = asked
+        return complete
 
 
 def _ms(age_ns: int) -> str:

@@ -8,8 +8,9 @@ import math
 from collections.abc import Callable
 
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
+from straightcomp_ros.hardware.can.frame_sets import FrameSets
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, FrameError, Report
-from straightcomp_ros.hardware.can.message_frames import ReportFrames
+from straightcomp_ros.hardware.can.message_frames import CommandFrames, ReportFrames
 from straightcomp_ros.hardware.can.wire import Wire
 from straightcomp_ros.hardware.interface import Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
@@ -62,6 +63,8 @@ class Board:
         """Number of the newest sample."""
         self._strikes = 0
         self._sent = dict.fromkeys(wire.reports, 0)
+        self._commands = {frames.identifier: (part, frames) for part, frames in enumerate(wire.commands)}
+        self._sets: FrameSets[Command] = FrameSets(len(wire.commands), wire.command_modulus, machine.period_ns)
         self._newest_ns = self._next_heartbeat_ns = now_ns
         self._stage = StageReceiver(emulator) if emulator else None
         machine.start(now_ns)
@@ -80,8 +83,8 @@ class Board:
     def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
         """Take a frame that arrived at ``at_ns``."""
         try:
-            if identifier == self._wire.command.identifier:
-                self._obey(self._wire.command.unpack(payload), at_ns)
+            if identifier in self._commands:
+                self._hear(*self._commands[identifier], payload, at_ns)
             elif self._stage:
                 self._stage.obey(identifier, payload, self.machine, at_ns)
         except FrameError:
@@ -118,14 +121,30 @@ class Board:
         self.machine.disable()
         self._seen_off = False
 
+    def _hear(self, part: int, frames: CommandFrames, payload: bytes, at_ns: int) -> None:
+        """Take a command, or a part of one whose other signals come in other messages."""
+        command = frames.unpack(payload)
+        if command.enable is False:
+            self._switch_off()
+        if len(self._commands) == 1:
+            self._obey(command, at_ns)
+            return
+        repeated = self._sets.repeated
+        whole = self._sets.add(part, command, command.alive or 0, at_ns)
+        self.refused_commands += self._sets.repeated - repeated
+        if whole is not None:
+            self._obey(whole[0], at_ns)
+
+    def _switch_off(self) -> None:
+        # "Off" is obeyed from any frame that passes its CRC, even an old one, or one whose others do not come.
+        self._seen_off = True
+        self.machine.disable()
+
     def _obey(self, command: Command, at_ns: int) -> None:
-        if not command.enable:
-            # "Off" is obeyed from any frame that passes its CRC, even an old one.
-            self._seen_off = True
-            self.machine.disable()
-            if command.reset or "reset" not in self._wire.command.signals.signals:
-                self.machine.reset_fault()
-                self._fault, self._strikes = BoardFault.NONE, 0
+        # Without a signal for it, each "off" resets.
+        if not command.enable and command.reset is not False:
+            self.machine.reset_fault()
+            self._fault, self._strikes = BoardFault.NONE, 0
         repeated = command.alive is not None and command.alive == self.command_alive
         self.command_alive = command.alive
         age = 0 if command.echo is None else (self.counter - command.echo) % self._wire.echo_modulus
@@ -133,14 +152,15 @@ class Board:
             self.refused_commands += 1
             return
         self._strikes = max(0, self._strikes - 1)
-        if abs(command.current) > self._range:
+        current = command.current or 0.0
+        if not abs(current) <= self._range:
             self._trip(BoardFault.CURRENT_RANGE)
             return
         if command.enable and self._seen_off and self.amplifier is Amplifier.OFF:
             # Only an edge from off to on switches on, so a host that goes on saying "on" after a fault has no effect.
             self.machine.enable()
         self._seen_off = self._seen_off and not command.enable
-        self.machine.write(command.current, at_ns, self._newest_ns - age * self.machine.period_ns)
+        self.machine.write(current, at_ns, self._newest_ns - age * self.machine.period_ns)
 
     def _beat(self, state: int) -> None:
         heartbeat = self._wire.heartbeat
@@ -152,7 +172,7 @@ class Board:
         self._newest_ns = sample.stamp_ns
         number = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns)
         self.counter = number % (wire.number_modulus or _COUNTED)
-        x, y = (_within(value, wire.sample.spans[name]) for name, value in (("x", sample.x), ("y", sample.y)))
+        x, y = (_within(value, wire.homes[name].spans[name]) for name, value in (("x", sample.x), ("y", sample.y)))
         report = Report(
             counter=self.counter,
             x=x,
@@ -164,9 +184,8 @@ class Board:
         )
         if self._tells_truth and self._emulator:
             self._send(self._emulator.truth_id, self._emulator.truth_payload(self.counter, truth), True)
-        self._send_report(wire.sample, report)
         for frames in wire.reports.values():
-            if frames is not wire.sample and number % frames.every == 0:
+            if number % frames.every == 0:
                 self._send_report(frames, report)
 
     def _send_report(self, frames: ReportFrames, report: Report) -> None:

@@ -82,7 +82,10 @@ def fd_time(size: int, nominal: int, data: int, *, extended: bool = False) -> fl
 
 def traffic(wire: Wire, rate: float) -> list[Traffic]:
     """All frames on the bus while the servo runs at ``rate`` in Hz, highest priority first."""
-    rates = [(wire.command.signals, rate), *((one.signals, rate / one.every) for one in wire.reports.values())]
+    rates = [
+        *((one.signals, rate) for one in wire.commands),
+        *((one.signals, rate / one.every) for one in wire.reports.values()),
+    ]
     found = [(signals.identifier, _traffic(signals, each)) for signals, each in rates]
     if wire.heartbeat:
         found.append((wire.heartbeat.identifier, _traffic(wire.heartbeat.signals, 1.0 / wire.heartbeat.period)))

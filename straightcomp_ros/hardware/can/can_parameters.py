@@ -43,7 +43,8 @@ class CanParameters:
     )
     firmware: str = parameter(
         "",
-        "Program of the firmware core, e.g. firmware/build/board_posix, that is the emulated board; empty: none",
+        "Program of the firmware core with the frames of 'dbc', e.g. firmware/build/board_posix, that is the emulated "
+        "board; empty: none",
     )
     log: str = parameter(
         "", "File for all frames received and sent, a candump .log or a .blf by its ending; empty: none"
@@ -51,9 +52,6 @@ class CanParameters:
 
     def __post_init__(self) -> None:
         self.further_options()
-        if self.firmware and self.dbc:
-            text = f"'{self.firmware}' has the frames of config/straightcomp.dbc; allowed: only without '{{group}}dbc'"
-            raise RefusedParameter("firmware", text)
         if self.dbc or self.wire != WireParameters():
             # The package's own is known to be right, and reading it takes half a second.
             self.make_wire()

@@ -36,8 +36,8 @@ class Dbc:
     """
 
     def __init__(self, file: str) -> None:
-        self.file = file
-        self._database = _database(_found(file))
+        self.file, self.path = file, _found(file)
+        self._database = _database(self.path)
 
     def message(self, name: str) -> Message:
         """The message ``name``, if it can be sent as one frame.

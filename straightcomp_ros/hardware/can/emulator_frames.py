@@ -30,7 +30,7 @@ class EmulatorFrames:
     def __init__(self, node: int, wire: Wire) -> None:
         dbc = Dbc(FILE)
         self._messages: dict[str, Signals] = {}
-        taken = {*wire.identifiers, wire.command.identifier}
+        taken = {*wire.identifiers, *(frames.identifier for frames in wire.commands)}
         for name in ("StageTime", "StageMotion", "StageStart", "Truth"):
             message = dbc.message(name)
             identifier = dbc.identifier(message, node)

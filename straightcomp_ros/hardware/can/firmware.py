@@ -18,6 +18,7 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault
 from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.message_code import Signals
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.stage.description import StageParameters
@@ -26,8 +27,8 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 _LONGEST = 256
 _TICK, _RECEIVE = struct.Struct("=cq"), struct.Struct("=cqI")
 _SAMPLE, _DRIVE, _STAGE, _FRAME = (struct.Struct(layout) for layout in ("=cqI", "=cqBi", "=cqI", "=cBI"))
-_READING = struct.Struct("=iiiBI")
-_DONE = struct.Struct("=cBBBII")
+_READING = struct.Struct("=iidBI")
+_DONE = struct.Struct("=cBBBIII")
 _LARGEST_DENOMINATOR = 2**20
 _END_S = 2.0
 
@@ -38,16 +39,19 @@ def program_arguments(
     """Arguments of the program, NAME=VALUE, for a board on a stage; ``bus`` is empty in lockstep."""
     drive, encoder, hold = stage.drive, stage.encoder, parameters.hold(stage)
     wire = can.make_wire()
-    counts = wire.sample.signals
-    x, y = (_scale(own, counts.step(name)) for own, name in ((encoder.x_resolution, "x"), (encoder.y_resolution, "y")))
+    x, y = (
+        _scale(own, wire.homes[name].signals, name)
+        for own, name in ((encoder.x_resolution, "x"), (encoder.y_resolution, "y"))
+    )
     values = {
         "bus": bus,
         "lead_ns": lead_ns,
         "node": can.node,
         "fd": int(can.fd),
+        "source": wire.source(),
         "period_ns": stage.period_ns,
         "delay_ns": round(drive.delay * stage.period_ns),
-        "current_limit": _most_counts(drive.current_range, wire.command.signals.step("current")),
+        "current_limit": drive.current_range,
         "x_numerator": x.numerator,
         "x_denominator": x.denominator,
         "y_numerator": y.numerator,
@@ -60,20 +64,20 @@ def program_arguments(
         "hold_kept": hold.kept,
         "hold_braking": hold.braking,
         "hold_stiffness": hold.stiffness,
+        "x_count": encoder.x_resolution,
         "y_count": encoder.y_resolution,
     }
     return [f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}" for name, value in values.items()]
 
 
-def _scale(resolution: float, step: float) -> Fraction:
-    """Counts of the frame, of ``step`` in m, in one of an encoder with this resolution in m."""
+def _scale(resolution: float, signals: Signals, axis: str) -> Fraction:
+    """Counts of the signal with this reading in one of an encoder with this resolution in m; negative if they turn the
+    sign over. Of a float it is not used."""
+    signal = signals.signals[axis]
+    if signal.is_float:
+        return Fraction(1)
+    step = signal.scale * signals.factors[axis]
     return Fraction(resolution / step).limit_denominator(_LARGEST_DENOMINATOR)
-
-
-def _most_counts(current: float, step: float) -> int:
-    """Largest current of a frame, in counts of ``step`` in A, that is not beyond ``current`` in A."""
-    counts = math.floor(current / step) + 1
-    return counts if counts * step <= current else counts - 1
 
 
 class BoardProgram:
@@ -104,8 +108,7 @@ class BoardProgram:
         self.stage = StageReceiver(self._emulator)
         self._encoder, self._code_current = stage.encoder, stage.drive.current_step
         self._truth_id = self._emulator.truth_id if can.simulated_stage and can.fd else 0
-        self._current_step = wire.command.signals.step("current")
-        self._started = False
+        self._name, self._started = can.firmware, False
         self.socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             command = [can.firmware, f"machine={theirs.fileno()}", *arguments]
@@ -135,18 +138,27 @@ class BoardProgram:
 
     def receive(self) -> bytes:
         """The next packet; raises HardwareError if the program has ended."""
-        packet = self.socket.recv(_LONGEST)
+        try:
+            packet = self.socket.recv(_LONGEST)
+        except ConnectionResetError:
+            # It ended before it had read what was sent to it.
+            packet = b""
         if not packet:
             code = self._process.wait(_END_S)
-            raise HardwareError(f"firmware '{self._process.args[0]}' has ended with code {code}")  # type: ignore[index]
+            raise HardwareError(f"firmware '{self._name}' has ended with code {code}")
         return packet
+
+    def send(self, packet: bytes) -> None:
+        """Send a packet; whether the program has ended, :meth:`receive` finds."""
+        with contextlib.suppress(BrokenPipeError):
+            self.socket.send(packet)
 
     def answer(self, packet: bytes) -> None:
         """Do what a packet of the program asks of the machine."""
         kind, machine = packet[:1], self.machine
         if kind == b"S":
             _, at_ns, counter = _SAMPLE.unpack(packet)
-            self.socket.send(self._reading(at_ns, counter))
+            self.send(self._reading(at_ns, counter))
         elif kind == b"D":
             _, at_ns, on, code = _DRIVE.unpack(packet)
             if on:
@@ -165,7 +177,7 @@ class BoardProgram:
             self._started = True
         ((sample, truth),) = machine.read(at_ns)
         x, y = round(sample.x / self._encoder.x_resolution), round(sample.y / self._encoder.y_resolution)
-        current = 0 if math.isnan(sample.current) else round(sample.current / self._current_step)
+        current = 0.0 if math.isnan(sample.current) else sample.current
         reading = _READING.pack(x, y, current, True, self._truth_id)
         return reading + self._emulator.truth_payload(counter, truth) if self._truth_id else reading
 
@@ -195,7 +207,8 @@ class FirmwareBoard:
     ) -> None:
         arguments = program_arguments(can, parameters, stage, bus="", lead_ns=0)
         self._board = BoardProgram(can, arguments, parameters, stage, guide)
-        self._send, self._command_id = send, can.make_wire().command.identifier
+        self._send = send
+        self._command_ids = {frames.identifier for frames in can.make_wire().commands}
         self.machine = self._board.machine
         self._call(_TICK.pack(b"T", now_ns))
 
@@ -205,20 +218,21 @@ class FirmwareBoard:
 
     def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
         """Take a frame that arrived at ``at_ns``."""
-        if identifier == self._command_id:
+        if identifier in self._command_ids:
             self._call(_RECEIVE.pack(b"R", at_ns, identifier) + payload)
         else:
             self._board.stage.obey(identifier, payload, self.machine, at_ns)
 
     def _call(self, packet: bytes) -> None:
-        self._board.socket.send(packet)
+        self._board.send(packet)
         while (answer := self._board.receive())[:1] != b"E":
             if answer[:1] == b"F":
                 _, fd, identifier = _FRAME.unpack_from(answer)
                 self._send(identifier, answer[_FRAME.size :], bool(fd))
             else:
                 self._board.answer(answer)
-        _, amplifier, fault, self.command_alive, self.counter, self.refused_commands = _DONE.unpack(answer)
+        _, amplifier, fault, commanded, alive, self.counter, self.refused_commands = _DONE.unpack(answer)
+        self.command_alive = alive if commanded else None
         self.amplifier, self.fault = Amplifier(amplifier), BoardFault(fault)
 
     @property

@@ -55,10 +55,19 @@ class Report(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What the host asks for; ``echo`` is the number of the sample that it answers, as far as the frame has room."""
+    """What the host asks for. What is not in the frame is None.
 
-    alive: int
-    enable: bool
-    reset: bool
-    current: float
-    echo: int
+    ``alive`` counts the frames of one identifier; ``current`` is the control current in A; ``echo`` is the number of
+    the sample that is answered, as far as the frame has room.
+    """
+
+    alive: int | None = None
+    enable: bool | None = None
+    reset: bool | None = None
+    current: float | None = None
+    echo: int | None = None
+
+
+def counted(report: Report) -> int | None:
+    """What numbers the sample of a frame: the counter of the samples if the frame has it, else that of the frames."""
+    return report.alive if report.counter is None else report.counter

@@ -65,7 +65,8 @@ def to_packet(frame: Frame) -> bytes:
 
 
 def from_packet(packet: bytes) -> Frame:
-    return Frame(*_HEAD.unpack_from(packet), packet[_HEAD.size :])
+    stamp_ns, identifier, flags = _HEAD.unpack_from(packet)
+    return Frame(stamp_ns, identifier, flags, packet[_HEAD.size :])
 
 
 def priority(packet: bytes) -> tuple[int, int, int]:

@@ -36,15 +36,16 @@ def check_interface(parameters: CanParameters) -> None:
 
 def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | None = None) -> can.BusABC:
     """Open the bus; raises can.CanError or OSError, and with some interfaces other errors of their drivers."""
-    rates = {"data_bitrate": parameters.data_bitrate} if parameters.fd else {}
+    further: dict[str, Any] = dict(parameters.further_options())
+    if parameters.fd:
+        further["data_bitrate"] = parameters.data_bitrate
     return can.Bus(
         interface=parameters.interface,
         channel=parameters.channel,
         bitrate=parameters.bitrate,
         fd=parameters.fd,
         can_filters=filters,
-        **rates,
-        **parameters.further_options(),
+        **further,
     )
 
 

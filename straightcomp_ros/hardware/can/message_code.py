@@ -151,8 +151,11 @@ class Signals:
         """The function from a payload to a command; it raises FrameError."""
         reading = Reading(self.message, list(self.signals.values()))
         lines = self._checks(reading)
-        values = {"alive": "None", "enable": "", "reset": "False", "current": self._value(reading, "current")}
-        values["echo"] = reading.raw[self.signals["echo"].name] if "echo" in self.signals else "None"
+        values = dict.fromkeys(Command._fields, "None")
+        if "current" in self.signals:
+            values["current"] = self._value(reading, "current")
+        if "echo" in self.signals:
+            values["echo"] = reading.raw[self.signals["echo"].name]
         if "alive" in self.signals:
             values["alive"] = "alive"
         for field in ("enable", "reset"):
@@ -185,7 +188,7 @@ class Signals:
         for field in shown:
             if field in self.values:
                 lines.append(f"{field} = values_of_{field}[{field}]")
-                names[f"values_of_{field}"] = _sent(self.values[field])
+                names[f"values_of_{field}"] = sent_values(self.values[field])
         lines += writing.lines
         if self.crc:
             lines += [f"crc = {self.crc.computed}", f"return {self.crc.sealed}"]
@@ -203,7 +206,7 @@ class Signals:
         )
 
 
-def _sent(values: Mapping[Any, int]) -> dict[Any, int]:
+def sent_values(values: Mapping[Any, int]) -> dict[Any, int]:
     """The raw value that says each meaning, also for those that have none of their own (-1).
 
     For "off" that is any that is free; for "fault", which the fault code says, that for "off".

@@ -34,15 +34,19 @@ class ReportFrames:
 
 
 class CommandFrames:
-    """The frames that the host sends; ``unpack(payload)`` raises FrameError, ``pack(command)`` ValueError."""
+    """The frames of one identifier that the host sends; ``unpack(payload)`` raises FrameError, ``pack(command)``
+    ValueError. ``alive_modulus`` is that of the count of the frames, 1 without; ``span`` has least and largest control
+    current in A."""
 
     def __init__(self, signals: Signals) -> None:
         self.signals, self.identifier, self.fd = signals, signals.identifier, signals.fd
         self.size = signals.message.length
         self.unpack: Callable[[bytes], Command] = signals.unpacking_command()
         (self.pack,) = signals.packings(Command._fields)
-        self.span, self._half = signals.span("current"), 0.5 * signals.step("current")
         self.alive_modulus = signals.counts("alive") or 1
+        self.span, self._half = (0.0, 0.0), 0.0
+        if "current" in signals.signals:
+            self.span, self._half = signals.span("current"), 0.5 * signals.step("current")
 
     def fits(self, current: float) -> bool:
         """Whether a control current in A can be sent; NaN cannot."""

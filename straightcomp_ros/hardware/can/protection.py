@@ -63,13 +63,26 @@ class Crc:
         sent: expression of the CRC in ``payload``.
         sealed: expression of ``payload`` with ``crc`` in its place.
         names: what the expressions refer to.
+        place: first byte of the CRC in the payload; ``order``: "little" or "big", its byte order.
+        by_identifier: the data id is the CAN identifier.
 
     Raises:
         DbcError: signal or data id do not suit the profile; the message does not name the parameter.
     """
 
-    def __init__(self, message: Message, crc: Signal, alive: Signal | None, profile: str, data_id: list[int]) -> None:
+    def __init__(
+        self,
+        message: Message,
+        crc: Signal,
+        alive: Signal | None,
+        profile: str,
+        data_id: list[int],
+        *,
+        by_identifier: bool = False,
+    ) -> None:
         order = byte_order(crc)
+        self.profile, self.data_id, self.by_identifier = profile, data_id, by_identifier
+        self.place, self.order = crc.start // 8, order
         size, begin, length = message.length, crc.start // 8, crc.length // 8
         first = 0 if order == "little" else 7
         if crc.length != _BITS[profile] or crc.start % 8 != first or crc.is_float or crc.is_signed:

@@ -11,7 +11,8 @@ from functools import partial
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Report
+from straightcomp_ros.hardware.can.frame_sets import FrameSets
+from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Report, counted
 from straightcomp_ros.hardware.can.message_frames import ReportFrames
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
@@ -41,6 +42,7 @@ class Receiver:
         strikes: error counter of bad frames, see ``strike_limit``; ``strike_outs``: how often it reached the limit.
         counts: refused frames by reason, and errors that the interface reported.
         identifiers: CAN identifiers that this receiver reads.
+        sets: what became of the frames of samples whose signals are in several messages.
     """
 
     def __init__(self, parameters: CanParameters, stage: StageParameters) -> None:
@@ -48,10 +50,11 @@ class Receiver:
         self._period_ns = period_ns = stage.period_ns
         self.clock = SampleClock(period_ns)
         self._modulus = wire.sample_modulus
-        slow = wire.counting is not None and wire.counting is not wire.sample
+        slow = wire.counting is not None and wire.counting not in wire.parts
         self.sequence = Sequence(self._elapsed, self._modulus, wire.number_modulus if slow else 0)
-        signals = wire.sample.signals
-        self._alive_modulus = signals.counts("alive") if signals.counts("counter") else 0
+        self.sets: FrameSets[Report] = FrameSets(len(wire.parts), wire.part_modulus, period_ns)
+        numbered = wire.parts[0].signals
+        self._alive_modulus = numbered.counts("alive") if numbered.counts("counter") else 0
         self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
         self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
         self.counts = dict.fromkeys(_REASONS + _ERRORS, 0)
@@ -64,15 +67,20 @@ class Receiver:
         # Two counts of noise; half a one more for the rounding of numbers in metres.
         self._x_step = stage.motion.highest_speed * period_ns * 1e-9
         self._y_step = parameters.y_speed * period_ns * 1e-9
-        self._x_noise, self._y_noise = 2.5 * signals.step("x"), 2.5 * signals.step("y")
-        self._accepted: Report | None = None
-        self._good: tuple[Report, int] | None = None
+        self._x_noise, self._y_noise = (2.5 * wire.homes[axis].signals.step(axis) for axis in ("x", "y"))
+        self._accepted: int | None = None
+        """Count of the newest accepted frame; 0 for frames without."""
+        self._good: tuple[float, float, int] | None = None
+        """Newest good reading, and its number."""
         self._alive = self._stamp_ns = 0
         self.current = 0.0
         self._truth: tuple[int, Truth | None] = (-1, None)
         self._handlers: dict[int, Callable[[bytes, int], None]] = {
             identifier: partial(self._hear, frames) for identifier, frames in wire.reports.items()
         }
+        if len(wire.parts) > 1:
+            for number, frames in enumerate(wire.parts):
+                self._handlers[frames.identifier] = partial(self._hear_part, number, frames)
         if wire.heartbeat:
             self._handlers[wire.heartbeat.identifier] = self._heartbeat
         if parameters.fd and parameters.simulated_stage:
@@ -84,6 +92,7 @@ class Receiver:
         """Forget the board's samples, as after its restart; counters stay."""
         self.clock.reset()
         self.sequence.reset()
+        self.sets.reset()
         self._accepted = self._good = self.amplifier = None
         self.strikes = 0
 
@@ -124,10 +133,20 @@ class Receiver:
         if report.x is None:
             self._hear_slow(report, arrival_ns)
             return
+        self._hear_sample(report, arrival_ns)
+
+    def _hear_part(self, number: int, frames: ReportFrames, payload: bytes, arrival_ns: int) -> None:
+        """Take a frame with a part of a sample, whose others come in frames of other messages."""
+        report = frames.unpack(payload)
+        whole = self.sets.add(number, report, counted(report) or 0, arrival_ns)
+        if whole is not None:
+            self._hear_sample(*whole)
+
+    def _hear_sample(self, report: Report, arrival_ns: int) -> None:
         if report.alive is not None:
             self._alive = report.alive
         jumps = self.sequence.jumps
-        ahead = self.sequence.ahead(_count(report), arrival_ns)
+        ahead = self.sequence.ahead(counted(report), arrival_ns)
         self._follow_jump(jumps)
         if ahead is None:
             self.sequence.wait(report, arrival_ns)
@@ -143,17 +162,19 @@ class Receiver:
     def _place(self, report: Report, ahead: int, arrival_ns: int) -> None:
         if not self.sequence.plausible(ahead, arrival_ns):
             raise FrameError("implausible")
-        last = self._accepted
-        if last and self._alive_modulus and (report.alive - last.alive - ahead) % self._alive_modulus:
+        last, x, y = self._accepted, report.x, report.y
+        assert x is not None and y is not None
+        alive = report.alive or 0
+        if last is not None and self._alive_modulus and (alive - last - ahead) % self._alive_modulus:
             # Frames and samples do not count alike.
             raise FrameError("alive")
         if ahead <= 0:
             self.sequence.count_old(ahead)
             return
-        if report.good and self._good and not self._is_near(report, *self._good, ahead):
+        if report.good and not self._is_near(x, y, ahead):
             raise FrameError("implausible")
-        self._accepted = report
-        index = self.sequence.accept(_count(report), ahead)
+        self._accepted = alive
+        index = self.sequence.accept(counted(report), ahead)
         self.clock.observe(index, arrival_ns)
         self.received += 1
         self._arrival_ns = arrival_ns
@@ -163,17 +184,19 @@ class Receiver:
         if not report.good:
             self.counts["encoders"] += 1
             return
-        self._good = report, index
+        self._good = x, y, index
         if self.clock.settled:
-            self._deliver(report, index, arrival_ns)
+            self._deliver(x, y, index, arrival_ns)
 
-    def _is_near(self, report: Report, last: Report, number: int, ahead: int) -> bool:
-        """Whether stage and platform can have come here since the good reading ``last`` of the sample ``number``."""
+    def _is_near(self, x: float, y: float, ahead: int) -> bool:
+        """Whether stage and platform can have come here since the last good reading."""
+        if self._good is None:
+            return True
+        last_x, last_y, number = self._good
         ahead += (self.sequence.index or 0) - number
-        return (
-            abs(report.x - last.x) <= self._x_noise + self._x_step * ahead
-            and abs(report.y - last.y) <= self._y_noise + self._y_step * ahead
-        )
+        near_x: bool = abs(x - last_x) <= self._x_noise + self._x_step * ahead
+        near_y: bool = abs(y - last_y) <= self._y_noise + self._y_step * ahead
+        return near_x and near_y
 
     def _take_status(self, report: Report, arrival_ns: int) -> None:
         if report.amplifier is not None:
@@ -183,7 +206,7 @@ class Receiver:
         if report.current is not None:
             self.current = report.current
 
-    def _deliver(self, report: Report, index: int, arrival_ns: int) -> None:
+    def _deliver(self, x: float, y: float, index: int, arrival_ns: int) -> None:
         stamp_ns = self.clock.stamp(index)
         if stamp_ns <= self._stamp_ns:
             # After a reset of the clock, stamps must still not run backwards.
@@ -192,7 +215,7 @@ class Receiver:
         if arrival_ns - stamp_ns > self._stale_ns:
             self.stale += 1
         current = self.current if self.amplifier is Amplifier.ON else math.nan
-        sample = Sample(stamp_ns, report.x, report.y, current)
+        sample = Sample(stamp_ns, x, y, current)
         counter, truth = self._truth
         told = truth is not None and (not self._modulus or (counter - index) % self._modulus == 0)
         self.samples.append((index, sample, truth if told else None))
@@ -231,8 +254,3 @@ class Receiver:
         if self.node_state == heartbeat.boot_up:
             self.boot_ups += 1
             self.restart()
-
-
-def _count(report: Report) -> int | None:
-    """What numbers the sample: the counter in its own frame, else the count of the frames."""
-    return report.alive if report.counter is None else report.counter

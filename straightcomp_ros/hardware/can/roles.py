@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, is_fd, limits
 from straightcomp_ros.hardware.can.frames import Amplifier
 from straightcomp_ros.hardware.can.signal_code import selectors
-from straightcomp_ros.hardware.can.wire_parameters import WireParameters
+from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, WireParameters
 from straightcomp_ros.settings.declaration import RefusedParameter
 
 if TYPE_CHECKING:
@@ -16,13 +16,15 @@ if TYPE_CHECKING:
 
 OF_BOARD = ("x", "y", "current", "counter", "good", "amplifier", "fault")
 OF_HOST = ("command", "enable", "reset", "echo")
+READINGS = ("x", "y", "good")
+"""What a sample is not complete without, as far as the board has it."""
 _NEEDED = ("x", "y", "amplifier", "command", "enable")
 _SAYING = ("amplifier", "good", "enable", "reset")
 """Roles whose values have a meaning each."""
 _COUNTS = (
     "wire.counter.signal",
     "wire.echo.signal",
-    *(f"wire.protection.{part}.alive" for part in ("sample", "status", "current", "command")),
+    *(f"wire.protection.{part}.alive" for part in vars(ProtectedMessages())),
 )
 _LENGTHS = {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 _CURRENTS = {"": 1.0, "A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "μA": 1e-6}
@@ -122,22 +124,23 @@ class Roles:
 
     def _check_homes(self) -> None:
         homes = self.homes
-        for role, main, why in (
-            ("y", "x", "both readings of a sample come in one frame"),
-            ("good", "x", "it must belong to the readings"),
-            *((role, "command", "the host sends one message") for role in OF_HOST[1:]),
-        ):
-            if role in homes and homes[role] != homes[main]:
-                text = f"'{homes[role]}' is not allowed; allowed: '{homes[main]}', as '{{group}}wire.{main}': {why}"
-                raise RefusedParameter(f"wire.{role}.message", text)
-        if homes["command"] in (homes[role] for role in homes if role not in OF_HOST):
-            raise RefusedParameter("wire.command.message", f"'{homes['command']}' is a message of the board already")
+        of_board = {homes[role] for role in homes if role not in OF_HOST}
+        for role in OF_HOST:
+            if homes.get(role) in of_board:
+                where = role if self._named(role).message else "command"
+                raise RefusedParameter(f"wire.{where}.message", f"'{homes[role]}' is a message of the board already")
         if "heartbeat" in homes and homes["heartbeat"] in (homes[role] for role in homes if role != "heartbeat"):
             text = f"'{homes['heartbeat']}' has other signals of the board; allowed: a message of its own"
             raise RefusedParameter("wire.heartbeat.message", text)
-        for role in ("y", "good", "counter", *OF_HOST):
-            main = "command" if role in OF_HOST else "x"
-            if homes.get(role) == homes[main] and self._page(role) != ([] if main == "command" else self._page("x")):
+        readings = {homes[role] for role in READINGS if role in homes}
+        # Frames of several messages belong together by their counts, so that each sample must have one of each.
+        page = self._page("x") if len(readings) == 1 else []
+        of_sample = [role for role in (*READINGS, "counter") if homes.get(role) in readings]
+        for role, wanted in (
+            *((role, page) for role in of_sample),
+            *((role, []) for role in OF_HOST if role in homes),
+        ):
+            if self._page(role) != wanted:
                 text = f"'{self.signals[role].name}' is not in all frames that it must be in; allowed: one that is"
                 raise RefusedParameter(f"wire.{role}.signal", text)
 

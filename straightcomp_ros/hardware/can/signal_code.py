@@ -185,7 +185,8 @@ def _initial(signal: Signal, selected: int | None, sign: str, order: Literal["li
     value: float = (signal.raw_initial or 0) if selected is None else selected
     if signal.is_float:
         return int.from_bytes(struct.pack(sign + _FLOAT[signal.length], value), order)
-    return int(value) & 2**signal.length - 1
+    bits: int = int(value) & 2**signal.length - 1
+    return bits
 
 
 def selectors(message: Message, signal: Signal) -> list[tuple[Signal, list[int]]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +14,7 @@ from straightcomp_ros.hardware.can.frames import BoardFault
 from straightcomp_ros.hardware.can.message_code import Signals
 from straightcomp_ros.hardware.can.message_frames import CommandFrames, HeartbeatFrames, ReportFrames
 from straightcomp_ros.hardware.can.protection import Crc, ProtectionParameters, alive_modulus, data_ids
-from straightcomp_ros.hardware.can.roles import OF_BOARD, OF_HOST, Roles
+from straightcomp_ros.hardware.can.roles import OF_BOARD, OF_HOST, READINGS, Roles
 from straightcomp_ros.hardware.can.shipped_wire import FILE, shipped_wire
 from straightcomp_ros.hardware.can.wire_parameters import WireParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, to_mapping
@@ -35,13 +37,20 @@ class Wire:
         fd: the bus is one for CAN FD.
 
     Attributes:
-        sample: the frames with x and y.
+        sample: the frames with x.
+        parts: all frames of which each sample has one, those with its number first: ``sample`` and those with y and
+            ``good``, if they are others.
+        part_modulus: of the count by which the frames of a sample belong together; 0: by their time.
         reports: all frames of the board but the heartbeat, by identifier.
         counting: frames with the sample's number: ``sample``, others, or None.
+        homes: the board's frames by the role of each of their signals.
+        commands: all frames of the host, in the order of sending: those with the current last.
+        command: those with the current.
+        command_modulus: as ``part_modulus``, of the frames of a command.
         status: frames with the amplifier's state.
         current: frames with the measured current; None for a board without.
         heartbeat: None for a board without.
-        sample_modulus: of the count in each sample's own frame, by which samples are numbered; 0 without one.
+        sample_modulus: of the count in each sample's own frames, by which samples are numbered; 0 without one.
         number_modulus: of the numbers of samples that board and host agree on; 0 without any.
         echo_modulus: of the echo in a command; 0 for a command without.
         fault_codes: the board's code of each fault: that with its name in the DBC file, else its number as far as it
@@ -52,29 +61,37 @@ class Wire:
     """
 
     def __init__(self, dbc: Dbc, meaning: WireParameters, node: int = 1, fd: bool = True) -> None:
-        self.dbc, self.meaning, self._node = dbc, meaning, node
+        self.dbc, self.meaning, self.fd, self._node = dbc, meaning, fd, node
+        self._places: dict[str, str] = {}
         self._roles = roles = Roles(dbc, meaning, fd)
         signals, homes = roles.signals, roles.homes
         protection = self._protections(homes)
         reports: dict[str, ReportFrames] = {}
         for name, protected in protection.items():
-            if name != homes["command"]:
-                inside = {role: signals[role] for role in OF_BOARD if homes.get(role) == name}
+            inside = {role: signals[role] for role in OF_BOARD if homes.get(role) == name}
+            if inside:
                 reports[name] = ReportFrames(self._signals(name, inside, *protected), meaning.fault.none_value)
-        self.sample, self.status = reports[homes["x"]], reports[homes["amplifier"]]
-        self.current = reports[homes["current"]] if "current" in homes else None
-        self.counting = reports[homes["counter"]] if "counter" in homes else None
+        self.homes = {role: reports[homes[role]] for role in OF_BOARD if role in homes}
+        self.sample, self.status = self.homes["x"], self.homes["amplifier"]
+        self.current, self.counting = self.homes.get("current"), self.homes.get("counter")
         self.reports: Mapping[int, ReportFrames] = {frames.identifier: frames for frames in reports.values()}
-        inside = {"current" if role == "command" else role: signals[role] for role in OF_HOST if role in signals}
-        self.command = CommandFrames(self._signals(homes["command"], inside, *protection[homes["command"]]))
+        commands: dict[str, CommandFrames] = {}
+        for name in dict.fromkeys(homes[role] for role in reversed(OF_HOST) if role in homes):
+            inside = {"current" if one == "command" else one: signals[one] for one in OF_HOST if homes.get(one) == name}
+            commands[name] = CommandFrames(self._signals(name, inside, *protection[name]))
+        self.command = commands.pop(homes["command"])
+        self.commands = *commands.values(), self.command
+        self.parts = self._parts()
+        self.part_modulus = self._common_modulus(self.parts)
+        self.command_modulus = self._common_modulus(self.commands)
         self.heartbeat: HeartbeatFrames | None = None
         if "heartbeat" in signals:
             inside = {"state": signals["heartbeat"]}
             beat = self._signals(homes["heartbeat"], inside, "", ProtectionParameters())
             self.heartbeat = HeartbeatFrames(beat, meaning.heartbeat.boot_up_value, meaning.heartbeat.operational_value)
-        self.sample_modulus = self.sample.signals.counts("counter") or self.sample.signals.counts("alive")
+        self.sample_modulus = count_modulus(self.parts[0])
         self.number_modulus = self.counting.signals.counts("counter") if self.counting else self.sample_modulus
-        self.echo_modulus = min(self.command.signals.counts("echo"), self.number_modulus)
+        self.echo_modulus = min(max(frames.signals.counts("echo") for frames in self.commands), self.number_modulus)
         self._fault_words = {int(raw): str(words) for raw, words in _choices(signals.get("fault")).items()}
         self.fault_codes = {fault: self._fault_code(fault) for fault in BoardFault}
         self._set_rates()
@@ -84,6 +101,14 @@ class Wire:
     def identifiers(self) -> list[int]:
         """Of all frames that the board sends."""
         return [*self.reports, *([self.heartbeat.identifier] if self.heartbeat else [])]
+
+    def source(self) -> str:
+        """Name of the DBC file, and a checksum of it with the meaning: by it a firmware knows whether it has these
+        frames."""
+        usual = to_mapping(WireParameters())
+        said = {name: value for name, value in to_mapping(self.meaning).items() if value != usual[name]}
+        content = self.dbc.path.read_bytes() + repr(sorted(said.items())).encode()
+        return f"{self.dbc.path.name} {hashlib.sha256(content).hexdigest()[:12]}"
 
     def fault_words(self, code: int) -> str:
         """What the DBC file calls a fault code of the board."""
@@ -103,9 +128,11 @@ class Wire:
         found: dict[str, tuple[str, ProtectionParameters]] = {}
         for part, roles in (
             ("sample", ("x",)),
+            ("y", ("y",)),
+            ("good", ("good",)),
             ("status", ("amplifier", "fault")),
             ("current", ("current", "counter")),
-            ("command", ("command",)),
+            *((role, (role,)) for role in OF_HOST),
         ):
             protected = getattr(self.meaning.protection, part)
             names = [homes[role] for role in roles if role in homes and homes[role] not in found]
@@ -118,6 +145,7 @@ class Wire:
     def _signals(self, name: str, inside: Mapping[str, Signal], part: str, protected: ProtectionParameters) -> Signals:
         message = self.dbc.message(name)
         place = f"wire.protection.{part}"
+        self._places[name] = place
         try:
             identifier = self.dbc.identifier(message, self._node)
         except DbcError as error:
@@ -133,27 +161,49 @@ class Wire:
                 raise RefusedParameter(f"{place}.data_id", str(error)) from None
             crc_signal = self._roles.in_every_frame(message, protected.crc, f"{place}.crc")
             try:
-                crc = Crc(message, crc_signal, alive, protected.profile, ids)
+                by_identifier = not protected.data_id
+                crc = Crc(message, crc_signal, alive, protected.profile, ids, by_identifier=by_identifier)
             except DbcError as error:
                 raise RefusedParameter(f"{place}.crc", str(error)) from None
         elif protected.crc or protected.data_id:
             raise RefusedParameter(f"{place}.profile", "'none' is not allowed beside a CRC signal or data id")
-        asked = "command" if part == "command" else "current"
+        asked = "command" if part in OF_HOST else "current"
         known = {"x": "x", "y": "y", "current": asked}
         factors = {field: self._roles.factor(known[field]) for field in inside if field in known}
         counts = alive_modulus(alive, protected.profile) if alive is not None else 0
         return Signals(message, identifier, everything, factors, self._roles.values(), counts, crc)
 
+    def _parts(self) -> tuple[ReportFrames, ...]:
+        found = dict.fromkeys(self.homes[role] for role in READINGS if role in self.homes)
+
+        def rank(frames: ReportFrames) -> int:
+            return 0 if frames is self.counting else 1 if count_modulus(frames) else 2
+
+        return tuple(sorted(found, key=rank))
+
+    def _common_modulus(self, parts: Sequence[ReportFrames | CommandFrames]) -> int:
+        """Modulus of what the counts of these messages have in common; 0 if one of them has none."""
+        moduli = [count_modulus(frames) for frames in parts]
+        common = math.gcd(*moduli) if all(moduli) and len(parts) > 1 else 0
+        if all(moduli) and len(parts) > 1 and common < _LEAST_COUNTS:
+            names = " and ".join(f"'{one.signals.message.name}' to {count_modulus(one)}" for one in parts)
+            text = f"frames that belong together have the same count, but {names} count otherwise"
+            place = self._places[parts[-1].signals.message.name]
+            raise RefusedParameter(
+                f"{place}.alive", f"{text}; allowed: moduli with a common divisor >= {_LEAST_COUNTS}, or ''"
+            )
+        return common
+
     def _set_rates(self) -> None:
         sample_ms = self.sample.signals.message.cycle_time
         for frames in self.reports.values():
-            if frames is not self.sample:
+            if frames not in self.parts:
                 cycle_ms = frames.signals.message.cycle_time
                 frames.every = max(1, round(cycle_ms / sample_ms)) if sample_ms and cycle_ms else _USUAL_EVERY
 
     def _check_numbers(self) -> None:
-        counts = self.sample.signals.counts("alive")
-        if self.counting and self.counting is not self.sample and (not counts or self.number_modulus % counts):
+        counts = self.parts[0].signals.counts("alive")
+        if self.counting and self.counting not in self.parts and (not counts or self.number_modulus % counts):
             text = (
                 f"'{self.counting.signals.message.name}' is not allowed without a count in the frames of 'x' that "
                 "divides the counter's; allowed: the message of 'x', or give 'wire.protection.sample.alive'"
@@ -162,7 +212,7 @@ class Wire:
         if self.sample_modulus and self.sample_modulus < _LEAST_COUNTS:
             text = f"counts to {self.sample_modulus}; allowed: >= {_LEAST_COUNTS} counts"
             raise RefusedParameter("wire.counter.signal", text)
-        if self.command.signals.counts("echo") and not self.number_modulus:
+        if any("echo" in frames.signals.signals for frames in self.commands) and not self.number_modulus:
             raise RefusedParameter("wire.echo.signal", "needs a count of the samples: 'counter' or 'protection.sample'")
         if self.echo_modulus and self.number_modulus % self.echo_modulus:
             text = f"counts to {self.echo_modulus}, which does not divide the {self.number_modulus} of the samples"
@@ -171,6 +221,11 @@ class Wire:
 
 def _choices(signal: Signal | None) -> Mapping[int, Any]:
     return (signal.choices if signal else None) or {}
+
+
+def count_modulus(frames: ReportFrames | CommandFrames) -> int:
+    """Of what counts these frames: the count of the samples if they have it, else that of the frames; 0 without."""
+    return frames.signals.counts("counter") or frames.signals.counts("alive")
 
 
 def make_wire(file: str, meaning: WireParameters, node: int, fd: bool) -> Wire:

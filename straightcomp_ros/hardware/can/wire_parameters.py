@@ -88,9 +88,14 @@ class ProtectedMessages:
     """Protection of each message that the driver uses."""
 
     sample: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of x")
+    y: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of y, if another")
+    good: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of good, if another")
     status: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of amplifier, if another")
     current: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of current, if another")
     command: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of command")
+    enable: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of enable, if another")
+    reset: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of reset, if another")
+    echo: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of echo, if another")
 
 
 @dataclass(frozen=True)

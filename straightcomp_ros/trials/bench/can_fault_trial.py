@@ -37,12 +37,12 @@ class Trial:
 
     def detected(self, kind: str) -> int:
         """Number of faults of a kind that the receiver counted, in a trial with this kind alone."""
-        counts, sequence = self.receiver.counts, self.receiver.sequence
+        counts, sequence, sets = self.receiver.counts, self.receiver.sequence, self.receiver.sets
         checks = counts["length"] + counts["crc"] + counts["alive"] + counts["state"] + counts["implausible"]
         return {
             "drop": sequence.lost,
-            "duplicate": sequence.repeated,
-            "reorder": sequence.out_of_order,
+            "duplicate": sequence.repeated + sets.repeated,
+            "reorder": sequence.out_of_order + sets.out_of_order,
             "corrupt": checks,
             "garble": checks,
             "truncate": checks,
@@ -94,7 +94,7 @@ def run_trial(
         taken[index] = sampled_ns
         arrival_ns = sampled_ns + 110_000 + round(chance.expovariate(1 / 40e3))
         for frame in _frames(wire, index, arrival_ns):
-            # Count only the faults of the encoder's frame, not those of the slow one.
+            # Count only the faults of one frame of each sample, not those of the slow ones.
             hurt = k > _LEAD_IN and frame.identifier == wire.sample.identifier and k < frames - 2
             for arrived in faults(frame) if hurt else [frame]:
                 _hand_over(receiver, arrived)

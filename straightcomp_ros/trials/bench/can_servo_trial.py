@@ -19,7 +19,8 @@ from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.bus_faults import Faults, LinkCut
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.firmware import FirmwareBoard
-from straightcomp_ros.hardware.can.frames import Amplifier
+from straightcomp_ros.hardware.can.frame_sets import together
+from straightcomp_ros.hardware.can.frames import Amplifier, Report
 from straightcomp_ros.hardware.can.hub import ERROR, Flag, Frame
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
@@ -105,6 +106,8 @@ class _Trial:
         self.to_host, self.to_board = Faults(rates, seed), Faults(rates, seed + 1)
         self._dead_until = 0
         self._wire = board.make_wire()
+        self._part_ids = {frames.identifier for frames in self._wire.parts}
+        self._sent: list[Report] = []
         self.host = CanHardware(board, stage, lambda: self.now, self._link)
         simulated, self._period_ns = SimulatedParameters(), stage.period_ns
         self.board: Board | FirmwareBoard
@@ -142,8 +145,11 @@ class _Trial:
         return True
 
     def _from_board(self, identifier: int, payload: bytes, fd: bool) -> None:
-        if identifier == self._wire.sample.identifier:
-            sent = self._wire.sample.unpack(payload)
+        if identifier in self._part_ids:
+            self._sent.append(self._wire.reports[identifier].unpack(payload))
+        if len(self._sent) == len(self._part_ids):
+            sent = together(self._sent)
+            self._sent.clear()
             if sent.x is not None and sent.y is not None:
                 self._taken.append((sent.x, sent.y))
         for frame in self._arriving(self.to_host, identifier, payload, fd):

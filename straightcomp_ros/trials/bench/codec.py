@@ -1,5 +1,6 @@
 """Measures the cost of packing and unpacking the frames that the DBC file describes."""
 
+import statistics
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -18,7 +19,8 @@ def codec_costs(wires: Iterable[Wire], repeats: int) -> dict[str, dict[str, floa
     for wire in wires:
         for one in wire.reports.values():
             frames[one.signals.message.name] = _first_page(one.pack), one.unpack, _REPORT
-        frames[wire.command.signals.message.name] = wire.command.pack, wire.command.unpack, _COMMAND
+        for asked in wire.commands:
+            frames[asked.signals.message.name] = asked.pack, asked.unpack, _COMMAND
     return {
         name: {
             "pack_us": cost(_calls(pack, frame), _CALLS, repeats).median,
@@ -29,8 +31,8 @@ def codec_costs(wires: Iterable[Wire], repeats: int) -> dict[str, dict[str, floa
 
 
 def per_frame(costs: dict[str, dict[str, float]], key: str, wire: Wire) -> float:
-    """Mean of ``key`` in :func:`codec_costs` over the two frames of a control cycle."""
-    return sum(costs[frames.signals.message.name][key] for frames in (wire.sample, wire.command)) / 2.0
+    """Mean of ``key`` in :func:`codec_costs` over the frames of a control cycle: those of a sample and of a command."""
+    return statistics.mean(costs[frames.signals.message.name][key] for frames in (*wire.parts, *wire.commands))
 
 
 def _first_page(pack: Callable[[Report, int], bytes]) -> Callable[[Report], bytes]:

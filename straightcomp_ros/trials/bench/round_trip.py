@@ -152,9 +152,9 @@ class _Host:
             samples.clear()
             echo = number % self.wire.echo_modulus
             self.sent_s[echo] = frame.stamp_ns * 1e-9
-            frames = self.wire.command
-            command = Command(self.answers % frames.alive_modulus, False, False, 0.0, echo)
-            self.link.send(frames.identifier, frames.pack(command), fd=frames.fd)
+            for frames in self.wire.commands:
+                command = Command(self.answers % frames.alive_modulus, False, False, 0.0, echo)
+                self.link.send(frames.identifier, frames.pack(command), fd=frames.fd)
             self.answers += 1
 
 
@@ -191,7 +191,8 @@ def _costs(parameters: CanParameters) -> tuple[float, float]:
 
 
 def _times(parameters: CanParameters, host: _Host, seconds: float) -> NDArray[np.float64]:
-    command, times = host.wire.command, []
+    command = next(frames for frames in host.wire.commands if "echo" in frames.signals.signals)
+    times = []
     with _bus(parameters, command.identifier) as node:
         end = time.monotonic() + seconds
         while time.monotonic() < end:

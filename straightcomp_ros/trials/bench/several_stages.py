@@ -1,18 +1,13 @@
 """Runs the graphs of several stages on this computer, each alone and then all at once, and compares their errors."""
 
-import json
 import statistics
-import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.cell.launcher import isolated_environment, verb_command
-
-
-class BenchFailed(RuntimeError):
-    """A stage did not finish its stroke; the message names the stage and the reason."""
+from straightcomp_ros.cell.launcher import isolated_environment
+from straightcomp_ros.trials.bench.demo_strokes import Figures, errors_um, figures_of, started, worst_verdict
 
 
 def measure(
@@ -58,37 +53,22 @@ def measure(
     return {"stages": found, "in_order": verdicts == {IN_ORDER}}
 
 
-def _summary(strokes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    errors = [stroke.get("true_pp_um", stroke["residual_pp_um"]) for stroke in strokes]
-    verdicts = [stroke["verdict"] for stroke in strokes]
+def _summary(strokes: Sequence[Figures]) -> dict[str, Any]:
+    errors = errors_um(strokes)
     return {
         "pp_um": statistics.median(errors),
         "worst_pp_um": max(errors),
         "lost_samples": sum(stroke["lost_samples"] for stroke in strokes),
-        "verdict": next((verdict for verdict in verdicts if verdict != IN_ORDER), IN_ORDER),
+        "verdict": worst_verdict(strokes),
     }
 
 
-def _strokes(stages: Mapping[str, str], folder: Path, environment: Mapping[str, str]) -> dict[str, Any]:
+def _strokes(stages: Mapping[str, str], folder: Path, environment: Mapping[str, str]) -> dict[str, Figures]:
     """Figures of `straightcomp demo` of all these stages, run at once."""
     running = {
-        name: subprocess.Popen(
-            verb_command("demo", "--json", "--namespace", name, "--stage", stage, "--output", str(folder / name)),
-            env=dict(environment),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        name: started(["--namespace", name, "--stage", stage, "--output", str(folder / name)], environment)
         for name, stage in stages.items()
     }
+    # All end before one is found to have failed.
     outputs = {name: process.communicate() for name, process in running.items()}
-    figures = {}
-    for name, (written, said) in outputs.items():
-        try:
-            # A run that is not in order ends with a code, but has its figures.
-            figures[name] = json.loads(written)
-        except ValueError as error:
-            raise BenchFailed(
-                f"{name} ({stages[name]}): {said.strip().splitlines()[-1] if said else 'no word'}"
-            ) from error
-    return figures
+    return {name: figures_of(*output, f"{name} ({stages[name]})") for name, output in outputs.items()}

@@ -27,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print; exit code 1 if a run was not in order."""
-    from straightcomp_ros.trials.bench.several_stages import BenchFailed, measure
+    from straightcomp_ros.trials.bench.demo_strokes import BenchFailed
+    from straightcomp_ros.trials.bench.several_stages import measure
 
     require_ros()
     check_range("--rounds", options.rounds, 1, 1000)

@@ -4,6 +4,7 @@ moves."""
 import contextlib
 import itertools
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -197,15 +198,27 @@ def test_a_board_that_restarts_in_operation_stays_off_until_a_reset(world):
     assert world.board.amplifier is Amplifier.OFF
 
 
-def foreign():
+@pytest.fixture(params=["", "board_posix"], ids=["emulator", "firmware"])
+def made(request):
+    """``made(file)`` is a world with the board of a stage file."""
+    with contextlib.ExitStack() as stack:
+
+        def world(file):
+            can = node_parameters("driver", shipped_parameters(stage=str(file))).can
+            program = str(request.getfixturevalue("firmware_of")(can) / request.param) if request.param else ""
+            return stack.enter_context(contextlib.closing(World(can.fd, dbc=can.dbc, wire=can.wire, firmware=program)))
+
+        yield world
+
+
+@pytest.fixture
+def foreign(made):
     """A board with another DBC file: its amplifier's state comes in frames of their own, and there is no heartbeat."""
-    values = shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))
-    can = node_parameters("driver", values).can
-    return World(True, dbc=can.dbc, wire=can.wire)
+    return made(share_path("config/board_motorola.yaml"))
 
 
-def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_words():
-    world = foreign()
+def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_words(foreign):
+    world = foreign
     world.on()
     world.run(0.05, current=0.2)
     assert world.samples[-1].current == pytest.approx(0.2, abs=0.01)
@@ -225,8 +238,59 @@ def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_w
     assert world.board.amplifier is Amplifier.OFF and world.host.state is State.OFF and world.host.fault == ""
 
 
-def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on():
-    world = foreign()
+@pytest.fixture
+def split(made):
+    """A board with a message for each axis, to which the host sends switches and current in two."""
+    return made(Path(__file__).with_name("split.yaml"))
+
+
+def test_a_board_with_several_messages_for_sample_and_command_runs_and_trips_as_any_other(split):
+    world = split
+    world.on()
+    world.servo(0.2, (20e-6, 0.0, 0.0))
+    assert world.samples[-1].y == pytest.approx(20e-6, abs=1e-6)
+    assert world.host.lost_samples == world.host.counters()["can_incomplete"] == world.board.refused_commands == 0
+    world.to_board = False
+    world.run(TIMEOUT + 0.006)
+    assert world.host.fault == "the board reports: COMMAND_TIMEOUT" and world.board.amplifier is Amplifier.FAULT
+    world.to_board = True
+    world.host.reset_fault()
+    world.run(0.05)
+    world.on()
+
+
+def test_samples_whose_y_does_not_come_are_counted_and_not_used_and_a_fault_at_last(split):
+    world = split
+    world.on()
+    world.unheard = {world.wire.homes["y"].identifier}
+    world.run(0.003)
+    seen = len(world.samples)
+    world.run(0.01)
+    assert len(world.samples) == seen and world.host.counters()["can_incomplete"] > 10
+    assert "no good sample" in world.host.fault
+
+
+def test_off_is_obeyed_although_the_other_message_of_its_command_does_not_come(split):
+    world = split
+    world.on()
+    switch, _ = world.wire.commands
+    world.board.receive(switch.identifier, switch.pack(Command(7, False, False, 0.0, 0)), world.now)
+    assert world.board.amplifier is Amplifier.OFF
+
+
+def test_a_current_without_its_switches_is_no_command(split):
+    world = split
+    world.on()
+    _, current = world.wire.commands
+    for number in range(100):
+        world.now += PERIOD
+        world.board.cycle(world.now)
+        world.board.receive(current.identifier, current.pack(Command(number % 15, None, None, 0.1, None)), world.now)
+    assert world.board.fault is BoardFault.COMMAND_TIMEOUT
+
+
+def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(foreign):
+    world = foreign
     world.on()
     world.unheard = {world.wire.status.identifier}
     world.run(0.14)
@@ -236,9 +300,9 @@ def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(
     assert world.board.amplifier is Amplifier.OFF
 
 
-def test_what_the_frames_of_a_board_lack_is_said_of_the_machine(world):
+def test_what_the_frames_of_a_board_lack_is_said_of_the_machine(world, foreign):
     assert list(world.host.remarks()) == []
-    assert any("no heartbeat" in remark for remark in foreign().host.remarks())
+    assert any("no heartbeat" in remark for remark in foreign.host.remarks())
 
 
 def test_bus_off_latches_a_fault_and_error_passive_is_counted(world):

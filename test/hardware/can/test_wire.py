@@ -1,6 +1,7 @@
 """A board's DBC file and the meaning of its signals: what the driver makes of them, and what it refuses."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,7 @@ from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.settings.share import share_path
 
 MEANING = str(share_path("config/board_motorola.yaml"))
+SPLIT = Path(__file__).with_name("split.yaml")
 REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
 
 
@@ -111,13 +113,13 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
         ({"wire/x/signal": ""}, "'can.wire.x.signal': '' is not allowed; the driver needs this signal"),
         (
             {"wire/y/message": "DSP_STATUS", "wire/y/signal": "SUPPLY"},
-            "'can.wire.y.message': 'DSP_STATUS'.*both readings",
+            "'can.wire.y.signal': 'SUPPLY' is not in all frames that it must be in",
         ),
         ({"wire/current/signal": "POS_X"}, "'can.wire.current.signal': 'POS_X' is in 'mm'; allowed: A, mA"),
         ({"wire/x/factor": 0.0}, r"'can.wire.x.factor': 0.0 is not allowed"),
         (
             {"wire/enable/message": "DSP_STATUS", "wire/enable/signal": "SUPPLY"},
-            "'can.wire.enable.message'.*one message",
+            "'can.wire.enable.message': 'DSP_STATUS' is a message of the board already",
         ),
         ({"wire/counter/message": "DSP_STATUS"}, "'can.wire.counter.signal': '' is not allowed beside message"),
         ({"wire/amplifier/fault_value": -1}, "'can.wire.amplifier.fault_value': -1 needs"),
@@ -153,6 +155,68 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
 def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_allowed(changes, words):
     with pytest.raises(ParameterError, match=words):
         driver(**changes)
+
+
+def split(**changes):
+    """A board with a message for each axis, to which the host sends two."""
+    values = shipped_parameters(stage=str(SPLIT))
+    values["driver"] |= {f"can.{name.replace('/', '.')}": to for name, to in changes.items()}
+    return node_parameters("driver", values).can.make_wire()
+
+
+def names(several):
+    return [frames.signals.message.name for frames in several]
+
+
+def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
+    wire = split()
+    assert names(wire.parts) == ["DSP_X", "DSP_Y"] and names(wire.reports.values()) == ["DSP_X", "DSP_Y", "DSP_I"]
+    # What acts comes last.
+    assert names(wire.commands) == ["PC_SWITCH", "PC_CURRENT"] and names([wire.command]) == ["PC_CURRENT"]
+    assert (wire.part_modulus, wire.command_modulus, wire.number_modulus, wire.echo_modulus) == (15, 15, 15, 15)
+    assert wire.reports[0x110].unpack(wire.reports[0x110].pack(REPORT, 0)) == Report(4, x=1.7, amplifier=2, fault=0)
+    assert wire.reports[0x111].unpack(wire.reports[0x111].pack(REPORT, 0)).y == pytest.approx(-22e-6)
+    command = Command(3, True, False, 0.25, 7)
+    told = [frames.unpack(frames.pack(command)) for frames in wire.commands]
+    assert told == [Command(3, True, False, None, 7), Command(3, None, None, 0.25, None)]
+
+
+def test_the_sample_is_numbered_by_the_message_that_has_a_count():
+    wire = split(
+        **{f"wire/protection/sample/{name}": value for name, value in (("profile", "none"), ("crc", ""), ("alive", ""))}
+    )
+    assert names(wire.parts) == ["DSP_Y", "DSP_X"] and wire.sample_modulus == 15
+    assert wire.part_modulus == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"wire/protection/y/profile": "none", "wire/protection/y/crc": ""} | {"dbc": "16"},
+            "'can.wire.protection.y.alive': frames that belong together have the same count, but 'DSP_X' to 15 and "
+            "'DSP_Y' to 16 count otherwise; allowed: moduli with a common divisor >= 4, or ''",
+        ),
+        ({"wire/reset/message": "DSP_Y"}, "'can.wire.reset.signal': 'SW_CLEAR' is not a signal of message 'DSP_Y'"),
+        (
+            {"wire/reset/message": "DSP_Y", "wire/reset/signal": "Y_OK"},
+            "'can.wire.reset.message': 'DSP_Y' is a message of the board already",
+        ),
+        ({"wire/protection/good/alive": "Y_CNT"}, "'can.wire.protection.good': is given, but the signals are in"),
+        ({"wire/protection/enable/alive": "SW"}, "'can.wire.protection.enable.alive': 'SW' is not a signal of"),
+    ],
+)
+def test_messages_that_do_not_go_together_are_refused(changes, words, tmp_path):
+    if "dbc" in changes:
+        file = tmp_path / "sixteen.dbc"
+        file.write_text(
+            SPLIT.with_suffix(".dbc")
+            .read_text()
+            .replace("Y_CNT : 35|4@0+ (1,0) [0|14]", "Y_CNT : 35|4@0+ (1,0) [0|15]")
+        )
+        changes = changes | {"dbc": str(file)}
+    with pytest.raises(ParameterError, match=words):
+        split(**changes)
 
 
 def test_a_current_limit_beyond_the_command_signal_is_refused(edited):

@@ -1,5 +1,6 @@
 """Boards that say less: what is missing is told, and the driver holds the platform all the same."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, Report
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.can.wire_gaps import gaps
+from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, SignalParameters
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.settings.share import share_path
 from straightcomp_ros.stage.description import StageParameters
@@ -26,7 +28,14 @@ def board(file):
 
 
 BARE = board(Path(__file__).with_name("bare.yaml"))
+SPLIT = board(Path(__file__).with_name("split.yaml"))
 FOREIGN = board(share_path("config/board_motorola.yaml"))
+
+
+def without_counts(can):
+    """The board of split.yaml without CRCs, counters and echo."""
+    wire = replace(can.wire, protection=ProtectedMessages(), echo=SignalParameters())
+    return replace(can, wire=wire)
 
 
 def test_the_packages_own_frames_leave_nothing_open():
@@ -38,7 +47,7 @@ def test_what_the_frames_of_a_board_lack_is_told():
     for words in (
         "SAMPLE has no CRC",
         "SAMPLE has no counter",
-        "whether its readings are good",
+        "whether the readings are good",
         "the commanded one stands for it",
         "no heartbeat",
         "SET has no CRC",
@@ -51,6 +60,22 @@ def test_what_the_frames_of_a_board_lack_is_told():
         "DSP_MEAS counts to 256 only",
         "there is no heartbeat",
     ]
+
+
+def test_what_messages_of_one_sample_or_one_command_lack_is_told():
+    assert [text.split(":")[0] for text in gaps(SPLIT.make_wire())] == [
+        "DSP_X counts to 15 only",
+        "there is no heartbeat",
+    ]
+    told = " ".join(gaps(without_counts(SPLIT).make_wire()))
+    for words in (
+        "DSP_Y has no CRC: a damaged sample",
+        "DSP_X and DSP_Y have no counter in each: frames that come within half a period",
+        "DSP_X and DSP_Y have no counter: repeated samples",
+        "PC_SWITCH has no CRC: the board would act",
+        "PC_SWITCH and PC_CURRENT have no counter in each",
+    ):
+        assert words in told
 
 
 def test_a_state_of_the_amplifier_without_a_crc_is_told():
@@ -67,6 +92,17 @@ def test_the_servo_holds_the_platform_by_a_board_that_says_only_what_it_must():
     # Lost samples are noticed late, but the servo stays on and the numbers come right again.
     lossy = run_servo_trial({"drop": 0.002}, guide, BARE, frames=3000)
     assert lossy.injected["drop"] > 0 and lossy.state is State.ON and lossy.on > 0.9 and lossy.unsafe == 0
+
+
+def test_the_servo_holds_the_platform_by_samples_and_commands_that_are_put_together_by_their_times():
+    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
+    board = without_counts(SPLIT)
+    trial = run_servo_trial({}, guide, board, frames=2000)
+    assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
+    assert trial.unflagged_wrong == trial.unsafe == 0
+    # As of any board without a counter, the lost samples' numbers come right again late.
+    lossy = run_servo_trial({"drop": 0.002}, guide, board, frames=4000)
+    assert lossy.injected["drop"] > 5 and lossy.state is State.ON and lossy.on > 0.9 and lossy.unsafe == 0
 
 
 def test_a_fault_that_only_the_code_tells_is_latched_and_cleared():

@@ -1,0 +1,89 @@
+"""Run strokes through boards with several kinds of frames, in turns, and compare them: error, losses, latency.
+
+Each board is emulated, on a hub of this computer, in real time, with the same law. With --firmware the firmware core is
+built with the frames of each and runs them too."""
+
+import argparse
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+
+from straightcomp_ros.cli.law_tables import rounded, titled_table
+from straightcomp_ros.cli.options import add_repeatable, check_range, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
+from straightcomp_ros.cli.parameter_options import add_setting_option
+from straightcomp_ros.settings.share import share_path
+
+SUMMARY = "strokes through boards with other frames, and through the firmware core"
+_FOREIGN = "config/board_motorola.yaml"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_repeatable(parser, "--board", "FILE", f"stage file with a board's frames (default: the installed {_FOREIGN})")
+    parser.add_argument("--firmware", metavar="DIR", type=Path, help="folder firmware/ of the source")
+    parser.add_argument("--rounds", type=int, default=1, metavar="N", help="strokes of each (default: %(default)s)")
+    add_setting_option(parser)
+    parser.add_argument("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and print; exit code 1 if a stroke was not in order."""
+    from straightcomp_ros.trials.bench.boards import boards, measure
+    from straightcomp_ros.trials.bench.demo_strokes import BenchFailed
+
+    require_ros()
+    check_range("--rounds", options.rounds, 1, 1000)
+    if options.firmware is not None and not (options.firmware / "Makefile").is_file():
+        raise CommandFailed(f"--firmware '{options.firmware}': has no Makefile; allowed: firmware/ of the source", 2)
+    stages = [None, *(options.board or [str(share_path(_FOREIGN))])]
+    changes = [word for change in options.set for word in ("--set", change)]
+    with ExitStack() as stack:
+        folder = (
+            output_folder("--output", options.output)
+            if options.output
+            else Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="straightcomp_bench_")))
+        )
+        bar = stack.enter_context(progress_bar())
+        task = bar.add_task("building", total=1.0)
+        try:
+            figures = measure(
+                boards(stages, options.firmware, folder.absolute()),
+                options.rounds,
+                changes,
+                folder,
+                progress=lambda text, done: bar.update(task, description=text, completed=done),
+            )
+        except BenchFailed as error:
+            raise CommandFailed(str(error)) from error
+    if options.json:
+        print_json(figures)
+    else:
+        title = f"A stroke through each board, medians of {options.rounds}"
+        columns = (
+            "board",
+            "p-p [µm]",
+            "from",
+            "to",
+            "lost samples",
+            "lost commands",
+            "p50 [µs]",
+            "p99 [µs]",
+            "verdict",
+        )
+        table = titled_table(title, "frames", *columns, left=("board",))
+        for one in figures["boards"]:
+            ends = (rounded(end(one["pp_um_of_each"]), 2) for end in (min, max))
+            losses, latencies = ("lost_samples", "lost_commands"), ("latency_p50_us", "latency_p99_us")
+            table.add_row(
+                one["frames"],
+                one["board"],
+                rounded(one["pp_um"], 2),
+                *ends,
+                *(str(one[name]) for name in losses),
+                *(rounded(one[name], 0) for name in latencies),
+                one["verdict"],
+            )
+        console.print(table)
+    return 0 if figures["in_order"] else 1
