@@ -4,13 +4,20 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
-from straightcomp_ros.commissioning.machine import Series
+from straightcomp_ros.commissioning.machine import Array, Series
 from straightcomp_ros.model.converters import DriveParameters
 
-_AGES = 4
-"""Commands that may act in a period: the newest and so many before it, less one."""
-_ACTED = 0.02
+_DELAYS = np.arange(0.0, 5.0, 0.25)
+"""Samples; where the search begins."""
+_BANDWIDTHS = np.geomspace(0.005, 2.0, 13)
+"""Relative to the sampling rate, likewise."""
+_LONGEST = 8.0
+_STARTS = 3
+_UNEXPLAINED = 0.9
+"""Share of the current from which no amplifier fits."""
 
 
 @dataclass(frozen=True)
@@ -35,25 +42,52 @@ class CurrentReadback:
 def current_readback(series: Series, drive: DriveParameters, period: float) -> CurrentReadback:
     """The way in ``series``, whose commands must change at random; ``period`` of the samples in s.
 
-    From sample to sample a first-order amplifier gives i[k+1] = a i[k] + Σ b_j u[k−j] + c, with a = exp(−ω T). The
-    steps b_j sum to (1 − a) times the gain; which of them act tells the delay.
+    The current of each candidate amplifier is computed from the commands alone, so that a readback of few counts does no
+    harm; its gain and offset follow by least squares.
     """
     acting = slice(series.left_at)
     asked = np.array([drive.converted(command) for command in series.command[acting].tolist()])
     current = series.current[acting]
-    last = len(current) - 1
-    commands = [asked[_AGES - 1 - age : last - age] for age in range(_AGES)]
-    terms = np.stack([current[_AGES - 1 : last], *commands, np.ones(last - _AGES + 1)], axis=1)
-    weights, *_ = np.linalg.lstsq(terms, current[_AGES:], rcond=None)
-    kept, steps = float(weights[0]), weights[1:-1]
-    missed = float((current[_AGES:] - terms @ weights).std()) / max(1e-12, float(np.diff(current).std()))
-    gain = float(steps.sum()) / (1.0 - kept)
-    if not (0.0 < kept < 1.0 and gain != 0.0):
-        return CurrentReadback(gain, math.nan, math.nan, math.nan, missed)
-    rate = -math.log(kept) / period
-    risen = np.cumsum(steps) / gain
-    whole = int(np.argmax(risen > _ACTED * (1.0 - kept)))
-    # Of the newest command that acts, 1 − exp(−ω (T − d)) has come by the next sample.
-    part = 1.0 + math.log(max(1e-9, 1.0 - float(risen[whole]))) / (rate * period)
-    offset = float(weights[-1]) / (1.0 - kept)
-    return CurrentReadback(gain, offset, rate / (2.0 * math.pi), whole + min(1.0, max(0.0, part)), missed)
+    known = np.isfinite(current)
+    asked, current = asked[known], current[known]
+
+    def fitted(numbers: Array) -> tuple[Array, Array]:
+        """(gain, offset), and residuals (n,) in A."""
+        terms = np.stack([_answer(asked, math.exp(numbers[0]), float(numbers[1])), np.ones(asked.size)], axis=1)
+        weights, *_ = np.linalg.lstsq(terms, current, rcond=None)
+        return weights, current - terms @ weights
+
+    def residuals(numbers: Array) -> Array:
+        return fitted(numbers)[1]
+
+    starts = [np.array([math.log(2.0 * math.pi * band), delay]) for band in _BANDWIDTHS for delay in _DELAYS]
+    starts.sort(key=lambda start: float(np.sum(residuals(start) ** 2)))
+    bounds = ([math.log(1e-4), 0.0], [math.log(100.0), _LONGEST])
+    scale = max(1e-12, float(current.std()))
+    found = [
+        least_squares(
+            lambda numbers: residuals(numbers) / scale, start, bounds=bounds, xtol=1e-15, ftol=1e-15, gtol=1e-15
+        )
+        for start in starts[:_STARTS]
+    ]
+    best: Array = min(found, key=lambda one: float(one.cost)).x
+    (gain, offset), left = fitted(best)
+    missed = float(left.std()) / max(1e-12, float(np.diff(current).std()))
+    if float(left.std()) > _UNEXPLAINED * scale or gain == 0.0:
+        return CurrentReadback(float(gain), math.nan, math.nan, math.nan, missed)
+    return CurrentReadback(
+        float(gain), float(offset), math.exp(best[0]) / (2.0 * math.pi * period), float(best[1]), missed
+    )
+
+
+def _answer(asked: Array, rate: float, delay: float) -> Array:
+    """The current (n,) at each sample of an amplifier that gets the commands ``asked`` (n,) after ``delay`` samples.
+
+    With ω T = ``rate`` and the delay's fraction p of a period, i[k+1] = a i[k] + (b − a) u[k−w−1] + (1 − b) u[k−w],
+    a = exp(−ω T), b = exp(−ω T (1 − p)).
+    """
+    whole = math.floor(delay)
+    kept, late = math.exp(-rate), math.exp(-rate * (1.0 - (delay - whole)))
+    shifted = np.concatenate([np.zeros(whole + 1), asked])[: asked.size]
+    older = np.concatenate([[0.0], shifted])[: asked.size]
+    return np.asarray(lfilter([1.0], [1.0, -kept], (1.0 - late) * shifted + (late - kept) * older))

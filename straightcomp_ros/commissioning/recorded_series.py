@@ -6,6 +6,7 @@ import numpy as np
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.recorded_lag import advanced, readback_lag
 from straightcomp_ros.commissioning import CommissioningError
 from straightcomp_ros.commissioning.machine import Series
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER
@@ -40,6 +41,7 @@ def recorded_series(bag: Path) -> Series:
         return found
 
     x, y, current = (encoder.columns[name][rows] for name in ("x", "y", "coil_current"))
+    current = advanced(current, readback_lag(bag))
     command = matching(COMMAND.topic, "control_current")
     return Series(stamps, x, y, current, command, matching(DRIVER_STATE.topic, "command_latency"))
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags.reader import StreamColumns, read_streams
+from straightcomp_ros.bags.recorded_lag import advanced, readback_lag
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.identification import IdentificationError
 
@@ -57,6 +58,7 @@ def read_recording(bag: Path) -> Recording:
     encoder = streams[ENCODER.topic]
     stamps, rows = np.unique(encoder.stamp, return_index=True)
     x, y, current = (encoder.columns[name][rows] for name in ("x", "y", "coil_current"))
+    current = advanced(current, readback_lag(bag))
     if not np.isfinite(current).any():
         raise IdentificationError(
             f"bag {bag}: the amplifier is off throughout (coil_current is NaN in all {len(current)} samples); "

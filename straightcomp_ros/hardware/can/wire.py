@@ -98,6 +98,14 @@ class Wire:
         self._check_numbers()
 
     @property
+    def readback_lag(self) -> int:
+        """Samples by which the measured current is older than the readings that it comes with.
+
+        A current in a message of its own comes after the sample that it belongs to.
+        """
+        return 0 if self.current is None or self.current in self.parts else 1
+
+    @property
     def identifiers(self) -> list[int]:
         """Of all frames that the board sends."""
         return [*self.reports, *([self.heartbeat.identifier] if self.heartbeat else [])]
