@@ -16,6 +16,7 @@ _BANDWIDTHS = np.geomspace(0.005, 2.0, 13)
 """Relative to the sampling rate, likewise."""
 _LONGEST = 8.0
 _STARTS = 3
+_TOLERANCE = 1e-15
 _UNEXPLAINED = 0.9
 """Share of the current from which no amplifier fits."""
 
@@ -42,8 +43,8 @@ class CurrentReadback:
 def current_readback(series: Series, drive: DriveParameters, period: float) -> CurrentReadback:
     """The way in ``series``, whose commands must change at random; ``period`` of the samples in s.
 
-    The current of each candidate amplifier is computed from the commands alone, so that a readback of few counts does no
-    harm; its gain and offset follow by least squares.
+    The current of each candidate amplifier is computed from the commands alone, so that a readback of few counts does
+    no harm; its gain and offset follow by least squares.
     """
     acting = slice(series.left_at)
     asked = np.array([drive.converted(command) for command in series.command[acting].tolist()])
@@ -55,7 +56,7 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
         """(gain, offset), and residuals (n,) in A."""
         terms = np.stack([_answer(asked, math.exp(numbers[0]), float(numbers[1])), np.ones(asked.size)], axis=1)
         weights, *_ = np.linalg.lstsq(terms, current, rcond=None)
-        return weights, current - terms @ weights
+        return np.asarray(weights), np.asarray(current - terms @ weights)
 
     def residuals(numbers: Array) -> Array:
         return fitted(numbers)[1]
@@ -66,7 +67,12 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
     scale = max(1e-12, float(current.std()))
     found = [
         least_squares(
-            lambda numbers: residuals(numbers) / scale, start, bounds=bounds, xtol=1e-15, ftol=1e-15, gtol=1e-15
+            lambda numbers: residuals(numbers) / scale,
+            start,
+            bounds=bounds,
+            xtol=_TOLERANCE,
+            ftol=_TOLERANCE,
+            gtol=_TOLERANCE,
         )
         for start in starts[:_STARTS]
     ]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -71,10 +73,9 @@ def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> It
         CommissioningError: a node does not start, or ended.
     """
     os.environ.update(isolated_environment())
-    with tempfile.TemporaryDirectory() as bus:
+    with _bus_folder(folder) as bus:
         if emulated:
-            # The path of a socket has room for about a hundred characters: too few for some folders.
-            values = {**values, "driver": {**values.get("driver", {}), **on_hub(values, str(Path(bus) / "bus"))}}
+            values = {**values, "driver": {**values.get("driver", {}), **on_hub(values, str(bus / "bus"))}}
         parameter_file = folder / "parameters.yaml"
         parameter_file.write_text(as_parameter_file(values))
         beside = emulated_machine(values, parameter_file)
@@ -96,6 +97,21 @@ def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> It
                     yield access
         except LaunchError as error:
             raise CommissioningError(f"{error} (logs in {folder / 'logs'})") from error
+
+
+@contextmanager
+def _bus_folder(folder: Path) -> Iterator[Path]:
+    """A place for the socket of a bus, the same for each run in ``folder``: it is a parameter of the nodes.
+
+    The path of a socket has room for about a hundred characters: too few for some folders.
+    """
+    name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
+    bus = Path(tempfile.gettempdir()) / f"straightcomp_bus_{name}"
+    bus.mkdir(mode=0o700, exist_ok=True)
+    try:
+        yield bus
+    finally:
+        shutil.rmtree(bus, ignore_errors=True)
 
 
 def described(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -92,6 +92,7 @@ class RunningMachine:
             self._sleep(_SETTLE_S)
             self._client.move(waypoints)
             self._sleep(waypoints[-1].time_ns * 1e-9 + _SETTLE_S)
+        self._rest()
 
     def response(self, values: Values, excitation: MultisineParameters, *, moving: bool = False) -> ComparedResponse:
         """See `Machine`; with ``moving`` the stage makes strokes meanwhile, otherwise it stands where it is."""
@@ -114,11 +115,16 @@ class RunningMachine:
                 self._sleep(duration)
         except LeftTravel as error:
             raise FrequencyResponseError(str(error)) from error
+        self._rest()
         return response_from_bag(bag, excitation, nodes.control, nodes.stage)
 
     def release(self) -> None:
         """Leave the nodes inactive, with the parameters with which they were found."""
         self._prepare(self._values)
+        self._rest()
+
+    def _rest(self) -> None:
+        """Make the loop inactive: what is computed next needs the processor."""
         for node in ("controller", "feedforward", "driver"):
             self._client.bring(node, "inactive")
 
