@@ -65,15 +65,9 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
     starts.sort(key=lambda start: float(np.sum(residuals(start) ** 2)))
     bounds = ([math.log(1e-4), 0.0], [math.log(100.0), _LONGEST])
     scale = max(1e-12, float(current.std()))
+    exact = {"xtol": _TOLERANCE, "ftol": _TOLERANCE, "gtol": _TOLERANCE}
     found = [
-        least_squares(
-            lambda numbers: residuals(numbers) / scale,
-            start,
-            bounds=bounds,
-            xtol=_TOLERANCE,
-            ftol=_TOLERANCE,
-            gtol=_TOLERANCE,
-        )
+        least_squares(lambda numbers: residuals(numbers) / scale, start, bounds=bounds, **exact)
         for start in starts[:_STARTS]
     ]
     best: Array = min(found, key=lambda one: float(one.cost)).x

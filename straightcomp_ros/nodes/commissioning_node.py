@@ -119,8 +119,12 @@ class CommissioningNode(Runnable):
         level = DiagnosticStatus.OK if good else DiagnosticStatus.ERROR
         values = [KeyValue(key="running", value=str(running).lower())]
         self._publisher.publish(DiagnosticStatus(level=level, name=doing, message=message, values=values))
-        log = self.node.get_logger()
-        (log.info if good else log.error)(f"{doing}: {message}" if doing else message)
+        words = f"{doing}: {message}" if doing else message
+        # Not in one line: rclpy lets each line log with one severity only.
+        if good:
+            self.node.get_logger().info(words)
+        else:
+            self.node.get_logger().error(words)
 
     def close(self) -> None:
         """End what is going on; it leaves the amplifier off."""

@@ -1,0 +1,112 @@
+"""A running graph is commissioned by services and from the command line, and no cycle runs meanwhile."""
+
+import json
+import subprocess
+import time
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.srv import GetState
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+from waiting import wait_for_line
+
+from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.cell.launcher import verb_command
+from straightcomp_ros.contract import COMMISSIONING_STATE
+from straightcomp_ros.runtime.safety_panel import LATCHED
+
+pytestmark = pytest.mark.keeps_time
+
+
+class Asker:
+    """Calls services and reads what the node `commissioning` tells."""
+
+    def __init__(self) -> None:
+        rclpy.init()
+        self.node, self.told = Node("asker"), []
+        self.node.create_subscription(DiagnosticStatus, COMMISSIONING_STATE, self.told.append, LATCHED)
+
+    def until(self, done, within=90.0):
+        end = time.monotonic() + within
+        while not done():
+            assert time.monotonic() < end, [(one.name, one.message) for one in self.told]
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+
+    def ask(self, kind, name, request=None):
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(request or kind.Request())
+        self.until(future.done)
+        self.node.destroy_client(client)
+        return future.result()
+
+
+@pytest.fixture
+def asker():
+    one = Asker()
+    yield one
+    one.node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def loop(graph, short_cycle, tmp_path):
+    """The nodes of the loop and a logger, unconfigured."""
+    short_cycle["stage"]["platform.stop"] = 8e-4
+    for node in RECORDED:
+        graph.start(node, {**described(short_cycle, node), "autostart": False})
+    return graph
+
+
+def described(values, node):
+    stage = {} if node == "logger" else {f"stage.{name}": value for name, value in values["stage"].items()}
+    return {**stage, **values[node]}
+
+
+def test_the_node_runs_steps_by_services_and_the_cell_is_refused_meanwhile(loop, short_cycle, asker, tmp_path):
+    loop.start("commissioning", {"output": str(tmp_path / "found")})
+    asker.until(lambda: asker.told)
+    # A step that rests on others is refused with their names.
+    assert asker.ask(Trigger, "commissioning/signs_and_scales").success
+    asker.until(lambda: asker.told[-1].name == "signs_and_scales" and asker.told[-1].level == DiagnosticStatus.ERROR)
+    assert "rests on 'connection'" in asker.told[-1].message
+    assert asker.ask(Trigger, "commissioning/connection").success
+    assert "connection is going on" in asker.ask(Trigger, "commissioning/run").message
+    cell = loop.start("cell", {**described(short_cycle, "cell"), "start_timeout": 20.0})
+    assert cell.wait(timeout=60) == 1
+    assert "the machine is being commissioned: connection" in loop.log("cell").read_text()
+    asker.until(lambda: asker.told[-1].message != "is going on")
+    assert asker.told[-1].level == DiagnosticStatus.OK and "none lost" in asker.told[-1].message
+    record = json.loads((tmp_path / "found" / "commission.json").read_text())
+    assert record["steps"]["connection"]["passed"] and record["steps"]["connection"]["figures"]["latency_us"]
+    assert asker.ask(Trigger, "commissioning/signs_and_scales").success
+    asker.until(lambda: asker.told[-1].name == "signs_and_scales" and asker.told[-1].message != "is going on")
+    assert asker.told[-1].level == DiagnosticStatus.OK, asker.told[-1].message
+    assert "readback 1 times the command" in asker.told[-1].message
+    assert not asker.ask(Trigger, "commissioning/stop").success
+
+
+def test_the_response_of_a_running_loop_is_measured_and_the_nodes_are_left_as_they_were(loop, short_cycle, asker):
+    words = ("--graph", "running", "--json", "--draws", "4", "--highest", "200")
+    told = subprocess.run(verb_command("frequency-response", *words), capture_output=True, text=True, timeout=120)
+    assert told.returncode == 0, told.stderr
+    found = json.loads(told.stdout)
+    assert found["law"] == "smc_observer" and 15.0 < found["margins"]["phase_deg"] < 60.0
+    for node in ("driver", "feedforward", "controller"):
+        assert asker.ask(GetState, f"{node}/get_state").current_state.label == "inactive"
+
+
+def test_while_somebody_uses_the_machine_it_is_not_commissioned(graph, short_cycle, asker, tmp_path):
+    for node in RECORDED:
+        graph.start(
+            node, {**described(short_cycle, node), **({"output": str(tmp_path / "b")} if node == "logger" else {})}
+        )
+    wait_for_line(graph, "controller", "ready")
+    asker.until(lambda: asker.ask(SetBool, "driver/enable", SetBool.Request(data=True)).success)
+    words = ("commission", "-o", str(tmp_path / "found"), "--graph", "running", "--only", "connection")
+    told = subprocess.run(verb_command(*words), capture_output=True, text=True, timeout=120)
+    assert told.returncode == 1 and "somebody else uses the machine" in " ".join(told.stderr.split())
+    # It stays on.
+    assert "amplifier on" in asker.ask(SetBool, "driver/enable", SetBool.Request(data=True)).message
