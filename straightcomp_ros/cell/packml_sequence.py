@@ -15,6 +15,7 @@ from straightcomp_ros.cell.stage_movements import NotArrived, StageMovements
 from straightcomp_ros.model.motion import MotionParameters, Waypoint
 
 _ASK_AGAIN_S = 0.5
+_HEARD_S = 0.3
 _SETTLE_S = 1.5
 """A node that has just started needs about one more second to allocate and connect, and loses messages meanwhile."""
 _HOME_S = 1.0
@@ -205,7 +206,8 @@ class CellSequence:
                 ready_since = self._now
                 if self._overdue(self._start_timeout):
                     raise _Failed(f"not ready: {obstacle}")
-                if self._seen.missing and self._due():
+                # First hear whether somebody else uses the machine.
+                if self._seen.missing and self._overdue(_HEARD_S) and self._due():
                     self._machine.activate()
             elif self._due():
                 # Another client may have left the reference in the middle. Retried if refused during another change.

@@ -77,7 +77,7 @@ class GraphClient:
             # Another name than that of a node which starts such clients.
             self._node = Node(f"{name}_client", namespace=namespace or None)
         self._name = name
-        node, self.doing, self.safety = self._node, "", SafetyState()
+        node, self.doing, self.safety = self._node, "begins", SafetyState()
         self._clients: dict[str, Client] = {
             "driver/enable": node.create_client(SetBool, "driver/enable"),
             "driver/reset_fault": node.create_client(Trigger, "driver/reset_fault"),
