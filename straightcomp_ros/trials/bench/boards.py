@@ -23,7 +23,7 @@ from straightcomp_ros.trials.bench.demo_strokes import (
 _LONGEST_BUILD_S = 300
 
 
-class Board(NamedTuple):
+class MeasuredBoard(NamedTuple):
     """A board to measure: its DBC file's name, who is the board, and the arguments of `straightcomp demo`."""
 
     frames: str
@@ -31,7 +31,7 @@ class Board(NamedTuple):
     arguments: tuple[str, ...]
 
 
-def boards(stages: Sequence[str | None], firmware: Path | None, folder: Path) -> list[Board]:
+def boards(stages: Sequence[str | None], firmware: Path | None, folder: Path) -> list[MeasuredBoard]:
     """The emulated board of each stage file, and the firmware core with its frames, which is built in ``folder``.
 
     Args:
@@ -47,7 +47,7 @@ def boards(stages: Sequence[str | None], firmware: Path | None, folder: Path) ->
     for number, stage in enumerate(stages):
         wire = node_parameters("driver", shipped_parameters(stage=stage)).can.make_wire()
         arguments = ("--stage", stage) if stage else ()
-        found.append(Board(wire.dbc.path.name, "emulator", arguments))
+        found.append(MeasuredBoard(wire.dbc.path.name, "emulator", arguments))
         if firmware is not None:
             try:
                 texts = frames_in_c([wire])
@@ -55,7 +55,7 @@ def boards(stages: Sequence[str | None], firmware: Path | None, folder: Path) ->
                 raise BenchFailed(f"{wire.dbc.file}: {error}") from error
             program = _built(firmware, texts, folder / f"firmware_{number}")
             set_program = ("--set", f"driver.can.firmware={program}")
-            found.append(Board(wire.dbc.path.name, "C core", (*arguments, *set_program)))
+            found.append(MeasuredBoard(wire.dbc.path.name, "C core", (*arguments, *set_program)))
     return found
 
 
@@ -75,7 +75,7 @@ def _built(firmware: Path, texts: Mapping[str, str], folder: Path) -> Path:
 
 
 def measure(
-    measured: Sequence[Board],
+    measured: Sequence[MeasuredBoard],
     rounds: int,
     arguments: Sequence[str],
     folder: Path,
