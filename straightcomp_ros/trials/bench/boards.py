@@ -92,23 +92,34 @@ def measure(
 
     Returns:
         For each board the medians over its strokes with the p-p errors of all, the samples and commands lost in all,
-        and the worst verdict; ``in_order``: whether every stroke was.
+        the worst verdict, and why strokes ``failed``: a stall of the host may be a fault for a board with a short
+        counter; ``in_order``: whether every stroke was.
 
     Raises:
-        BenchFailed: a stroke failed.
+        BenchFailed: no stroke of a board was finished.
     """
     strokes: list[list[Figures]] = [[] for _ in measured]
+    failed: list[list[str]] = [[] for _ in measured]
     for turn in range(rounds):
         for number, board in enumerate(measured):
             progress(f"{board.frames}, {board.kind}", (turn * len(measured) + number) / (rounds * len(measured)))
             output = ("--output", str(folder / f"round_{turn}_board_{number}"))
             process = started(["--hardware", "can", *board.arguments, *arguments, *output])
-            strokes[number].append(figures_of(*process.communicate(), f"{board.frames}, {board.kind}"))
+            try:
+                strokes[number].append(figures_of(*process.communicate(), f"{board.frames}, {board.kind}"))
+            except BenchFailed as error:
+                failed[number].append(str(error))
+                if turn == rounds - 1 and not strokes[number]:
+                    raise
     found = [
-        {"frames": board.frames, "board": board.kind, **_summary(own)}
-        for board, own in zip(measured, strokes, strict=True)
+        {"frames": board.frames, "board": board.kind, **_summary(own), "failed": why}
+        for board, own, why in zip(measured, strokes, failed, strict=True)
     ]
-    return {"rounds": rounds, "boards": found, "in_order": all(one["verdict"] == IN_ORDER for one in found)}
+    return {
+        "rounds": rounds,
+        "boards": found,
+        "in_order": all(one["verdict"] == IN_ORDER and not one["failed"] for one in found),
+    }
 
 
 def _summary(strokes: Sequence[Figures]) -> dict[str, Any]:

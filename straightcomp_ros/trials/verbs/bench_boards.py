@@ -10,7 +10,7 @@ from pathlib import Path
 
 from straightcomp_ros.cli.law_tables import rounded, titled_table
 from straightcomp_ros.cli.options import add_repeatable, check_range, output_folder
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameter_options import add_setting_option
 from straightcomp_ros.settings.share import share_path
 
@@ -70,6 +70,7 @@ def run(options: argparse.Namespace) -> int:
             "lost commands",
             "p50 [µs]",
             "p99 [µs]",
+            "failed",
             "verdict",
         )
         table = titled_table(title, "frames", *columns, left=("board",))
@@ -83,7 +84,10 @@ def run(options: argparse.Namespace) -> int:
                 *ends,
                 *(str(one[name]) for name in losses),
                 *(rounded(one[name], 0) for name in latencies),
+                str(len(one["failed"])),
                 one["verdict"],
             )
         console.print(table)
+        for reason in (reason for one in figures["boards"] for reason in one["failed"]):
+            notes.print(reason)
     return 0 if figures["in_order"] else 1
