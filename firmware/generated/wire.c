@@ -8,7 +8,7 @@ static void pack_encoder(uint8_t *data, const struct wire_report *report, uint32
         .encoder_alive = (uint8_t)report->alive,
         .amplifier = (uint8_t)((const uint32_t[]){1u, 1u, 2u, 3u})[report->amplifier],
         .board_fault = (uint8_t)((const uint32_t[]){0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u})[report->fault],
-        .encoders_valid = report->good ? 1u : 0u,
+        .encoders_valid = (uint8_t)(report->good ? 1 : 0),
         .stage_x = (int32_t)limited(scaled(report->scaling->x, report->x), INT64_C(-33554431), INT64_C(33554431)),
         .platform_y = (int32_t)limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)),
     };
@@ -37,15 +37,15 @@ static bool unpack_command(struct command *command, const uint8_t *data, size_t 
     if (known) {
         command->current = (board_real)frame.control_current * (board_real)0.0001;
         command->given |= (uint8_t)COMMAND_CURRENT;
-        command->enable = frame.enable == 2u;
+        command->enable = frame.enable == (uint8_t)2;
         command->given |= (uint8_t)COMMAND_ENABLE;
-        command->reset = frame.reset_fault == 2u;
+        command->reset = frame.reset_fault == (uint8_t)2;
         command->given |= (uint8_t)COMMAND_RESET;
-        command->echo = frame.echoed_counter;
+        command->echo = (uint32_t)frame.echoed_counter;
         command->given |= (uint8_t)COMMAND_ECHO;
-        command->alive = frame.command_alive;
+        command->alive = (uint32_t)frame.command_alive;
         command->given |= (uint8_t)COMMAND_ALIVE;
-        known = ((frame.enable == 1u) || (frame.enable == 2u)) && ((frame.reset_fault == 1u) || (frame.reset_fault == 2u)) && (frame.command_alive < 15u);
+        known = ((frame.enable == (uint8_t)1) || (frame.enable == (uint8_t)2)) && ((frame.reset_fault == (uint8_t)1) || (frame.reset_fault == (uint8_t)2)) && (frame.command_alive < 15u);
     }
     return known;
 }
@@ -124,7 +124,7 @@ static void pack_encoder_fd(uint8_t *data, const struct wire_report *report, uin
         .encoder_alive = (uint8_t)report->alive,
         .amplifier = (uint8_t)((const uint32_t[]){1u, 1u, 2u, 3u})[report->amplifier],
         .board_fault = (uint8_t)((const uint32_t[]){0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u})[report->fault],
-        .encoders_valid = report->good ? 1u : 0u,
+        .encoders_valid = (uint8_t)(report->good ? 1 : 0),
         .stage_x = (int32_t)limited(scaled(report->scaling->x, report->x), INT64_C(-33554431), INT64_C(33554431)),
         .platform_y = (int32_t)limited(scaled(report->scaling->y, report->y), INT64_C(-524287), INT64_C(524287)),
         .measured_current = (int16_t)nearest((limited_real(report->current, (board_real)-3.2767, (board_real)3.2767) / (board_real)0.0001)),
@@ -143,15 +143,15 @@ static bool unpack_command_fd(struct command *command, const uint8_t *data, size
     if (known) {
         command->current = (board_real)frame.control_current * (board_real)0.0001;
         command->given |= (uint8_t)COMMAND_CURRENT;
-        command->enable = frame.enable == 2u;
+        command->enable = frame.enable == (uint8_t)2;
         command->given |= (uint8_t)COMMAND_ENABLE;
-        command->reset = frame.reset_fault == 2u;
+        command->reset = frame.reset_fault == (uint8_t)2;
         command->given |= (uint8_t)COMMAND_RESET;
-        command->echo = frame.echoed_counter;
+        command->echo = (uint32_t)frame.echoed_counter;
         command->given |= (uint8_t)COMMAND_ECHO;
-        command->alive = frame.command_alive;
+        command->alive = (uint32_t)frame.command_alive;
         command->given |= (uint8_t)COMMAND_ALIVE;
-        known = ((frame.enable == 1u) || (frame.enable == 2u)) && ((frame.reset_fault == 1u) || (frame.reset_fault == 2u)) && (frame.command_alive < 15u);
+        known = ((frame.enable == (uint8_t)1) || (frame.enable == (uint8_t)2)) && ((frame.reset_fault == (uint8_t)1) || (frame.reset_fault == (uint8_t)2)) && (frame.command_alive < 15u);
     }
     return known;
 }

@@ -1,4 +1,4 @@
 """Tools for the CAN bus."""
 
-SUMMARY = "a CAN bus between processes, and recorded buses"
+SUMMARY = "a CAN bus between processes, recorded buses, and frames in C"
 TOOLS = ("hub", "replay", "firmware")

@@ -1,5 +1,6 @@
 """Reads and writes the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,13 @@ def shipped_parameters(params_file: str | None = None, stage: str | None = None)
     return values
 
 
+class _ForRcl(yaml.SafeDumper):
+    """Puts in quotes what rcl takes for a boolean and PyYAML does not: a signal may be called Y."""
+
+
+_ForRcl.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("^[yYnN]$"), list("yYnN"))
+
+
 def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     """Text of a ROS 2 parameter file with these values, by node and dotted name."""
     # What is given for all nodes comes last: a parameter on a node's command line joins it, and rcl takes the last.
@@ -113,5 +121,5 @@ def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     sections[ALL_NODES] = {name: value for name, value in described.items() if name not in own}
     # rcl refuses an empty section.
     tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
-    text: str = yaml.safe_dump(tree, sort_keys=False)
+    text: str = yaml.dump(tree, Dumper=_ForRcl, sort_keys=False)
     return text

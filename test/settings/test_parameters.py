@@ -207,3 +207,9 @@ def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_
     for node in ("driver", "controller"):
         assert node_parameters(node, read) == node_parameters(node, values)
     assert read["logger"] == {"output": "bag"} and read["stage"] == {"rate": 4000}
+
+
+def test_a_text_that_rcl_would_take_for_a_truth_value_is_in_quotes():
+    text = as_parameter_file({"driver": {"can.wire.y.signal": "Y", "can.wire.x.signal": "X", "can.dbc": "n"}})
+    assert "signal: 'Y'" in text and "dbc: 'n'" in text and "signal: X" in text
+    assert yaml.safe_load(text)["/**/driver"]["ros__parameters"]["can.wire.y.signal"] == "Y"

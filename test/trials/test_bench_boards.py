@@ -1,6 +1,8 @@
 """What `straightcomp bench boards` measures, and what it refuses; its strokes are live tests."""
 
+import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -50,3 +52,16 @@ def test_a_stroke_that_fails_is_told_with_the_board(tmp_path):
 def test_a_refused_option_ends_with_code_2_and_what_is_allowed(capsys, arguments, words):
     assert main(["bench", "boards", *arguments]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_stroke_that_fails_is_counted_and_the_next_one_is_made(monkeypatch, tmp_path):
+    figures = dict.fromkeys(("lost_samples", "lost_commands"), 1) | {"verdict": "in_order"}
+    figures |= dict.fromkeys(("residual_pp_um", "true_pp_um", "latency_p50_us", "latency_p99_us"), 2.0)
+    said = iter([("", "the board fell silent\n"), (json.dumps(figures), "")])
+    ended = SimpleNamespace(communicate=lambda: next(said))
+    monkeypatch.setattr("straightcomp_ros.trials.bench.boards.started", lambda arguments: ended)
+    (board,) = boards([None], None, tmp_path)
+    found = measure([board], 2, [], tmp_path)
+    (one,) = found["boards"]
+    assert one["failed"] == ["straightcomp.dbc, emulator: the board fell silent"] and not found["in_order"]
+    assert one["pp_um_of_each"] == [2.0] and one["lost_samples"] == 1 and one["verdict"] == "in_order"

@@ -14,12 +14,16 @@ from straightcomp_ros.hardware.can.signal_code import in_page
 if TYPE_CHECKING:
     from cantools.database.can import Signal
 
-_MOST_COUNTS, _SHORT = 2**32, 31
+_MOST_COUNTS = 2**32
+_SHORT = 31
+"""Bits from which on a value may be more than the core's nearest() takes."""
 _LARGEST_FLOAT = 3.4028234663852886e38
 _FLOATS = {32: "float", 64: "double"}
 _KEYWORDS = re.compile(
-    "auto|bool|break|case|char|const|continue|default|do|double|else|enum|extern|false|float|for|goto|if|"
-    "inline|int|long|register|restrict|return|short|signed|sizeof|static|struct|switch|true|typedef|union|unsigned|void|volatile|while"
+    "auto|bool|break|case|char|const|continue|default|do|double|else|enum|"
+    "extern|false|float|for|goto|if|inline|int|long|register|restrict|return|"
+    "short|signed|sizeof|static|struct|switch|true|typedef|union|unsigned|void|volatile|"
+    "while"
 )
 
 
@@ -95,7 +99,7 @@ def packed(signals: Signals, page: Mapping[str, int], known: Mapping[str, str]) 
         if signal.name in fields and in_page(message, signal, page):
             values[own[signal.name]] = _value(signals, fields[signal.name], known)
         elif signal.name in page:
-            values[own[signal.name]] = f"{page[signal.name]}u"
+            values[own[signal.name]] = _typed(signal, f"{page[signal.name]}")
         elif signal.raw_initial and in_page(message, signal, page):
             initial = _real(signal.raw_initial) if signal.is_float else _whole(signal.raw_initial)
             values[own[signal.name]] = _typed(signal, initial)
@@ -115,7 +119,7 @@ def _value(signals: Signals, field: str, known: Mapping[str, str]) -> str:
         return _typed(signal, f"((const uint32_t[]){{{states}}})[report->amplifier]")
     if field == "good":
         values = signals.values[field]
-        return f"report->good ? {values[True]}u : {values[False]}u"
+        return _typed(signal, f"(report->good ? {values[True]} : {values[False]})")
     return _typed(signal, f"report->{field}")
 
 
@@ -132,13 +136,13 @@ def unpacked(signals: Signals) -> tuple[list[str], list[str]]:
     for field, signal in signals.signals.items():
         raw = f"frame.{own[signal.name]}"
         if field in ("alive", "echo"):
-            statements.append(f"command->{field} = {raw};")
+            statements.append(f"command->{field} = (uint32_t){raw};")
             if field == "alive" and signals.counts(field) < 2**signal.length:
                 tests.append(f"({raw} < {signals.counts(field)}u)")
         elif field in ("enable", "reset"):
-            no, yes = signals.values[field][False], signals.values[field][True]
-            statements.append(f"command->{field} = {raw} == {yes}u;")
-            tests.append(f"(({raw} == {no}u) || ({raw} == {yes}u))")
+            no, yes = (_typed(signal, f"{signals.values[field][said]}") for said in (False, True))
+            statements.append(f"command->{field} = {raw} == {yes};")
+            tests.append(f"(({raw} == {no}) || ({raw} == {yes}))")
         else:
             scale, offset = (part * signals.factors[field] for part in (signal.scale, signal.offset))
             value = f"(board_real){raw}" + (f" * {_real(scale)}" if scale != 1 else "")

@@ -23,7 +23,7 @@ from straightcomp_ros.trials.bench.demo_strokes import (
 _LONGEST_BUILD_S = 300
 
 
-class Board(NamedTuple):
+class MeasuredBoard(NamedTuple):
     """A board to measure: its DBC file's name, who is the board, and the arguments of `straightcomp demo`."""
 
     frames: str
@@ -31,7 +31,7 @@ class Board(NamedTuple):
     arguments: tuple[str, ...]
 
 
-def boards(stages: Sequence[str | None], firmware: Path | None, folder: Path) -> list[Board]:
+def boards(stages: Sequence[str | None], firmware: Path | None, folder: Path) -> list[MeasuredBoard]:
     """The emulated board of each stage file, and the firmware core with its frames, which is built in ``folder``.
 
     Args:
@@ -47,7 +47,7 @@ def boards(stages: Sequence[str | None], firmware: Path | None, folder: Path) ->
     for number, stage in enumerate(stages):
         wire = node_parameters("driver", shipped_parameters(stage=stage)).can.make_wire()
         arguments = ("--stage", stage) if stage else ()
-        found.append(Board(wire.dbc.path.name, "emulator", arguments))
+        found.append(MeasuredBoard(wire.dbc.path.name, "emulator", arguments))
         if firmware is not None:
             try:
                 texts = frames_in_c([wire])
@@ -55,7 +55,7 @@ def boards(stages: Sequence[str | None], firmware: Path | None, folder: Path) ->
                 raise BenchFailed(f"{wire.dbc.file}: {error}") from error
             program = _built(firmware, texts, folder / f"firmware_{number}")
             set_program = ("--set", f"driver.can.firmware={program}")
-            found.append(Board(wire.dbc.path.name, "C core", (*arguments, *set_program)))
+            found.append(MeasuredBoard(wire.dbc.path.name, "C core", (*arguments, *set_program)))
     return found
 
 
@@ -75,7 +75,7 @@ def _built(firmware: Path, texts: Mapping[str, str], folder: Path) -> Path:
 
 
 def measure(
-    measured: Sequence[Board],
+    measured: Sequence[MeasuredBoard],
     rounds: int,
     arguments: Sequence[str],
     folder: Path,
@@ -92,23 +92,34 @@ def measure(
 
     Returns:
         For each board the medians over its strokes with the p-p errors of all, the samples and commands lost in all,
-        and the worst verdict; ``in_order``: whether every stroke was.
+        the worst verdict, and why strokes ``failed``: a stall of the host may be a fault for a board with a short
+        counter; ``in_order``: whether every stroke was.
 
     Raises:
-        BenchFailed: a stroke failed.
+        BenchFailed: no stroke of a board was finished.
     """
     strokes: list[list[Figures]] = [[] for _ in measured]
+    failed: list[list[str]] = [[] for _ in measured]
     for turn in range(rounds):
         for number, board in enumerate(measured):
             progress(f"{board.frames}, {board.kind}", (turn * len(measured) + number) / (rounds * len(measured)))
             output = ("--output", str(folder / f"round_{turn}_board_{number}"))
             process = started(["--hardware", "can", *board.arguments, *arguments, *output])
-            strokes[number].append(figures_of(*process.communicate(), f"{board.frames}, {board.kind}"))
+            try:
+                strokes[number].append(figures_of(*process.communicate(), f"{board.frames}, {board.kind}"))
+            except BenchFailed as error:
+                failed[number].append(str(error))
+                if turn == rounds - 1 and not strokes[number]:
+                    raise
     found = [
-        {"frames": board.frames, "board": board.kind, **_summary(own)}
-        for board, own in zip(measured, strokes, strict=True)
+        {"frames": board.frames, "board": board.kind, **_summary(own), "failed": why}
+        for board, own, why in zip(measured, strokes, failed, strict=True)
     ]
-    return {"rounds": rounds, "boards": found, "in_order": all(one["verdict"] == IN_ORDER for one in found)}
+    return {
+        "rounds": rounds,
+        "boards": found,
+        "in_order": all(one["verdict"] == IN_ORDER and not one["failed"] for one in found),
+    }
 
 
 def _summary(strokes: Sequence[Figures]) -> dict[str, Any]:

@@ -8,9 +8,10 @@ import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 
+from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cli.law_tables import rounded, titled_table
 from straightcomp_ros.cli.options import add_repeatable, check_range, output_folder
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameter_options import add_setting_option
 from straightcomp_ros.settings.share import share_path
 
@@ -60,30 +61,23 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(figures)
     else:
-        title = f"A stroke through each board, medians of {options.rounds}"
-        columns = (
-            "board",
-            "p-p [µm]",
-            "from",
-            "to",
-            "lost samples",
-            "lost commands",
-            "p50 [µs]",
-            "p99 [µs]",
-            "verdict",
-        )
-        table = titled_table(title, "frames", *columns, left=("board",))
+        title = f"Medians of {options.rounds}: p-p in µm, lost samples + commands, sample to command in µs"
+        columns = ("p-p", "range", "lost", "p50", "p99", "failed")
+        table = titled_table(title, "frames, board", *columns)
         for one in figures["boards"]:
-            ends = (rounded(end(one["pp_um_of_each"]), 2) for end in (min, max))
-            losses, latencies = ("lost_samples", "lost_commands"), ("latency_p50_us", "latency_p99_us")
+            least, largest = (rounded(end(one["pp_um_of_each"]), 2) for end in (min, max))
             table.add_row(
-                one["frames"],
-                one["board"],
+                f"{one['frames']}, {one['board']}",
                 rounded(one["pp_um"], 2),
-                *ends,
-                *(str(one[name]) for name in losses),
-                *(rounded(one[name], 0) for name in latencies),
-                one["verdict"],
+                f"{least}–{largest}",
+                f"{one['lost_samples']}+{one['lost_commands']}",
+                rounded(one["latency_p50_us"]),
+                rounded(one["latency_p99_us"]),
+                str(len(one["failed"])),
             )
+            if one["verdict"] != IN_ORDER:
+                notes.print(f"{one['frames']}, {one['board']}: {one['verdict'].replace('_', ' ')}")
         console.print(table)
+        for reason in (reason for one in figures["boards"] for reason in one["failed"]):
+            notes.print(reason)
     return 0 if figures["in_order"] else 1

@@ -88,7 +88,7 @@ def drawn_board(seed):
     y = second.protected(profile) if second is not first else ProtectionParameters()
     good = chance.random() < 0.5
     if good:
-        second.add("Ok", 2)
+        second.add("Ok", 4, signed=chance.random() < 0.5)
     pages = chance.random() < 0.5
     if pages:
         status.add("Page", 3, page="M ")
@@ -100,10 +100,10 @@ def drawn_board(seed):
     setting = message("Set")
     switches = message("SET") if chance.random() < 0.5 else setting
     setting.quantity("Current", _CURRENT)
-    switches.add("Enable", 2)
+    switches.add("Enable", 4, signed=chance.random() < 0.5)
     reset, echo = chance.random() < 0.7, chance.random() < 0.7
     if reset:
-        switches.add("Reset", 3)
+        switches.add("Reset", 4, signed=chance.random() < 0.5)
     if echo:
         switches.add("Echo", 4)
     asked = chance.choice(["none", "e2e_1", "e2e_2", "e2e_5", "j1850"])
