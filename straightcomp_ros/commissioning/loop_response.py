@@ -1,10 +1,12 @@
 """Step `frequency_response`: plant and margins as measured; does what was identified explain them?"""
 
+import dataclasses
+
 import numpy as np
 
 from straightcomp_ros.commissioning.certificate import LEAST_GAIN, LEAST_PHASE, LOOP
 from straightcomp_ros.commissioning.outcome import Outcome, Work
-from straightcomp_ros.frequency_response import FrequencyResponseError
+from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
 from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.response_margins import response_margins
 from straightcomp_ros.frequency_response.simulated_measurement import WITHIN_DB, WITHIN_DEG, ComparedResponse
@@ -17,7 +19,7 @@ def frequency_response(work: Work) -> Outcome:
     """Measure under the designed law, with the stage at rest."""
     stage = work.stage
     try:
-        found = work.machine.response(work.values, MultisineParameters(travel=work.travel))
+        found = _measured(work)
     except FrequencyResponseError as error:
         return Outcome(False, str(error))
     # Only here: matplotlib takes longer to import than the measurement.
@@ -57,6 +59,16 @@ def frequency_response(work: Work) -> Outcome:
         else f"the model explains the plant; peak of |S| {margins.peak:.2f}",
         figures,
     )
+
+
+def _measured(work: Work) -> ComparedResponse:
+    """The response; once more with half the motion if the platform left the travel: how far it moves is a guess."""
+    excitation = MultisineParameters(travel=work.travel)
+    try:
+        return work.machine.response(work.values, excitation)
+    except ExcitationEnded:
+        halved = dataclasses.replace(excitation, motion=0.5 * excitation.motion)
+        return work.machine.response(work.values, halved)
 
 
 def _changed(found: ComparedResponse) -> str:

@@ -6,10 +6,10 @@ import numpy as np
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.bags.recorded_lag import advanced, readback_lag
 from straightcomp_ros.commissioning import CommissioningError
 from straightcomp_ros.commissioning.machine import Series
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER
+from straightcomp_ros.identification.recorded_lag import advanced, readback_lag
 
 _COASTING = 0.1
 """s that a series goes on for when the amplifier has been switched off."""

@@ -3,3 +3,7 @@
 
 class FrequencyResponseError(ValueError):
     """No frequency response can be measured; the message names what is wrong and what would help."""
+
+
+class ExcitationEnded(FrequencyResponseError):
+    """The platform left the allowed travel, and the excitation faded out."""

@@ -25,8 +25,6 @@ _MOST = 3.0
 """Largest factor of the signal at low frequencies."""
 _CROSSOVER = 0.5
 """Part of a period over which one draw gives way to the next."""
-_AIMED = 1.0 / 6.0
-"""RMS of the excited motion relative to the allowed travel: a sum of sines rarely passes four times its RMS."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,10 @@ class MultisineParameters:
     )
     draws: int = parameter(40, "Draws of random phases", "[3, 100]")
     current: float = parameter(0.25, "RMS of the injected current", "(0, 10] A")
-    travel: float = parameter(
-        3e-4, "Largest |y − r|, beyond which the excitation ends early; a sixth of it is aimed at as RMS", "(0, 0.1] m"
+    travel: float = parameter(3e-4, "Largest |y − r|, beyond which the excitation ends early", "(0, 0.1] m")
+    # A sum of sines rarely passes four times its RMS.
+    motion: float = parameter(
+        1.0 / 6.0, "RMS of the excited motion that the excitation aims at, at most, relative to the travel", "(0, 1]"
     )
     seed: int = parameter(1, "Seed of the phases", "[0, 2147483647]")
 
@@ -101,7 +101,9 @@ def multisine(
     loop, share = expected(frequencies), np.sqrt(2.0 / bins.size)
     shape = np.minimum(1.0 / np.abs(loop.sensitivity), _MOST)
     shape *= parameters.current * share / np.sqrt(np.mean(shape**2))
-    amplitudes = np.minimum(shape, _AIMED * parameters.travel * share / np.abs(loop.plant * loop.sensitivity))
+    amplitudes = np.minimum(
+        shape, parameters.motion * parameters.travel * share / np.abs(loop.plant * loop.sensitivity)
+    )
     parts, before = [], np.zeros(samples)
     # The draws cross over smoothly: where the law takes back most of the signal, a step of it would come through.
     new = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, np.arange(samples) / (_CROSSOVER * samples)))

@@ -9,7 +9,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.frequency_response import FrequencyResponseError
+from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
 from straightcomp_ros.frequency_response.loop_excitation import loop_multisine
 from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, compared_response
@@ -33,7 +33,8 @@ def response_from_bag(
         stage: the description that the response is compared with.
 
     Raises:
-        FrequencyResponseError: the bag cannot be read, or has not the whole excitation.
+        FrequencyResponseError: the bag cannot be read.
+        ExcitationEnded: it has not the whole excitation.
     """
     wanted = (ENCODER, COMMAND, CONTROLLER_STATE)
     try:
@@ -60,7 +61,7 @@ def response_from_bag(
     first, alike = _place(added, excitation.currents)
     part = slice(first, first + excitation.currents.size)
     if alike < _ALIKE or len(commands[part]) < excitation.currents.size:
-        raise FrequencyResponseError(
+        raise ExcitationEnded(
             f"bag {bag}: has not the whole excitation (correlation {alike:.2f}; allowed: >= {_ALIKE:g}); was it ended "
             "early, or made with other parameters?"
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.configuration.node_parameters import Values
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.frequency_response import FrequencyResponseError
+from straightcomp_ros.frequency_response import ExcitationEnded
 from straightcomp_ros.frequency_response.closed_form import LoopResponse, friction_damping, loop_response
 from straightcomp_ros.frequency_response.loop_excitation import loop_multisine, multisine_injection
 from straightcomp_ros.frequency_response.measured_response import MeasuredResponse, measured_response
@@ -91,7 +91,8 @@ def measure_simulated(
         progress: called with the fraction that is done.
 
     Raises:
-        FrequencyResponseError: the excitation does not fit the rate, or the platform left the allowed travel.
+        FrequencyResponseError: the excitation does not fit the rate.
+        ExcitationEnded: the platform left the allowed travel.
         ParameterError, SurveyError: the parameters are refused.
         ValueError: the law has no linearisation at rest.
     """
@@ -115,7 +116,7 @@ def measure_simulated(
 
     simulation.run(progress, observe)
     if injection.stopped:
-        raise FrequencyResponseError(
+        raise ExcitationEnded(
             f"the excitation was ended early: {injection.stopped}; take less current, or allow more travel"
         )
     asked, commands, reading = np.frombuffer(rows).reshape(-1, 3).T

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags.reader import StreamColumns, read_streams
-from straightcomp_ros.bags.recorded_lag import advanced, readback_lag
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.identification import IdentificationError
+from straightcomp_ros.identification.recorded_lag import advanced, readback_lag
 
 SHORTEST, LONGEST = 2000, 60_000
 """Samples of a stretch: from a second to half a minute at 2 kHz; more would cost much and improve little."""

@@ -66,7 +66,7 @@ def commissioned(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("machine", "wiring", "step", "words"),
     [
-        ({}, broken.lossy_bus, "connection", "samples (0.97 %) were lost; look at the bus"),
+        ({}, broken.lossy_bus, "connection", "of 60000 samples (1 %) were lost; look at the bus"),
         ({}, broken.noisy_encoder, "connection", "y moves by 5 counts RMS with the amplifier off"),
         ({}, broken.readback_backwards, "signs_and_scales", "the readback is wired backwards"),
         ({}, broken.readback_of_half_the_scale, "signs_and_scales", "the readback shows 0.5 times the commanded"),

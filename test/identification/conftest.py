@@ -3,39 +3,16 @@
 import contextlib
 import io
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
-from plants import FAR, SAFE, SHORT, SOFT, STIFF
+from plants import FAR, SAFE, SOFT, STIFF, record, values
 
-from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.identification.excitation import excitation_survey
-from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.straightness.survey import write_survey
-
-
-def values(plant: Mapping[str, float], law: str = "linear", **stage: str) -> dict[str, dict[str, Any]]:
-    """Parameters for a short run on a machine with this plant, of which the law knows nothing."""
-    return {
-        "driver": {f"stage.{name}": value for name, value in plant.items()},
-        "feedforward": {},
-        "controller": {"control.law": law},
-        "cell": {},
-        "stage": {"drive.delay": 0.5, **SHORT, **{name.replace("_", "."): value for name, value in stage.items()}},
-    }
-
-
-def record(bag: Path, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
-    """Simulate, and write the bag."""
-    simulation = Simulation(parameters)
-    with SimulatedRun(bag, by_node(parameters), simulation.delay) as run:
-        simulation.run(observe=run.add)
-    return bag
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,13 @@
 """Plants that differ from the one at which the search starts, and a short run."""
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.configuration.node_parameters import by_node
+from straightcomp_ros.offline.simulation import Simulation
+
 SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
 STIFF = {
     "platform.mass": 3.4,
@@ -32,3 +40,22 @@ FAR = {
 """So far from the description that a search from there ends in a wrong valley."""
 SAFE = {"control.smc.natural_frequency": 14.0, "control.smc.phi": 13.8}
 """Gains of law 'linear' that are stable on FAR as on the description."""
+
+
+def values(plant: Mapping[str, float], law: str = "linear", **stage: str) -> dict[str, dict[str, Any]]:
+    """Parameters for a short run on a machine with this plant, of which the law knows nothing."""
+    return {
+        "driver": {f"stage.{name}": value for name, value in plant.items()},
+        "feedforward": {},
+        "controller": {"control.law": law},
+        "cell": {},
+        "stage": {"drive.delay": 0.5, **SHORT, **{name.replace("_", "."): value for name, value in stage.items()}},
+    }
+
+
+def record(bag: Path, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
+    """Simulate, and write the bag."""
+    simulation = Simulation(parameters)
+    with SimulatedRun(bag, by_node(parameters), simulation.delay) as run:
+        simulation.run(observe=run.add)
+    return bag

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plants import FAR, SOFT, STIFF
+from plants import FAR, SOFT, STIFF, record, values
 
 from straightcomp_ros.identification.current_path import CurrentPath
 from straightcomp_ros.identification.estimate import (
@@ -57,6 +57,22 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
         assert not found["poorly_determined"], name
         if name in WITHIN:
             assert found["value"] == pytest.approx(truth[name], rel=WITHIN[name]), name
+
+
+@pytest.mark.soak
+def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_path: Path, excitation: str) -> None:
+    widths = {}
+    for count in (5e-8, 4e-7):
+        parameters = values(STIFF, guide_file=excitation)
+        parameters["stage"]["encoder.y_resolution"] = count
+        start = dataclasses.replace(START, encoder=dataclasses.replace(START.encoder, y_resolution=count))
+        found = estimate_from_bag(record(tmp_path / f"{count}", parameters), start, ["platform.mass"]).parameters
+        widths[count] = found["actuator.turns"].high / found["actuator.turns"].value - 1.0
+        # STIFF has its own mass, and the description's is taken as known: what is compared is relative to it.
+        scale = START.platform.mass / truth_of(STIFF)["platform.mass"]
+        for name in ("friction.coulomb", "actuator.current_stiffness"):
+            assert found[name].low <= truth_of(STIFF)[name] * scale <= found[name].high, name
+    assert widths[4e-7] > 3.0 * widths[5e-8]
 
 
 @pytest.mark.soak
