@@ -9,6 +9,7 @@ NAME = "straightcomp_ros"
 MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
 OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
+HISTORY = ["duckdb>=1.1", "fsspec", "pyarrow>=17"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 
@@ -71,6 +72,8 @@ setup(
         "opcua": OPCUA,
         # Sweeps on other machines' cores.
         "dask": ["dask[distributed]"],
+        # Figures of many bags in one store of Parquet files; for stores and bags in S3 also s3fs.
+        "history": HISTORY,
         # The pages in docs/ as HTML: make docs.
         "docs": DOCS,
         # Changes of the source that tests must notice: make mutants.
@@ -84,6 +87,7 @@ setup(
             # The tests without live nodes, one process a core.
             "pytest-xdist",
             *OPCUA,
+            *HISTORY,
             # Another implementation of the CRCs; cantools brings it too.
             "crccheck",
             "dask[distributed]",
