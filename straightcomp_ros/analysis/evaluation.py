@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,8 @@ class BagEvaluation:
         parameters: of the recorded nodes, by node and dotted name; empty when none are attached.
         map: of the attached survey; None without one.
         stalls: when the host failed the loop, on the clock of ``record``.
+        begin_ns: stamp of the first sample of ``record``.
+        latency_stamps: stamps in ns of the driver's records that tell ``latency``, as many.
     """
 
     record: StrokeRecord
@@ -50,6 +52,8 @@ class BagEvaluation:
     parameters: Mapping[str, Mapping[str, Any]]
     map: StraightnessMap | None = None
     stalls: tuple[Stall, ...] = ()
+    begin_ns: int = 0
+    latency_stamps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
     def lost_samples(self) -> int:
@@ -117,26 +121,29 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
     answered = unique[COMMAND.topic][0]
     state = driver.stamp if driver else answered[:0]
+    told = np.isfinite(latency)
     stalls = stalls_of(encoder - common[0], answered - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
-        expected_samples=_taken(encoder),
+        expected_samples=samples_taken(encoder),
         received_samples=len(encoder),
         lost_references=_missing(encoder, unique[REFERENCE.topic][0]),
         lost_commands=_missing(encoder, answered),
-        latency=latency[np.isfinite(latency)],
+        latency=latency[told],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
         amplifier_on=on,
         parameters=parameters,
         map=attached_map(attachments, parameters),
         stalls=tuple(stalls),
+        begin_ns=int(common[0]),
+        latency_stamps=state[told],
     )
 
 
-def _taken(stamps: NDArray[np.int64]) -> int:
-    """Samples from the first of these to the last, counted from one to the next: the stamps of a board with a clock of
-    its own lie on no common grid for a whole run."""
+def samples_taken(stamps: NDArray[np.int64]) -> int:
+    """Samples that the clock took from the first of these stamps (n,) in ns to the last, counted from one to the next:
+    the stamps of a board with a clock of its own lie on no common grid for a whole run."""
     steps = np.diff(stamps)
     return 1 + int(np.maximum(1, np.round(steps / np.median(steps))).sum())
 

@@ -10,8 +10,8 @@ from datetime import datetime
 
 from straightcomp_ros.history.row_columns import column
 
-BIN = 0.01
-"""Width in m of the bins over x. Bin k of a stroke begins at ``bins_from_mm`` + 10 k."""
+BIN_MM = 10
+"""Width of the bins over x. Bin k of a stroke begins at ``bins_from_mm`` + 10 k."""
 PARTITIONS = ("stage", "month")
 """Columns that the folders of the store name, so that a file does not repeat them: name of the stage, and month
 YYYY-MM in which the bag's first stroke began, UTC."""
@@ -54,7 +54,7 @@ class StrokeRow:
     faults: list[str] = column("faults of the driver latched in the stroke or before the next one, see docs/safety.md")
     verdict: str = column("verdict on the stroke, see docs/accuracy.md")
     reason: str = column("the verdict's reason, with numbers")
-    bins_from_mm: float = column("x at which the first bin begins, a multiple of the bins' width of 10 mm")
+    bins_from_mm: int = column("x at which the first bin begins, a multiple of the bins' width of 10 mm")
     error_bins_um: list[float | None] = column("mean error r − y in each bin; null without a sample there")
     residual_bins_um: list[float | None] = column(
         "mean deviation of the workpiece in each bin, beside the least squares line: true positions where they are "
@@ -64,7 +64,7 @@ class StrokeRow:
     guide_change_um: list[float | None] | None = column(
         "deviation of the guide by the displacement sensor, minus the map's, in each bin; null without a sensor"
     )
-    parameters_checksum: str | None = column("BLAKE2b of the nodes' recorded parameters")
+    parameters_checksum: str | None = column("BLAKE2b of the parameters of driver, feedforward and controller")
     map_checksum: str | None = column("BLAKE2b of the attached map")
     software_version: str | None = column("version of the package that recorded the bag")
     software_revision: str | None = column("its git revision")
