@@ -54,7 +54,7 @@ def schema_of(row: type) -> pyarrow.Schema:
         nullable = one.kind.endswith("| None")
         kind = kinds[0] if nullable else hints[one.name]
         arrow = types.get(kind) or pa.timestamp("us", tz="UTC")
-        fields.append(pa.field(one.name, arrow, nullable=nullable, metadata={_DESCRIPTION: one.description}))
+        fields.append(pa.field(one.name, arrow, nullable=nullable))
     return pa.schema(fields)
 
 
