@@ -97,7 +97,10 @@ def is_finished(place: BagPlace) -> bool:
 
 
 def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
-    folders, entries = _listed(files, path, local)
+    try:
+        folders, entries = _listed(files, path, local)
+    except FileNotFoundError:
+        return  # removed meanwhile
     messages = [entry for entry in entries if entry.name.endswith(_MESSAGES)]
     recordings = [split_number(Path(entry.name)) for entry in messages]
     numbered = len({name for name, _, _ in recordings}) == 1 and all(number >= 0 for _, number, _ in recordings)

@@ -41,11 +41,12 @@ class Store:
     Attributes:
         url: as it was given.
         files, root: its fsspec file system, and its path there.
+        local: whether that is this machine's own.
     """
 
     def __init__(self, url: str) -> None:
         self.url = url
-        self.files, root, self._local = file_system(url)
+        self.files, root, self.local = file_system(url)
         self.root = root.rstrip("/")
         if self.files.isfile(self.root):
             raise HistoryError(f"store {url}: is a file; name a folder")
@@ -96,7 +97,7 @@ class Store:
 
     def clear_abandoned(self) -> None:
         """Remove what killed processes have left half-written."""
-        if not self._local:
+        if not self.local:
             return
         for part in Path(self.root, _PARTS).glob("*"):
             try:
@@ -109,7 +110,7 @@ class Store:
         return f"{self.root}/{BAGS}/{checksum_of([location.encode()])}.parquet"
 
     def _write(self, path: str, data: bytes) -> None:
-        if not self._local:
+        if not self.local:
             # An object appears whole.
             self.files.pipe_file(path, data)
             return
