@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 from mcap.writer import MCAP0_MAGIC
 
 from straightcomp_ros.bags.folder import split_number
-from straightcomp_ros.history import HistoryError
+from straightcomp_ros.history import HistoryError, StorageError
 
 _MESSAGES = (".mcap", ".db3")
 _METADATA = "metadata.yaml"
@@ -62,25 +63,29 @@ def file_system(url: str) -> tuple[Any, str, bool]:
     return files, path, isinstance(files, LocalFileSystem)
 
 
+@contextmanager
+def reaching(url: str) -> Iterator[None]:
+    """Raise StorageError for whatever the client of a storage raises but FileNotFoundError: each has its own errors."""
+    try:
+        yield
+    except (FileNotFoundError, HistoryError, StorageError):
+        raise
+    except Exception as error:
+        raise StorageError(f"{url}: {error}") from error
+
+
 def bags_in(url: str) -> Iterator[BagPlace]:
     """The bag at ``url``, or all bags below that folder, in the order of their names.
 
     A folder with metadata.yaml, or with the numbered files of one recording, is a bag; other MCAP and SQLite files are
-    bags of their own. Links to folders are not followed. Raises HistoryError when nothing is there.
+    bags of their own. Links to folders are not followed.
+
+    Raises:
+        HistoryError: nothing is there.
+        StorageError: it cannot be listed.
     """
-    files, path, local = file_system(url)
-    if not files.exists(path):
-        raise HistoryError(f"{url} does not exist; give a bag, a folder of bags, or a URL such as s3://BUCKET/FOLDER")
-    # What was listed before may have changed, and would fill the memory.
-    files.invalidate_cache()
-    if files.isdir(path):
-        yield from _below(files, path.rstrip("/"), local)
-    elif local:
-        told = os.stat(path)
-        yield BagPlace(_location(files, path, local), (), told.st_size, _changed(told))
-    else:
-        info = files.info(path)
-        yield BagPlace(_location(files, path, local), (), info["size"], _modified(info))
+    with reaching(url):
+        yield from _found(url)
 
 
 def is_finished(place: BagPlace) -> bool:
@@ -94,6 +99,22 @@ def is_finished(place: BagPlace) -> bool:
             if files.cat_file(inside, start=max(size - len(MCAP0_MAGIC), 0), end=size) != MCAP0_MAGIC:
                 return False
     return True
+
+
+def _found(url: str) -> Iterator[BagPlace]:
+    files, path, local = file_system(url)
+    if not files.exists(path):
+        raise HistoryError(f"{url} does not exist; give a bag, a folder of bags, or a URL such as s3://BUCKET/FOLDER")
+    # What was listed before may have changed, and would fill the memory.
+    files.invalidate_cache()
+    if files.isdir(path):
+        yield from _below(files, path.rstrip("/"), local)
+    elif local:
+        told = os.stat(path)
+        yield BagPlace(_location(files, path, local), (), told.st_size, _changed(told))
+    else:
+        info = files.info(path)
+        yield BagPlace(_location(files, path, local), (), info["size"], _modified(info))
 
 
 def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:

@@ -16,7 +16,7 @@ from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.origin import origin
-from straightcomp_ros.history.bag_places import BagPlace, file_system
+from straightcomp_ros.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.history.bag_row import BagRow
 from straightcomp_ros.history.recorded_facts import bag_files, checksum_of, recorded_facts
 from straightcomp_ros.history.row_columns import table_of
@@ -115,12 +115,13 @@ def _on_this_machine(place: BagPlace) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory(prefix="straightcomp_history_") as folder:
         bag = Path(folder, Path(path).name)
-        if place.names:
-            bag.mkdir()
-        for name in place.names:
-            files.get_file(f"{path}/{name}", str(bag / name))
-        if not place.names:
-            files.get_file(path, str(bag))
+        with reaching(place.location):
+            if place.names:
+                bag.mkdir()
+            for name in place.names:
+                files.get_file(f"{path}/{name}", str(bag / name))
+            if not place.names:
+                files.get_file(path, str(bag))
         yield bag
 
 

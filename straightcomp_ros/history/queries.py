@@ -42,6 +42,8 @@ def query(store: Store, sql: str) -> pyarrow.Table:
         raise HistoryError(f"queries need duckdb and pyarrow, which are not installed. Remedy: {remedy}") from error
     with duckdb.connect() as database:
         database.execute("SET TimeZone = 'UTC'")
+        if not store.local:
+            database.register_filesystem(store.files)
         if not _add_table(database, store, BAGS, BagRow, ()):
             make = f"straightcomp history add BAG -o {store.url}"
             raise HistoryError(f"store {store.url}: no bag was added there; make it: {make}")
@@ -58,7 +60,6 @@ def _add_table(database: Any, store: Store, name: str, row: type, partitions: tu
     """Add a table of the store; returns whether it has files."""
     folder = f"{store.root}/{name}"
     if not store.local:
-        database.register_filesystem(store.files)
         folder = store.files.unstrip_protocol(folder)
     files = f"{glob.escape(folder)}/**/*.parquet".replace("'", "''")
     if not database.execute(f"SELECT 1 FROM glob('{files}') LIMIT 1").fetchall():

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
 
-from straightcomp_ros.history import HistoryError
-from straightcomp_ros.history.bag_places import BagPlace, file_system
+from straightcomp_ros.history import HistoryError, StorageError
+from straightcomp_ros.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.history.bag_row import BagRow
 from straightcomp_ros.history.evaluated_bag import EvaluatedBag, parquet
 from straightcomp_ros.history.recorded_facts import checksum_of
@@ -48,7 +48,9 @@ class Store:
         self.url = url
         self.files, root, self.local = file_system(url)
         self.root = root.rstrip("/")
-        if self.files.isfile(self.root):
+        with reaching(url):
+            is_file = self.files.isfile(self.root)
+        if is_file:
             raise HistoryError(f"store {url}: is a file; name a folder")
 
     def has(self, place: BagPlace) -> bool:
@@ -56,7 +58,8 @@ class Store:
         import pyarrow.parquet
 
         try:
-            data = self.files.cat_file(self._bag_file(place.location))
+            with reaching(self.url):
+                data = self.files.cat_file(self._bag_file(place.location))
         except FileNotFoundError:
             return False
         found = pyarrow.parquet.read_table(pyarrow.BufferReader(data)).to_pylist()[0]
@@ -64,7 +67,7 @@ class Store:
         return same and place.modified is not None and found["checksum"] is not None
 
     def put(self, bag: EvaluatedBag) -> None:
-        """Write what a bag gives; an OSError where that is impossible."""
+        """Write what a bag gives. Raises OSError when the store cannot be written."""
         row = bag.row
         if bag.strokes is not None:
             folders = (f"{name}={quote(str(getattr(row, name)), safe='')}" for name in PARTITIONS)
@@ -111,8 +114,12 @@ class Store:
 
     def _write(self, path: str, data: bytes) -> None:
         if not self.local:
-            # An object appears whole.
-            self.files.pipe_file(path, data)
+            try:
+                with reaching(self.url):
+                    # An object appears whole.
+                    self.files.pipe_file(path, data)
+            except FileNotFoundError as error:
+                raise StorageError(f"store {self.url} cannot be written: {error}") from error
             return
         parts = Path(self.root, _PARTS)
         for folder in (parts, Path(path).parent):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from typing import Any, TypeVar
@@ -47,7 +48,15 @@ def _on_this_machine(
     jobs: int, function: Callable[..., _Result], shared: tuple[Any, ...], items: Iterable[_Item]
 ) -> Iterator[_Result]:
     parallel = Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered")
-    return iter(parallel(delayed(function)(*shared, item) for item in items))
+    results = parallel(delayed(function)(*shared, item) for item in items)
+    try:
+        for result in results:  # noqa: UP028 - `yield from` would close it before the warning is switched off
+            yield result
+    finally:
+        with warnings.catch_warnings():
+            # joblib warns of results that nobody took: after Ctrl-C or an error nobody wants them.
+            warnings.simplefilter("ignore")
+            results.close()
 
 
 def _on_dask(
