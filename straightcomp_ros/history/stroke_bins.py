@@ -22,8 +22,8 @@ class Bins(NamedTuple):
     place: NDArray[np.int64]
 
     def means(self, values: NDArray[np.float64]) -> list[float | None]:
-        """Mean of ``values`` (n,), finite, in each bin; None for a bin without a sample."""
-        inside = (self.place >= 0) & (self.place < self.count)
+        """Mean of ``values`` (n,) in each bin, without those that are NaN; None for a bin without a value."""
+        inside = (self.place >= 0) & (self.place < self.count) & np.isfinite(values)
         place = self.place[inside]
         samples = np.bincount(place, minlength=self.count)
         sums = np.bincount(place, values[inside], minlength=self.count)

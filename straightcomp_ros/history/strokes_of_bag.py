@@ -15,11 +15,15 @@ from straightcomp_ros.analysis.bounds import bounds_of
 from straightcomp_ros.analysis.course import Course, course_of
 from straightcomp_ros.analysis.error_detail import stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us, samples_taken
+from straightcomp_ros.analysis.force_balance import force_balance
 from straightcomp_ros.analysis.metrics import stroke_figures, true_error
 from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord, check_finite, find_motion
 from straightcomp_ros.analysis.run_verdict import verdict_of
-from straightcomp_ros.history.stroke_bins import bins_over
+from straightcomp_ros.history.stroke_bins import Bins, bins_over
 from straightcomp_ros.history.stroke_row import StrokeRow
+from straightcomp_ros.identification.current_path import current_path
+from straightcomp_ros.identification.stretch import Recording
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.residual import least_squares_residual
 from straightcomp_ros.timing.node_timing import Report
 
@@ -92,6 +96,8 @@ class _Run:
         latency = evaluation.latency[heard]
         verdict = verdict_of(self._course(stroke), bounds_of(evaluation.parameters, evaluation.map))
         bins = bins_over(part.x)
+        coils = evaluation.coil_current[stroke.samples]
+        balance = force_balance(part.time, part.y, coils)
         return StrokeRow(
             checksum=recorded.checksum,
             bag=recorded.bag,
@@ -102,9 +108,9 @@ class _Run:
             **figures,
             control_activity_A=float(np.abs(np.diff(part.current)).sum()),
             coil_work_A2s=_integral(part.time, part.current**2),
-            friction_A=None,
-            stiffness_A_per_m=None,
-            amplifier_bandwidth_Hz=None,
+            friction_A=_known(balance.friction),
+            stiffness_A_per_m=_known(balance.stiffness),
+            amplifier_bandwidth_Hz=self._bandwidth(part, coils),
             latency_p50_us=_known(percentile_us(latency, 50)),
             latency_p99_us=_known(percentile_us(latency, 99)),
             expected_samples=taken,
@@ -120,7 +126,7 @@ class _Run:
             error_bins_um=bins.means((part.r - part.y) * 1e6),
             residual_bins_um=bins.means(_residual(part, self.reference) * 1e6),
             current_bins_A=bins.means(part.current),
-            guide_change_um=None,
+            guide_change_um=self._guide_change(part, stroke, bins),
             parameters_checksum=recorded.parameters_checksum,
             map_checksum=recorded.map_checksum,
             software_version=recorded.software_version,
@@ -133,6 +139,24 @@ class _Run:
         times = (record.time[stroke.start] - _AROUND, record.time[stroke.stop - 1] + _AROUND)
         start, stop = np.searchsorted(record.time, times).tolist()
         return course_of(part_of(record, start, stop), self.reference, self.evaluation.stalls)
+
+    def _bandwidth(self, part: StrokeRecord, coils: NDArray[np.float64]) -> float | None:
+        """Of the amplifier in Hz, where no sample of the stroke is missing and its current steps tell it."""
+        steps = np.diff(part.time)
+        if not np.isfinite(coils).all() or steps.max() > 1.5 * steps.min():
+            return None
+        period_ns = round(float(np.median(steps)) * 1e9)
+        recording = Recording(period_ns, part.x, part.y, coils, part.current, part.time.size)
+        path = current_path(recording, StageParameters().drive)
+        return path.rate / (2.0 * math.pi) if path.rate_found else None
+
+    def _guide_change(self, part: StrokeRecord, stroke: Stroke, bins: Bins) -> list[float | None] | None:
+        evaluation = self.evaluation
+        if evaluation.guide is None or evaluation.map is None:
+            return None
+        change = evaluation.guide[stroke.samples] - evaluation.map.deviations(part.x)
+        # The sensor's zero is arbitrary.
+        return bins.means((change - np.nanmean(change)) * 1e6) if np.isfinite(change).any() else None
 
 
 def part_of(record: StrokeRecord, start: int, stop: int) -> StrokeRecord:
