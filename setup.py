@@ -88,6 +88,13 @@ setup(
             "pytest-xdist",
             *OPCUA,
             *HISTORY,
+            # Other readers of its files; a server that speaks S3, and the client.
+            "pandas",
+            "polars",
+            "s3fs",
+            "moto[s3]",
+            "flask",
+            "flask-cors",
             # Another implementation of the CRCs; cantools brings it too.
             "crccheck",
             "dask[distributed]",

@@ -16,6 +16,7 @@ from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.origin import origin
+from straightcomp_ros.history import HistoryError
 from straightcomp_ros.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.history.bag_row import BagRow
 from straightcomp_ros.history.recorded_facts import bag_files, checksum_of, recorded_facts
@@ -74,7 +75,7 @@ def _evaluated(bag: Path, row: BagRow) -> EvaluatedBag:
         evaluation = evaluate_bag(bag)
         facts = recorded_facts(bag, str(row.checksum), evaluation.parameters)
         strokes = rows_of(evaluation, facts)
-    except OSError:
+    except (OSError, HistoryError):
         raise
     except (BagError, MetricsError) as error:
         reason = str(error)

@@ -37,7 +37,7 @@ def columns_of(row: type) -> tuple[Column, ...]:
 @functools.cache
 def schema_of(row: type) -> pyarrow.Schema:
     """The Arrow schema of a row's class. A column whose type allows None is nullable."""
-    pa = _pyarrow()
+    pa = arrow()
     types = {
         str: pa.string(),
         int: pa.int64(),
@@ -53,8 +53,8 @@ def schema_of(row: type) -> pyarrow.Schema:
         kinds = [kind for kind in getattr(hints[one.name], "__args__", ()) if kind is not type(None)]
         nullable = one.kind.endswith("| None")
         kind = kinds[0] if nullable else hints[one.name]
-        arrow = types.get(kind) or pa.timestamp("us", tz="UTC")
-        fields.append(pa.field(one.name, arrow, nullable=nullable))
+        values = types.get(kind) or pa.timestamp("us", tz="UTC")
+        fields.append(pa.field(one.name, values, nullable=nullable))
     return pa.schema(fields)
 
 
@@ -62,10 +62,11 @@ def table_of(row: type, rows: Sequence[Any]) -> pyarrow.Table:
     """The rows, instances of the class ``row``, as an Arrow table."""
     schema = schema_of(row)
     columns = {name: [getattr(one, name) for one in rows] for name in schema.names}
-    return _pyarrow().Table.from_pydict(columns, schema)
+    return arrow().Table.from_pydict(columns, schema)
 
 
-def _pyarrow() -> Any:
+def arrow() -> Any:
+    """The package pyarrow; HistoryError where it is not installed."""
     try:
         import pyarrow
     except ImportError as error:

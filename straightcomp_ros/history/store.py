@@ -22,7 +22,7 @@ from straightcomp_ros.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.history.bag_row import BagRow
 from straightcomp_ros.history.evaluated_bag import EvaluatedBag, parquet
 from straightcomp_ros.history.recorded_facts import checksum_of
-from straightcomp_ros.history.row_columns import schema_of
+from straightcomp_ros.history.row_columns import arrow, schema_of
 from straightcomp_ros.history.stroke_row import PARTITIONS, StrokeRow
 from straightcomp_ros.settings.whole_file import write_whole
 
@@ -36,7 +36,8 @@ _ABANDONED_S = 60.0
 
 
 class Store:
-    """A store at a path or URL. Raises HistoryError for a URL of an unknown kind, or a path that is a file.
+    """A store at a path or URL. Raises HistoryError for a URL of an unknown kind, a path that is a file, or where the
+    packages for stores are not installed.
 
     Attributes:
         url: as it was given.
@@ -45,6 +46,7 @@ class Store:
     """
 
     def __init__(self, url: str) -> None:
+        arrow()  # tells that it is missing before anything is evaluated
         self.url = url
         self.files, root, self.local = file_system(url)
         self.root = root.rstrip("/")

@@ -18,7 +18,9 @@ def stroke(friction: float, noise: float = 0.0, lost: float = 0.0) -> tuple[NDAr
     random = np.random.default_rng(1)
     time = np.arange(0.0, 6.0, 1.0 / RATE)
     y = 10e-6 * np.sin(np.pi * time)
-    current = 0.01 - STIFFNESS * y + friction * np.sign(np.cos(np.pi * time)) + noise * random.standard_normal(time.size)
+    current = (
+        0.01 - STIFFNESS * y + friction * np.sign(np.cos(np.pi * time)) + noise * random.standard_normal(time.size)
+    )
     current[random.random(time.size) < lost] = np.nan
     return time, np.round(y / 1e-7) * 1e-7, current
 
