@@ -56,7 +56,7 @@ def template_of(bag: Path) -> Template:
 
 
 def write_bag(template: Template, folder: Path, number: int, stages: int = 1) -> None:
-    """Write bag ``number``, from 0, of so many stages in turn; every number makes another bag, always the same.
+    """Write bag ``number``, from 0, of so many stages in turn; every number makes other messages, always the same.
 
     Raises BagError when the folder holds files or cannot be written.
     """

@@ -114,9 +114,8 @@ def _added(bags: Path, store: Path, *options: str) -> Run:
 def _memory_mb(process_id: int) -> float:
     """Resident memory of a process and of all that it started."""
     try:
-        children = [
-            int(one) for task in Path(f"/proc/{process_id}/task").iterdir() for one in _words(task / "children")
-        ]
+        tasks = Path(f"/proc/{process_id}/task").iterdir()
+        children = [int(child) for task in tasks for child in (task / "children").read_text().split()]
         return usage({"": process_id}).rss_mb[""] + sum(map(_memory_mb, children))
     except OSError:
         return 0.0  # it has ended
