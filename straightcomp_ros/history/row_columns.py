@@ -22,6 +22,11 @@ class Column(NamedTuple):
     kind: str
     description: str
 
+    @property
+    def nullable(self) -> bool:
+        """Whether it may be null."""
+        return self.kind.endswith("| None")
+
 
 def column(description: str) -> Any:
     """Declare a field of a row; the unit is at the end of the field's name."""
@@ -44,17 +49,15 @@ def schema_of(row: type) -> pyarrow.Schema:
         float: pa.float64(),
         list[str]: pa.list_(pa.string()),
         # Bins are many, and a µm needs no more than seven digits.
-        list[float]: pa.list_(pa.float32()),
         list[float | None]: pa.list_(pa.float32()),
     }
     hints = get_type_hints(row)
     fields = []
     for one in columns_of(row):
         kinds = [kind for kind in getattr(hints[one.name], "__args__", ()) if kind is not type(None)]
-        nullable = one.kind.endswith("| None")
-        kind = kinds[0] if nullable else hints[one.name]
+        kind = kinds[0] if one.nullable else hints[one.name]
         values = types.get(kind) or pa.timestamp("us", tz="UTC")
-        fields.append(pa.field(one.name, values, nullable=nullable))
+        fields.append(pa.field(one.name, values, nullable=one.nullable))
     return pa.schema(fields)
 
 

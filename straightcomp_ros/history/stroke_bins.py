@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from straightcomp_ros.history.stroke_row import BIN_MM
 _WIDTH = 1e-3 * BIN_MM
 
 
-class Bins(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Bins:
     """``count`` bins, the first from x = ``from_mm`` on; ``place`` (n,) is the bin of each sample, beyond 0 to
     ``count`` − 1 for the samples outside."""
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,7 +162,8 @@ class _Run:
 
 def part_of(record: StrokeRecord, start: int, stop: int) -> StrokeRecord:
     """The samples ``start`` to ``stop`` (exclusive) of a record; their times stay those of the record."""
-    return replace(record, **{name: values[start:stop] for name, values in record.columns().items()})
+    columns: dict[str, Any] = {name: values[start:stop] for name, values in record.columns().items()}
+    return replace(record, **columns)
 
 
 def _residual(part: StrokeRecord, reference: RecordedReference) -> NDArray[np.float64]:
