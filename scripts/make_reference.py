@@ -87,9 +87,9 @@ def _history_tables() -> list[str]:
     lines = [
         "## Tables of a history",
         "",
-        "In a [store](history.md). The unit is at the end of a name. Where the second column has ∅, a value is null if the "
-        "bag does not tell it. `strokes` has two columns more, by which its files are sorted into folders: `stage`, the "
-        "stage's name, and `month`, YYYY-MM, in which the bag's first stroke began, UTC.",
+        "In a [store](history.md). The unit is at the end of a name. Where the second column has ∅, a value is null if "
+        "the bag does not tell it. `strokes` has two columns more, by which its files are sorted into folders: "
+        "`stage`, the stage's name, and `month`, YYYY-MM, in which the bag's first stroke began, UTC.",
         "",
     ]
     for table, row in ((STROKES, StrokeRow), (BAGS, BagRow)):
