@@ -5,7 +5,8 @@ While the platform slides slowly, its inertia is negligible, and the magnets bal
     i_c = c − (K̄_y/K̄_i) y + (F/K̄_i) sgn ẏ
 
 A stroke along the guide goes over the same y in both directions, so that friction shows as half the hysteresis of the
-current over y. Where ẏ is near zero the bristles bend, and the sign means nothing: such samples are left out.
+current over y. Where ẏ is near zero, and on the first micrometres after a reversal, the bristles bend, and friction has
+not its full value: such samples are left out.
 """
 
 import math
@@ -18,10 +19,12 @@ _SPAN = 0.05
 """Time in s over which ẏ is taken: longer than a count of the encoder takes."""
 _SLIDING = 0.2
 """Fraction of the 90th percentile of |ẏ| from which the platform counts as sliding."""
+_BENDING = 2e-6
+"""Travel in m after a reversal in which the bristles bend: four times that of the shipped stage."""
 _LEAST = 500
 """Samples of sliding in each direction."""
-_LEAST_TRAVEL = 2e-6
-"""Travel of the platform in m below which it only creeps on its bristles."""
+_LEAST_TRAVEL = 2.0 * _BENDING
+"""Travel of the platform in m below which hardly any of it is sliding."""
 
 
 class ForceBalance(NamedTuple):
@@ -44,7 +47,10 @@ def force_balance(time: NDArray[np.float64], y: NDArray[np.float64], coil_curren
         return ForceBalance(math.nan, math.nan)
     width = max(3, round(_SPAN / float(np.median(np.diff(time)))))
     velocity = uniform_filter1d(np.gradient(uniform_filter1d(y, width, mode="nearest"), time), width, mode="nearest")
+    turned = np.diff(np.sign(velocity), prepend=0.0) != 0.0
+    turning_point = np.maximum.accumulate(np.where(turned, np.arange(y.size), 0))
     sliding = np.abs(velocity) > _SLIDING * float(np.percentile(np.abs(velocity), 90))
+    sliding &= np.abs(y - y[turning_point]) > _BENDING
     way = np.sign(velocity[sliding])
     if min(np.count_nonzero(way > 0.0), np.count_nonzero(way < 0.0)) < _LEAST:
         return ForceBalance(math.nan, math.nan)
