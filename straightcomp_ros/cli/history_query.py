@@ -7,7 +7,7 @@
 
 Tables: `strokes`, one row for each stroke; `bins`, one row for each 10 mm of each stroke; `bags`, one row for each bag
 that was added or refused; `refused`, those of them that were refused. `DESCRIBE strokes` lists the columns, which
-docs/history.md explains. Times are UTC.
+docs/reference.md explains. Times are UTC. With --json the rows are the list `rows`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("store", nargs="?", default=DEFAULT_STORE, metavar="STORE", help="folder or URL (default: %(default)s)")
     add("sql", metavar="SQL", help="the query")
-    add("--json", action="store_true", help="print one JSON object, with the list `rows`, and nothing else")
+    add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:

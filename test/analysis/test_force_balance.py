@@ -54,7 +54,7 @@ def test_ten_percent_more_friction_of_a_simulated_stage_is_seen_as_nearly_that()
     for factor in (1.0, 1.1):
         coils: list[float] = []
         simulation = Simulation({"driver": {"simulated.truth.friction": factor}})
-        record = simulation.run(observe=lambda sample, *_: coils.append(sample.current))
+        record = simulation.run(observe=lambda sample, *_, coils=coils: coils.append(sample.current))
         found.append(force_balance(record.time, record.y, np.array(coils)))
     assert found[1].friction / found[0].friction == pytest.approx(1.1, abs=0.02)
     assert found[0].friction == pytest.approx(0.0075, abs=0.001)
