@@ -70,7 +70,7 @@ setup(
         # The node opcua. asyncua is LGPL-3: it is used as a library, unchanged, and only where this extra is asked for.
         # The guard of sessions (opcua/guard.py) overrides its internals: a newer one needs a look first.
         "opcua": OPCUA,
-        # Sweeps on other machines' cores.
+        # Sweeps and histories on other machines' cores.
         "dask": ["dask[distributed]"],
         # Figures of many bags in one store of Parquet files; for stores and bags in S3 also s3fs.
         "history": HISTORY,

@@ -55,7 +55,8 @@ def file_system(url: str) -> tuple[Any, str, bool]:
         remedy = "pip install 'straightcomp_ros[history]'"
         raise HistoryError(f"the history needs fsspec, which is not installed. Remedy: {remedy}") from error
     try:
-        files, path = fsspec.url_to_fs(url)
+        # A list that is kept would hide changes, and fill the memory.
+        files, path = fsspec.url_to_fs(url, use_listings_cache=False)
     except ImportError as error:
         raise HistoryError(f"{url}: {error}; e.g. pip install s3fs") from error
     except ValueError as error:
@@ -105,10 +106,8 @@ def _found(url: str) -> Iterator[BagPlace]:
     files, path, local = file_system(url)
     if not files.exists(path):
         raise HistoryError(f"{url} does not exist; give a bag, a folder of bags, or a URL such as s3://BUCKET/FOLDER")
-    # What was listed before may have changed, and would fill the memory.
-    files.invalidate_cache()
     if files.isdir(path):
-        yield from _below(files, path.rstrip("/"), local)
+        yield from _below(files, path.rstrip("/") or path, local)
     elif local:
         told = os.stat(path)
         yield BagPlace(_location(files, path, local), (), told.st_size, _changed(told))
