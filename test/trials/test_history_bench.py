@@ -16,7 +16,9 @@ def test_the_bench_measures_every_figure_and_finds_the_same_everywhere(capsys):
     assert figures["dask_same"] is True and figures["pandas_same"] is True
     for way in ("here", "dask"):
         assert figures[way]["bags_per_s"] > 0.0 and figures[way]["memory_mb"] > 10.0
+        assert figures[way]["cpu_ms_per_bag"] > 0.0
     assert figures["again_s"] > 0.0 and figures["query_s"] > 0.0 and figures["pandas_bags_per_s"] > 0.0
+    assert figures["pandas_cpu_ms_per_bag"] > 0.0
 
 
 def test_each_number_makes_another_bag_and_the_same_one_again(tmp_path):

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from straightcomp_ros.history.queries import query
 from straightcomp_ros.history.store import Store
@@ -34,11 +34,19 @@ _QUESTION = "SELECT stage, month, count(*), median(encoder_pp_um), max(latency_p
 
 @dataclass(frozen=True)
 class Run:
-    """A run of `straightcomp history add`: its time in s, and the largest resident memory in MB of all its processes
-    together, within the first quarter of the time and within all of it."""
+    """A run of `straightcomp history add`: its time in s, the CPU time of all its processes together in s, and their
+    largest resident memory in MB, within the first quarter of the time and within all of it."""
 
     seconds: float
+    cpu: float
     memory_of_quarter: float
+    memory: float
+
+
+class _Look(NamedTuple):
+    """A process and all that it started: CPU time in s, resident memory in MB."""
+
+    cpu: float
     memory: float
 
 
@@ -51,9 +59,10 @@ def run(bags: int, progress: Callable[[str, float], None] = lambda text, done: N
 
     Returns:
         ``bags``, ``bags_mb``, ``cores``, ``strokes``, ``store_mb``; ``here`` and ``dask``, with two workers:
-        {bags_per_s, memory_of_quarter_mb, memory_mb}; ``dask_same``: whether it made the same store to the last bit;
-        ``again_s``: adding the same bags again; ``query_s``: one query over all strokes; ``pandas_bags_per_s``: reading
-        with rosbags and pandas on the same cores; ``pandas_same``: whether its errors are ours.
+        {bags_per_s, cpu_ms_per_bag, memory_of_quarter_mb, memory_mb}, of Dask without its workers; ``dask_same``:
+        whether it made the same store to the last bit; ``again_s``: adding the same bags again; ``query_s``: one query
+        over all strokes; ``pandas_bags_per_s``, ``pandas_cpu_ms_per_bag``: reading with rosbags and pandas on the same
+        cores; ``pandas_same``: whether its errors are ours.
     """
     cores = os.cpu_count() or 1
     with tempfile.TemporaryDirectory(prefix="straightcomp_history_") as folder:
@@ -95,30 +104,33 @@ def _write(template: Template, folder: Path, number: int) -> None:
 
 def _added(bags: Path, store: Path, *options: str) -> Run:
     words = ["history", "add", str(bags), "-o", str(store), "--json", *options]
-    looks: list[tuple[float, float]] = []
+    looks: list[tuple[float, _Look]] = []
     started = time.perf_counter()
     command = [sys.executable, "-m", "straightcomp_ros.cli.main", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         while process.poll() is None:
-            looks.append((time.perf_counter() - started, _memory_mb(process.pid)))
+            looks.append((time.perf_counter() - started, _look(process.pid)))
             time.sleep(_LOOK_S)
         seconds = time.perf_counter() - started
         told = process.stdout.read() if process.stdout else ""
     tally = json.loads(told)
     if process.returncode or tally["refused"]:
         raise RuntimeError(f"adding generated bags ended with code {process.returncode}: {tally}")
-    early = [memory for at, memory in looks if at <= 0.25 * seconds]
-    return Run(seconds, max(early, default=math.nan), max((memory for _, memory in looks), default=math.nan))
+    early = [look.memory for at, look in looks if at <= 0.25 * seconds]
+    # Processes that have ended are not seen: the most that was seen is what all of them took, but for the last look.
+    cpu, memory = (max(values, default=math.nan) for values in zip(*(look for _, look in looks), strict=True))
+    return Run(seconds, cpu, max(early, default=math.nan), memory)
 
 
-def _memory_mb(process_id: int) -> float:
-    """Resident memory of a process and of all that it started."""
+def _look(process_id: int) -> _Look:
     try:
         tasks = Path(f"/proc/{process_id}/task").iterdir()
         children = [int(child) for task in tasks for child in (task / "children").read_text().split()]
-        return usage({"": process_id}).rss_mb[""] + sum(map(_memory_mb, children))
+        own = usage({"": process_id})
+        looks = [_Look(own.cpu[""], own.rss_mb[""]), *map(_look, children)]
+        return _Look(sum(look.cpu for look in looks), sum(look.memory for look in looks))
     except OSError:
-        return 0.0  # it has ended
+        return _Look(0.0, 0.0)  # it has ended
 
 
 def _by_dask(work: Path) -> tuple[Run | None, bool | None]:
@@ -126,7 +138,7 @@ def _by_dask(work: Path) -> tuple[Run | None, bool | None]:
         from distributed import LocalCluster
     except ImportError:
         return None, None
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
         run = _added(work / "bags", work / "dask", "--dask", cluster.scheduler_address)
     return run, _files(work / "dask") == _files(work / "here")
 
@@ -144,18 +156,18 @@ def _by_pandas(store: Store, bags: int, cores: int) -> dict[str, Any]:
     rows = query(store, sql).to_pylist()
     ours = {row["location"]: row["pp"] for row in rows}
     spans = [(row["location"], [(1000 * begin, 1000 * end) for begin, end in row["strokes"]]) for row in rows]
-    started = time.perf_counter()
+    started, before = time.perf_counter(), _look(os.getpid()).cpu
     try:
         theirs = dict(spread(_peer, (), spans, jobs=cores))
     except ImportError:
-        return {"pandas_bags_per_s": None, "pandas_same": None}
-    spent = time.perf_counter() - started
+        return {"pandas_bags_per_s": None, "pandas_cpu_ms_per_bag": None, "pandas_same": None}
+    spent, cpu = time.perf_counter() - started, _look(os.getpid()).cpu - before
     same = all(
         math.isclose(mine, 1e6 * other, rel_tol=1e-9)
         for location, found in theirs.items()
         for mine, other in zip(ours[location], found, strict=True)
     )
-    return {"pandas_bags_per_s": bags / spent, "pandas_same": same}
+    return {"pandas_bags_per_s": bags / spent, "pandas_cpu_ms_per_bag": 1e3 * cpu / bags, "pandas_same": same}
 
 
 def _peer(span: tuple[str, list[tuple[int, int]]]) -> tuple[str, list[float]]:
@@ -166,6 +178,7 @@ def _peer(span: tuple[str, list[tuple[int, int]]]) -> tuple[str, list[float]]:
 def _told(found: Run, bags: int) -> dict[str, float]:
     return {
         "bags_per_s": bags / found.seconds,
+        "cpu_ms_per_bag": 1e3 * found.cpu / bags,
         "memory_of_quarter_mb": found.memory_of_quarter,
         "memory_mb": found.memory,
     }
