@@ -138,7 +138,8 @@ def _by_dask(work: Path) -> tuple[Run | None, bool | None]:
         from distributed import LocalCluster
     except ImportError:
         return None, None
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
+    workers = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "local_directory": str(work)}
+    with LocalCluster(**workers) as cluster:
         run = _added(work / "bags", work / "dask", "--dask", cluster.scheduler_address)
     return run, _files(work / "dask") == _files(work / "here")
 
