@@ -9,6 +9,7 @@ NAME = "straightcomp_ros"
 MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
 OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
+HISTORY = ["duckdb>=1.1", "fsspec", "pyarrow>=17"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
 
 
@@ -69,8 +70,10 @@ setup(
         # The node opcua. asyncua is LGPL-3: it is used as a library, unchanged, and only where this extra is asked for.
         # The guard of sessions (opcua/guard.py) overrides its internals: a newer one needs a look first.
         "opcua": OPCUA,
-        # Sweeps on other machines' cores.
+        # Sweeps and histories on other machines' cores.
         "dask": ["dask[distributed]"],
+        # Figures of many bags in one store of Parquet files; for stores and bags in S3 also s3fs.
+        "history": HISTORY,
         # The pages in docs/ as HTML: make docs.
         "docs": DOCS,
         # Changes of the source that tests must notice: make mutants.
@@ -84,6 +87,14 @@ setup(
             # The tests without live nodes, one process a core.
             "pytest-xdist",
             *OPCUA,
+            *HISTORY,
+            # Other readers of its files; a server that speaks S3, and the client.
+            "pandas",
+            "polars",
+            "s3fs",
+            "moto[s3]",
+            "flask",
+            "flask-cors",
             # Another implementation of the CRCs; cantools brings it too.
             "crccheck",
             "dask[distributed]",

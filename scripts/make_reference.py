@@ -1,4 +1,5 @@
-"""Writes docs/reference.md: topics, services, CAN frames and parameters, from the files that define them."""
+"""Writes docs/reference.md: topics, services, CAN frames, parameters and the tables of a history, from the files that
+define them."""
 
 import ast
 import inspect
@@ -13,6 +14,10 @@ from straightcomp_ros import contract
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.configuration.parameter_file import DEFAULT_FILE, DEFAULT_STAGE
 from straightcomp_ros.hardware.can import emulator_frames, shipped_wire
+from straightcomp_ros.history.bag_row import BagRow
+from straightcomp_ros.history.row_columns import columns_of
+from straightcomp_ros.history.store import BAGS, STROKES
+from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.messages.batch import BATCH_TYPE
 from straightcomp_ros.settings.declaration import Declaration, declarations
 from straightcomp_ros.stage.description import StageParameters
@@ -25,8 +30,9 @@ ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime")
 HEAD = """\
 # Reference
 
-Made by `scripts/make_reference.py` from `contract.py`, `configuration/node_parameters.py`, the nodes and the DBC files;
-a test holds it to them. All numbers are SI. All names are relative: a namespace or a remapping moves them.
+Made by `scripts/make_reference.py` from `contract.py`, `configuration/node_parameters.py`, the nodes, the DBC files and
+`history/`; a test holds it to them. Numbers are SI where no unit is named. All names of topics, services and nodes are
+relative: a namespace or a remapping moves them.
 
 ## Topics
 
@@ -73,7 +79,25 @@ def reference() -> str:
     for node, parameter_set in NODE_PARAMETERS.items():
         own = (one for one in declarations(parameter_set) if not one.name.startswith(f"{STAGE}."))
         lines += [f"### Node {node}", "", *_parameters(own)]
+    lines += _history_tables()
     return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _history_tables() -> list[str]:
+    lines = [
+        "## Tables of a history",
+        "",
+        "In a [store](history.md). The unit is at the end of a name. Where the second column has ∅, a value is null if "
+        "the bag does not tell it. `strokes` has two columns more, by which its files are sorted into folders: "
+        "`stage`, the stage's name, and `month`, YYYY-MM, in which the bag's first stroke began, UTC.",
+        "",
+    ]
+    for table, row in ((STROKES, StrokeRow), (BAGS, BagRow)):
+        lines += [f"### Table {table}", "", "| column | | content |", "|---|---|---|"]
+        for one in columns_of(row):
+            lines.append(f"| `{one.name}` | {'∅' if one.nullable else ''} | {_cell(one.description)} |")
+        lines.append("")
+    return lines
 
 
 def _frames(file: str) -> list[str]:

@@ -8,7 +8,7 @@ from hypothesis import settings
 
 from straightcomp_ros.cell.launcher import Graph
 
-pytest_plugins = ["repeats", "pytester", "firmware_programs"]
+pytest_plugins = ["repeats", "pytester", "firmware_programs", "dask_scheduler"]
 
 LIVE = [Path(__file__).parent / name for name in ("nodes", "kernel")]
 

@@ -117,7 +117,6 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
     window = motion.window
     error = record.r - record.y
     time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9
-    limit = evaluation.parameters.get("controller", {}).get("stage.actuator.current_limit", math.inf)
     first, last = record.time[window.start], record.time[window.stop - 1]
     off = _intervals(time, ~evaluation.amplifier_on) if evaluation.amplifier_on.any() else []
     truth = true_error(record, reference)
@@ -131,12 +130,18 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
         strokes=[stroke_figures(record, reference, truth, stroke) for stroke in motion.strokes],
         spectrum=error_spectrum(record.time[window], error[window]),
         gaps=_gaps(time),
-        saturated=_intervals(record.time, np.abs(record.current) >= _AT_LIMIT * float(limit)),
+        saturated=_intervals(record.time, at_current_limit(evaluation)),
         amplifier_off=[interval for interval in off if first <= interval.end <= last],
         stick_slips=[event for stroke in motion.strokes for event in stick_slips(*columns[:, stroke.samples])],
         verdict=judged_run(record, reference, evaluation.parameters, evaluation.map, evaluation.stalls),
         warnings=warnings,
     )
+
+
+def at_current_limit(evaluation: BagEvaluation) -> NDArray[np.bool_]:
+    """The samples (n,) of the record with the command at the law's current limit; none where that was not recorded."""
+    limit = evaluation.parameters.get("controller", {}).get("stage.actuator.current_limit", math.inf)
+    return np.asarray(np.abs(evaluation.record.current) >= _AT_LIMIT * float(limit))
 
 
 def displayed_error(assessment: Assessment) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:

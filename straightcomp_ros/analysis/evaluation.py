@@ -1,8 +1,8 @@
 """The run in a bag: the record of its strokes, the counts of its samples, the loop's latency."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.attached_map import attached_map
 from straightcomp_ros.analysis.host_stalls import Stall, stalls_of
 from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.survey_series import values_at
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.fields import FieldValues
+from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH, Stream
+from straightcomp_ros.contract import COMMAND, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH, Stream
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 
@@ -36,6 +38,11 @@ class BagEvaluation:
         parameters: of the recorded nodes, by node and dotted name; empty when none are attached.
         map: of the attached survey; None without one.
         stalls: when the host failed the loop, on the clock of ``record``.
+        begin_ns: stamp of the first sample of ``record``.
+        coil_current: (m,) measured control current of the coils in A at the samples of ``record``; NaN without it.
+        guide: (m,) m, the guide's deviation by the displacement sensor at the samples of ``record``, up to a constant,
+            NaN where it was not recorded; None without a sensor.
+        latency_stamps: stamps in ns of the driver's records that tell ``latency``, as many.
     """
 
     record: StrokeRecord
@@ -50,6 +57,10 @@ class BagEvaluation:
     parameters: Mapping[str, Mapping[str, Any]]
     map: StraightnessMap | None = None
     stalls: tuple[Stall, ...] = ()
+    begin_ns: int = 0
+    coil_current: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    guide: NDArray[np.float64] | None = None
+    latency_stamps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
     def lost_samples(self) -> int:
@@ -74,7 +85,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     Raises:
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
-    wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
+    wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH, DISPLACEMENT)
     streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted}, remap)
     attachments = read_attachments(bag)
     parameters = recorded_parameters(bag, attachments)
@@ -117,26 +128,43 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
     answered = unique[COMMAND.topic][0]
     state = driver.stamp if driver else answered[:0]
+    told = np.isfinite(latency)
     stalls = stalls_of(encoder - common[0], answered - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
-        expected_samples=_taken(encoder),
+        expected_samples=samples_taken(encoder),
         received_samples=len(encoder),
         lost_references=_missing(encoder, unique[REFERENCE.topic][0]),
         lost_commands=_missing(encoder, answered),
-        latency=latency[np.isfinite(latency)],
+        latency=latency[told],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
         amplifier_on=on,
         parameters=parameters,
         map=attached_map(attachments, parameters),
         stalls=tuple(stalls),
+        begin_ns=int(common[0]),
+        coil_current=column(ENCODER, "coil_current"),
+        guide=_guide(streams, unique, common),
+        latency_stamps=state[told],
     )
 
 
-def _taken(stamps: NDArray[np.int64]) -> int:
-    """Samples from the first of these to the last, counted from one to the next: the stamps of a board with a clock of
-    its own lie on no common grid for a whole run."""
+def _guide(
+    streams: Mapping[str, StreamColumns], unique: Mapping[str, Sequence[NDArray[Any]]], at: NDArray[np.int64]
+) -> NDArray[np.float64] | None:
+    topic = DISPLACEMENT.topic
+    if topic not in streams or len(unique[topic][0]) < 2:
+        return None
+    stamps, rows = unique[topic]
+    readings = FieldValues(stamps, streams[topic].columns["deviation"][rows], True)
+    values, known = values_at(readings, at)
+    return np.where(known, values, np.nan)
+
+
+def samples_taken(stamps: NDArray[np.int64]) -> int:
+    """Samples that the clock took from the first of these stamps (n,) in ns to the last, counted from one to the next:
+    the stamps of a board with a clock of its own lie on no common grid for a whole run."""
     steps = np.diff(stamps)
     return 1 + int(np.maximum(1, np.round(steps / np.median(steps))).sum())
 

@@ -86,10 +86,10 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
     """
     positions, readings = _read(bag, stage), _read(bag, sensor.readings)
     taken_at = readings.stamp - round(sensor.delay * 1e9)
-    x, usable = _at(positions, taken_at)
+    x, usable = values_at(positions, taken_at)
     deviation = readings.values / DEVIATION.per_metre[sensor.unit] * (-1.0 if sensor.inverted else 1.0)
     if sensor.on_platform:
-        y, known = _at(_read(bag, Field(stage.topic, f"position[{PLATFORM}]")), taken_at)
+        y, known = values_at(_read(bag, Field(stage.topic, f"position[{PLATFORM}]")), taken_at)
         deviation, usable = deviation - y, usable & known
     usable &= np.isfinite(deviation) & np.isfinite(x)
     if np.count_nonzero(usable) < 3:
@@ -142,7 +142,7 @@ def _read(bag: Path, field: Field) -> FieldValues:
     return FieldValues(stamp, values.values[first], values.stamped)
 
 
-def _at(known: FieldValues, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def values_at(known: FieldValues, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Values at ``stamps``, and where they are known: at a sample, or between two that are not far apart."""
     first, last = known.stamp[0], known.stamp[-1]
     place = np.searchsorted(known.stamp[:-1], stamps)

@@ -33,7 +33,7 @@ def read_reports(bag: Path) -> dict[str, list[Report]]:
         time_ns = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
         for status in message.status:
             values = {value.key: value.value for value in status.values}
-            reports.setdefault(status.name, []).append(Report(time_ns, values))
+            reports.setdefault(status.name, []).append(Report(time_ns, values, status.hardware_id))
     namespaces = {(encoder or name).rpartition("/")[0].strip("/") for name in reports}
     if len(namespaces) > 1:
         raise BagError(f"bag {bag}: nodes of several namespaces report: {', '.join(sorted(reports))}")

@@ -15,8 +15,8 @@ from straightcomp_ros.settings.share import share_path
 
 _TRIALS = {"bench": "trials.verbs.bench", "faults": "trials.verbs.inject_faults", "soak": "trials.verbs.soak"}
 _NAMES = (
-    "bench can commission completion demo design doctor dsp evaluate faults frequency-response friction map opcua "
-    "recover replay reproduce robustness simulate soak stage view"
+    "bench can commission completion demo design doctor dsp evaluate faults frequency-response friction history map "
+    "opcua recover replay reproduce robustness simulate soak stage view"
 )
 _VERBS = {name: _TRIALS.get(name, f"cli.{name.replace('-', '_')}") for name in _NAMES.split()}
 """The module of each verb."""
@@ -27,7 +27,7 @@ first steps:
   straightcomp simulate --law linear    the same without a graph
   straightcomp COMMAND --help           what a command takes
 """
-_WRONG_USE = {"HardwareError", "LimitsError", "ParameterError", "SurveyError", "UsersError"}
+_WRONG_USE = {"HardwareError", "HistoryError", "LimitsError", "ParameterError", "SurveyError", "UsersError"}
 """Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141
 """Exit code that a shell gives a program that SIGPIPE ended."""

@@ -4,6 +4,7 @@ import argparse
 import math
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,30 @@ def _namespace(name: str) -> str:
         allowed = "letters, digits and _, e.g. stage_1 or cell/stage_1"
         raise argparse.ArgumentTypeError(f"{name!r}; allowed: {allowed}")
     return name
+
+
+def add_dask(parser: argparse._ActionsContainer) -> None:
+    """Declare ``--dask``, empty where it is not given."""
+    text = "run on the workers of this Dask scheduler"
+    parser.add_argument("--dask", default="", metavar="ADDRESS", type=_dask_address, help=text)
+
+
+def _dask_address(address: str) -> str:
+    # Dask itself takes 40 s to be sure.
+    if not re.fullmatch(r"(.*:\d+)?", address):
+        raise argparse.ArgumentTypeError(f"{address!r}; allowed: HOST:PORT or tcp://HOST:PORT")
+    return address
+
+
+def whole_number(least: int) -> Callable[[str], int]:
+    """The type of an option that takes whole numbers from ``least`` on."""
+
+    def number(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and int(text) >= least):
+            raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= {least}")
+        return int(text)
+
+    return number
 
 
 PICTURES = (".png", ".svg", ".pdf")

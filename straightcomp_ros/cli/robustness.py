@@ -7,13 +7,11 @@ code is 1 if a law is not in order on a machine.
 """
 
 import argparse
-import re
 import time
-from collections.abc import Callable
 
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.cli.law_tables import doubtful, titled_table
-from straightcomp_ros.cli.options import PICTURES, add_repeatable, output_file
+from straightcomp_ros.cli.options import PICTURES, add_dask, add_repeatable, output_file, whole_number
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict, warn_of_missing_margin
@@ -34,11 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_repeatable(laws, "--law", None, "control law (default: all)", dest="laws", choices=LAWS)
     parser.set_defaults(law=None)
     add = parser.add_argument
-    add("--trials", type=_whole(1), default=1000, metavar="N", help="machines (default: %(default)s)")
-    add_repeatable(parser, "--trial", "K", "run only machine K of this seed", type=_whole(0), dest="chosen")
-    add("--seed", type=_whole(0), default=1, metavar="N", help="of all that is drawn (default: 1)")
-    add("--jobs", type=_whole(1), metavar="N", help="processes on this machine (default: all cores)")
-    add("--dask", default="", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
+    add("--trials", type=whole_number(1), default=1000, metavar="N", help="machines (default: %(default)s)")
+    add_repeatable(parser, "--trial", "K", "run only machine K of this seed", type=whole_number(0), dest="chosen")
+    add("--seed", type=whole_number(0), default=1, metavar="N", help="of all that is drawn (default: 1)")
+    add("--jobs", type=whole_number(1), metavar="N", help="processes on this machine (default: all cores)")
+    add_dask(parser)
     add("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
@@ -47,9 +45,6 @@ def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
     laws = list(dict.fromkeys(options.laws or LAWS))
     plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
-    if options.dask and not re.fullmatch(r".*:\d+", options.dask):
-        # Dask itself takes 40 s to be sure.
-        raise CommandFailed(f"--dask {options.dask}; allowed: HOST:PORT or tcp://HOST:PORT", exit_code=2)
     started = time.perf_counter()
     scenario = make_scenario(values, laws)
     for control in scenario.controls.values():
@@ -117,12 +112,3 @@ def _conditions(ranges: UncertaintyParameters) -> str:
         f"delay × {ranges.shortest_delay:g} to {ranges.longest_delay:g}, jitter ±{ranges.jitter:g} samples, "
         f"survey error {ranges.map_noise * 1e6:g} µm RMS"
     )
-
-
-def _whole(least: int) -> Callable[[str], int]:
-    def number(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and int(text) >= least):
-            raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= {least}")
-        return int(text)
-
-    return number

@@ -55,10 +55,12 @@ def written(name: str, distribution: Distribution) -> dict[str, str]:
 
 
 class Report(NamedTuple):
-    """One node's diagnostics: time of publication in ns since the epoch, and all values by name, as texts."""
+    """One node's diagnostics: time of publication in ns since the epoch, all values by name, as texts, and what the
+    node reports on: a machine, or the computer that it runs on."""
 
     time_ns: int
     values: Mapping[str, str]
+    hardware_id: str = ""
 
 
 class HeldUp(NamedTuple):

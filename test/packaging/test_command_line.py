@@ -55,7 +55,7 @@ def test_the_same_option_has_the_same_name_everywhere(complete):
 
 def test_every_verb_with_a_result_gives_it_as_json(complete):
     """The others print a script, are a board until they are stopped, or write a file and say nothing else."""
-    families = {"bench", "can", "map", "opcua", "stage", ""}
+    families = {"bench", "can", "history", "map", "opcua", "stage", ""}
     without = {path for path, one in parsers(complete) if "--json" not in one._option_string_actions}
     assert without - families == {"completion", "dsp", "opcua user", "stage new"}
 

@@ -19,8 +19,8 @@ LISTED: dict[str, dict[str, str]] = yaml.safe_load(
     (Path(__file__).parent / "dependencies.yaml").read_text(encoding="utf-8")
 )
 MANIFEST = (REPOSITORY / "package.xml").read_text(encoding="utf-8")
-NOT_NEEDED = {"mcap_ros2"}
-"""What a bench measures beside our reader where somebody has installed it."""
+NOT_NEEDED = {"mcap_ros2", "pandas"}
+"""What a bench measures beside our reader where somebody has installed it; pandas also reads a store in a test."""
 NO_WHEELS = {"launch", "launch_ros"}
 """Parts of ROS that PyPI has not: the launch files need an installed Jazzy."""
 WITH_RCLPY = {"builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_msgs"}

@@ -75,7 +75,7 @@ CASES = [
     ("dsp --drift-ppm 1e9", "--drift-ppm 1e+09; allowed: -1000 to 1000 ppm"),
     ("view --namespace 2nd", "--namespace: '2nd'; allowed: letters, digits and _"),
     ("demo --namespace a..b", "--namespace: 'a..b'; allowed: letters, digits and _"),
-    ("robustness --trials 1 --law linear --dask nowhere", "--dask nowhere; allowed: HOST:PORT"),
+    ("robustness --trials 1 --law linear --dask nowhere", "--dask: 'nowhere'; allowed: HOST:PORT"),
     ("completion csh", "'csh' (choose from"),
     ("doctor now", "unrecognized arguments: now"),
 ]

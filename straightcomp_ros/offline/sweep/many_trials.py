@@ -3,28 +3,23 @@
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from straightcomp_ros.analysis.judgement import IN_ORDER, Verdict
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.offline.sweep.trial import TrialResult, laws_of, run_trial
+from straightcomp_ros.offline.workers import spread
 
 _LARGEST_BATCH = 10
 """Trials in a batch: two seconds of work, for frequent progress at little cost of sending."""
-_CONNECT_S = 20.0
 PERCENTILES = {"p5": 5.0, "p50": 50.0, "p95": 95.0, "max": 100.0}
 """Percentiles of a distribution, by name. Each is the value of a trial: nothing is interpolated."""
 OUTLIER = 2.0
 """A trial is an outlier above this multiple of the median peak-to-peak error."""
-
-
-class SweepError(RuntimeError):
-    """A sweep cannot be spread over workers; the message says why, and what would help."""
 
 
 def run_trials(scenario: Scenario, seed: int, trials: Sequence[int]) -> list[TrialResult]:
@@ -53,11 +48,11 @@ def sweep(
         progress: called with the fraction that is done.
 
     Raises:
-        SweepError: Dask is not installed, or its scheduler or workers cannot be reached.
+        WorkersError: Dask is not installed, or its scheduler or workers cannot be reached.
     """
     workers = jobs if jobs > 0 else os.cpu_count() or 1
     batches = _batches(trials, workers)
-    finished = _on_dask(dask, scenario, seed, batches) if dask else _on_this_machine(jobs, scenario, seed, batches)
+    finished = spread(run_trials, (scenario, seed), batches, jobs=jobs, dask=dask)
     results: list[TrialResult] = []
     progress(0.0)
     for batch in finished:
@@ -71,41 +66,6 @@ def _batches(trials: Sequence[int], workers: int) -> list[Sequence[int]]:
     """Batches of the trials, at least one for each worker if there are enough of them."""
     size = max(1, min(_LARGEST_BATCH, len(trials) // workers))
     return [trials[start : start + size] for start in range(0, len(trials), size)]
-
-
-def _on_this_machine(
-    jobs: int, scenario: Scenario, seed: int, batches: Sequence[Sequence[int]]
-) -> Iterator[list[TrialResult]]:
-    parallel = Parallel(n_jobs=jobs, backend="loky", return_as="generator_unordered")
-    return iter(parallel(delayed(run_trials)(scenario, seed, batch) for batch in batches))
-
-
-def _on_dask(
-    address: str, scenario: Scenario, seed: int, batches: Sequence[Sequence[int]]
-) -> Iterator[list[TrialResult]]:
-    try:
-        from distributed import Client, as_completed
-    except ImportError as error:
-        raise SweepError("Dask is not installed. Remedy: pip install 'straightcomp_ros[dask]'") from error
-    try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise SweepError(f"no Dask scheduler at {address!r}: {error}") from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_CONNECT_S)
-        except TimeoutError as error:
-            raise SweepError(
-                f"the Dask scheduler at {address!r} has no worker. Remedy: dask worker {address}"
-            ) from error
-        # Sent once to each worker, not with each batch.
-        everywhere = client.scatter(scenario, broadcast=True, hash=False)
-        futures = [client.submit(run_trials, everywhere, seed, batch, pure=False) for batch in batches]
-        try:
-            for _, results in as_completed(futures, loop=client.loop, with_results=True):
-                yield results
-        finally:
-            client.cancel(futures)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,75 @@
+"""What a bag says beside its samples: which bag of which stage, with which parameters, map and software."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.bags import MAP_ATTACHMENT
+from straightcomp_ros.bags.folder import mcap_files, split_number, sqlite_files
+from straightcomp_ros.bags.origin import ORIGIN_METADATA
+from straightcomp_ros.bags.reader import read_attachments, read_metadata
+from straightcomp_ros.bags.recorded_diagnostics import read_reports
+from straightcomp_ros.history.strokes_of_bag import Recorded
+from straightcomp_ros.settings.declaration import ParameterError, from_mapping
+from straightcomp_ros.stage.description import StageParameters
+
+_IN_THE_LOOP = ("driver", "feedforward", "controller")
+"""Nodes whose parameters have an effect on a stroke. The logger's name each bag's folder."""
+_STAGE = "stage."
+
+
+def recorded_facts(bag: Path, checksum: str, parameters: Mapping[str, Mapping[str, Any]]) -> Recorded:
+    """The facts of a bag with this checksum and these recorded parameters, by node and dotted name; BagError when the
+    bag is damaged."""
+    attachments, reports = read_attachments(bag), read_reports(bag)
+    origin = read_metadata(bag).get(ORIGIN_METADATA, {})
+    facts = {
+        name.removeprefix(_STAGE): value
+        for name, value in parameters.get("driver", {}).items()
+        if name.startswith(_STAGE)
+    }
+    own = {node: parameters[node] for node in _IN_THE_LOOP if node in parameters}
+    survey = attachments.get(MAP_ATTACHMENT)
+    return Recorded(
+        checksum=checksum,
+        bag=recorded_name(bag),
+        stage=str(facts.get("name") or "unknown"),
+        identity=_identity(facts),
+        parameters_checksum=checksum_of([json.dumps(own, sort_keys=True).encode()]) if own else None,
+        map_checksum=None if survey is None else checksum_of([survey]),
+        software_version=origin.get("version"),
+        software_revision=origin.get("revision"),
+        # The driver reports on the machine, the others on their computer.
+        host=next((one.hardware_id for node in ("logger", "controller") for one in reports.get(node, ())), None),
+        driver=reports.get("driver", ()),
+    )
+
+
+def bag_files(bag: Path) -> list[Path]:
+    """The files with a bag's messages, oldest first; BagError when there is none."""
+    return sqlite_files(bag) or mcap_files(bag)
+
+
+def recorded_name(bag: Path) -> str:
+    """The name under which a bag was recorded, whatever its folder is called now."""
+    return split_number(bag_files(bag)[0])[0]
+
+
+def checksum_of(parts: Iterable[bytes]) -> str:
+    """BLAKE2b of these bytes, one after the other, 128 bits in hexadecimal."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _identity(facts: Mapping[str, Any]) -> str | None:
+    try:
+        return from_mapping(StageParameters, facts).identity if facts else None
+    except ParameterError:
+        # Recorded by a version with other facts.
+        return None
