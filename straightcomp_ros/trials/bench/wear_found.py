@@ -1,0 +1,93 @@
+"""How soon known wear is found, how often its cause is named, and how often a sound stage is accused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from straightcomp_ros.maintenance.advice import Advice, advice_of
+from straightcomp_ros.maintenance.day_levels import DayLevels
+from straightcomp_ros.trials.bench.worn_stage import SOUND, WEARS, StrokePool, Wear, levels_of_months, months
+
+DAYS = 365
+BEGIN = 120
+"""Day on which wear begins."""
+_SETTLED = 14
+"""Days after the alarm at which the cause is asked for once more."""
+
+
+class Found(NamedTuple):
+    """One stage-year: days from the wear's beginning to the first advice after it (None without), whether the right
+    cause was among the advice then and two weeks later, and pieces of advice that were false: before it began."""
+
+    after: int | None
+    named: bool
+    named_later: bool
+    false: int
+
+
+def measure(
+    pool: StrokePool, seeds: int, sound: int, progress: Callable[[float], None] = lambda fraction: None
+) -> dict[str, Any]:
+    """Figures of ``seeds`` stage-years of each wear, and of ``sound`` of a stage without wear."""
+    total, done = sound + 2 * seeds * len(WEARS), 0
+    false = []
+    for seed in range(sound):
+        false.append(len(advice_of(_levels(pool, SOUND, seed, True))))
+        done += 1
+        progress(done / total)
+    rows = {}
+    for number, wear in enumerate(WEARS):
+        for sensor in (True, False):
+            years = []
+            for seed in range(seeds):
+                years.append(found(pool, wear, 10_000 * (number + 1) + seed, sensor))
+                done += 1
+                progress(done / total)
+            rows[wear.name if sensor else f"{wear.name}, no sensor"] = _summary(years)
+    return {
+        "seeds": seeds,
+        "sound_years": sound,
+        "false_a_year": sum(false) / sound,
+        "years_with_false": sum(map(bool, false)),
+        "wears": rows,
+    }
+
+
+def found(pool: StrokePool, wear: Wear, seed: int, sensor: bool) -> Found:
+    """One stage-year of a wear."""
+    levels = _levels(pool, wear, seed, sensor)
+    first_day = int(levels.day[0])
+    places = [_day(one) - first_day for one in advice_of(levels)]
+    late = [place for place in places if place >= BEGIN]
+    before = len(places) - len(late)
+    if not late:
+        return Found(None, False, False, before)
+    at = min(late)
+    named, later = (
+        any(one.cause in wear.causes for one in advice_of(levels.until(min(at + more, DAYS)))) for more in (1, _SETTLED)
+    )
+    return Found(at - BEGIN, named, later, before)
+
+
+def _day(advice: Advice) -> int:
+    return int(np.datetime64(advice.found, "D").astype(int))
+
+
+def _levels(pool: StrokePool, wear: Wear, seed: int, sensor: bool) -> DayLevels:
+    return levels_of_months(months(pool, wear, BEGIN, DAYS, seed, sensor=sensor), pool.x)
+
+
+def _summary(years: list[Found]) -> dict[str, Any]:
+    after = [one.after for one in years if one.after is not None]
+    return {
+        "found": len(after),
+        "years": len(years),
+        "days_median": float(np.median(after)) if after else None,
+        "days_least": min(after, default=None),
+        "days_most": max(after, default=None),
+        "cause_named": sum(one.named for one in years),
+        "cause_named_later": sum(one.named_later for one in years),
+    }
