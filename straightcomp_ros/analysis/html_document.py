@@ -46,9 +46,10 @@ def html_document(title: str, body: str) -> str:
 {body}<script>{_SCRIPT}</script></body></html>"""
 
 
-def html_plot(figure: go.Figure) -> str:
-    """A plot as a part of a document."""
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=_CONFIG))
+def html_plot(figure: go.Figure, bar: bool = True) -> str:
+    """A plot as a part of a document; ``bar``: with plotly's bar of tools."""
+    config = _CONFIG if bar else {**_CONFIG, "displayModeBar": False}
+    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
 
 
 def line_figure(x: str, y: str) -> go.Figure:

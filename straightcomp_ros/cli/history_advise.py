@@ -44,11 +44,13 @@ def run(options: argparse.Namespace) -> None:
         if days <= BASELINE:
             notes.print(f"{stage}: {days} days with strokes; allowed: > {BASELINE}, the baseline", soft_wrap=True)
             continue
-        style = "yellow" if advice else "green"
-        matters = f"matters: {len(advice)}" if advice else "nothing changed"
+        due = sum(one.due for one in advice)
+        style = "yellow" if due else "green"
+        matters = f"matters: {due}" if due else "nothing to do"
         console.print(f"{stage}, {days} days until {levels.date(-1)}: {matters}", style=style, highlight=False)
         for one in advice:
             console.print(f"  found {one.found}: {one.text}", soft_wrap=True, highlight=False)
-            console.print(f"    → {one.remedy}", soft_wrap=True, highlight=False)
+            what = one.remedy if one.due else "nothing: it is back where it was"
+            console.print(f"    → {what}", soft_wrap=True, highlight=False)
     if options.json:
         print_json({"stages": told})

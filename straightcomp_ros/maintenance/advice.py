@@ -70,9 +70,9 @@ class Advice:
     place: Place | None = None
 
     @property
-    def sentence(self) -> str:
-        """All of it."""
-        return f"{self.text}; {self.remedy}"
+    def due(self) -> bool:
+        """Whether it still holds: the figure may have gone back by itself, or after somebody's work."""
+        return self.changes[0].lasting
 
 
 def changes_of(levels: DayLevels) -> dict[str, LevelChange]:
@@ -103,7 +103,7 @@ def _with_last_map(levels: DayLevels) -> np.ndarray[tuple[int], np.dtype[np.bool
 
 
 def advice_of(levels: DayLevels) -> list[Advice]:
-    """The advice from a stage's history, what was found first at the head; empty for a sound one."""
+    """The advice from a stage's history, what is due at the head, then the newest; empty for a sound one."""
     changes = changes_of(levels)
     found = []
     for own in _causes(changes):
@@ -115,7 +115,7 @@ def advice_of(levels: DayLevels) -> list[Advice]:
             nearest = min(explained, key=lambda own: (_kin(own, name), abs(changes[own].begin - change.begin)))
             explained[nearest].append(change)
     advice = [_advice(levels, changes[own], update, explained[own]) for own, update in found]
-    return sorted(advice, key=lambda one: one.found)
+    return sorted(advice, key=lambda one: (one.due, one.found), reverse=True)
 
 
 def _causes(changes: Mapping[str, LevelChange]) -> list[str]:
@@ -170,10 +170,9 @@ def _advice(levels: DayLevels, change: LevelChange, update: str, others: list[Le
         likely = "something came loose, or was hit" if change.step else "it settles or wears"
     else:
         words = BY_NAME[name]
-        moved = f"{change.before:.3g} to {change.after:.3g} {words.unit}".strip()
-        text = (
-            f"{words.words} {'rose' if rose else 'fell'} from {moved} ({_relative(change):+.0%}), {way}, since {since}"
-        )
+        moved = f"by {abs(_relative(change)):.0%}, " if change.before else ""
+        moved += f"from {change.before:.3g} to {change.after:.3g} {words.unit}".strip()
+        text = f"{words.words} {'rose' if rose else 'fell'} {moved}, {way}, since {since}"
         cause = {
             FRICTION: "friction_up" if rose else "friction_down",
             STIFFNESS: "stiffness",

@@ -19,8 +19,8 @@ from straightcomp_ros.settings.whole_file import write_whole
 
 
 def advice_json(stage: str, as_of: date, advice: Sequence[Advice]) -> dict[str, Any]:
-    """The content of the file: ``as_of`` is the day of the last stroke that the advice knows."""
-    return plain({"stage": stage, "as_of": str(as_of), "advice": [_entry(one) for one in advice]})  # type: ignore[no-any-return]
+    """The content of the file: the advice that is due. ``as_of`` is the day of the last stroke that it knows."""
+    return plain({"stage": stage, "as_of": str(as_of), "advice": [_entry(one) for one in advice if one.due]})  # type: ignore[no-any-return]
 
 
 def write_advice(path: Path, content: dict[str, Any]) -> None:

@@ -23,8 +23,10 @@ def history_plot(levels: DayLevels, values: Array, name: str, change: LevelChang
     """A figure (n,) from day to day, its baseline, and its change if it has one."""
     watched = BY_NAME[name]
     title = f"{watched.words} / {watched.unit}" if watched.unit else watched.words
-    figure = line_figure("", title)
-    figure.update_layout(height=_SMALL, showlegend=False, margin={"l": 70, "r": 10, "t": 10, "b": 30})
+    figure = line_figure("", "")
+    heading = {"text": title, "font": {"size": 14}, "x": 0.01, "y": 0.97}
+    figure.update_layout(height=_SMALL, showlegend=False, title=heading, margin={"l": 70, "r": 10, "t": 32, "b": 30})
+    figure.update_yaxes(tickformat=".4~g")
     days = [levels.date(place).isoformat() for place in range(len(levels.day))]
     figure.add_scatter(x=days, y=values, mode="markers", marker={"size": 3, "color": GREY}, name="day")
     figure.add_scatter(x=days, y=_weekly(values), mode="lines", line={"color": BLUE, "width": 1.5}, name="week")

@@ -25,8 +25,9 @@ SLACK = 2.0
 """k: levels within so many standard deviations of the baseline's median add nothing."""
 THRESHOLD = 20.0
 """h, in standard deviations."""
-_SETTLED = 3
-"""Least days on each side of a change."""
+_WEEK = 7
+_LEAST = 3
+"""Days before a change, and of a slope. A step may have come on the last day."""
 
 
 class LevelChange(NamedTuple):
@@ -36,7 +37,8 @@ class LevelChange(NamedTuple):
         figure: its name.
         begin: place of the day from which the level is another one.
         found: place of the day whose level gave the alarm.
-        before, after: median of the baseline, and of the last week that is known.
+        before, after: median of the baseline, and of the last days after the change, at most a week.
+        sigma: standard deviation from day to day during the baseline.
         step: whether it came within days; otherwise the level drifts.
     """
 
@@ -45,7 +47,13 @@ class LevelChange(NamedTuple):
     found: int
     before: float
     after: float
+    sigma: float
     step: bool
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the figure is still beside its baseline: one that went back needs nobody."""
+        return abs(self.after - self.before) > SLACK * self.sigma
 
 
 class Chart(NamedTuple):
@@ -90,10 +98,10 @@ def change_of(levels: Array, watched: Watched, threshold: float = THRESHOLD) -> 
     found = int(beyond[0])
     known = np.flatnonzero(np.isfinite(levels))
     begin, step = _onset(levels[known] / chart.sigma)
-    recent = levels[known[-7:]]
+    recent = levels[known[begin:]][-_WEEK:]
     # It cannot have begun after it was found.
     place = min(int(known[begin]), found)
-    return LevelChange(watched.name, place, found, chart.centre, float(np.median(recent)), step)
+    return LevelChange(watched.name, place, found, chart.centre, float(np.median(recent)), chart.sigma, step)
 
 
 def _onset(values: Array) -> tuple[int, bool]:
@@ -101,7 +109,7 @@ def _onset(values: Array) -> tuple[int, bool]:
     import ruptures
 
     last = values.size
-    step_at = int(ruptures.Binseg(model="l2", min_size=_SETTLED, jump=1).fit(values).predict(n_bkps=1)[0])
+    step_at = int(ruptures.Binseg(model="l2", min_size=1, jump=1).fit(values).predict(n_bkps=1)[0])
     step_cost = sum(float(np.sum((part - part.mean()) ** 2)) for part in (values[:step_at], values[step_at:]))
     places = np.arange(last, dtype=np.float64)
 
@@ -110,6 +118,6 @@ def _onset(values: Array) -> tuple[int, bool]:
         weights, *_ = np.linalg.lstsq(terms, values, rcond=None)
         return float(np.sum((values - terms @ weights) ** 2))
 
-    costs = {at: ramp_cost(at) for at in range(_SETTLED, last - _SETTLED)}
+    costs = {at: ramp_cost(at) for at in range(_LEAST, last - _LEAST)}
     ramp_at = min(costs, key=costs.__getitem__)
     return (step_at, True) if step_cost <= costs[ramp_at] else (ramp_at, False)

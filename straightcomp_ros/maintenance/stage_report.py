@@ -13,7 +13,7 @@ from straightcomp_ros.maintenance.day_levels import DayLevels
 from straightcomp_ros.maintenance.history_plots import error_map, evidence, guide_map_over_time, history_plot
 from straightcomp_ros.maintenance.level_change import BASELINE, LevelChange
 from straightcomp_ros.maintenance.trend import trend_of
-from straightcomp_ros.maintenance.watched_figures import WATCHED
+from straightcomp_ros.maintenance.watched_figures import BY_NAME, WATCHED
 
 if TYPE_CHECKING:
     import pyarrow
@@ -35,7 +35,7 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     count = f"{strokes.num_rows} strokes on {len(levels.day)} days, {begin} to {end}"
     changes = {change.figure: change for one in advice for change in one.changes}
     plots = [
-        html_plot(history_plot(levels, values, name, changes.get(name)))
+        html_plot(history_plot(levels, values, name, changes.get(name)), bar=False)
         for name, values in figures.items()
         if (values == values).any()
     ]
@@ -62,13 +62,14 @@ def _advice(levels: DayLevels, advice: list[Advice]) -> str:
         return "<div class='card well'><p><b>Nothing changed.</b> All figures are as in the first weeks.</p></div>"
     cards = []
     for one in advice:
-        others = ", ".join(change.figure for change in one.changes[1:])
-        also = f"<p class=note>changed with it: {escape(others)}</p>" if others else ""
+        others = ", ".join(BY_NAME[change.figure].words for change in one.changes[1:])
+        also = f"; changed with it: {escape(others)}" if others else ""
+        remedy = f"What helps: {escape(one.remedy)}." if one.due else "Nothing to do: it is back where it was."
         cards.append(
-            f"<div class=card><p><b>{escape(one.text)}</b></p><p>What helps: {escape(one.remedy)}.</p>"
-            f"<p class=note>found on {one.found}</p>{also}{html_plot(evidence(levels, one))}</div>"
+            f"<div class='card{'' if one.due else ' well'}'><p><b>{escape(one.text)}</b></p><p>{remedy}</p>"
+            f"<p class=note>found on {one.found}{also}</p>{html_plot(evidence(levels, one), bar=False)}</div>"
         )
-    return f"<h2>What needs somebody: {len(advice)}</h2>{''.join(cards)}"
+    return f"<h2>What needs somebody: {sum(one.due for one in advice)}</h2>{''.join(cards)}"
 
 
 def _over_x(levels: DayLevels) -> str:

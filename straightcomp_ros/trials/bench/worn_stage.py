@@ -75,21 +75,25 @@ class Machine(NamedTuple):
 
 @dataclass(frozen=True)
 class Wear:
-    """A known wear: its name, the causes of advice that are right, and the machine so many days after it began."""
+    """A known wear: its name, in words, the causes of advice that are right, and the machine so many days after it
+    began."""
 
     name: str
+    words: str
     causes: tuple[str, ...]
     machine: Callable[[float], Machine]
 
 
-SOUND = Wear("sound", (), lambda days: Machine())
+SOUND = Wear("sound", "sound", (), lambda days: Machine())
 WEARS = (
-    Wear("friction +1 % a week", ("friction_up",), lambda days: Machine(friction=1.0 + 0.01 * days / WEEK)),
-    Wear("guide +0.05 µm a month at 300 to 420 mm", ("guide",), lambda days: Machine(settled_um=0.05 * days / MONTH)),
-    Wear("scale of y +0.5 % a month", ("stiffness",), lambda days: Machine(scale=1.0 + 0.005 * days / MONTH)),
-    Wear("amplifier -1 % a week", ("amplifier",), lambda days: Machine(amplifier=1.0 - 0.01 * days / WEEK)),
-    Wear("latency +36 µs by an update", ("host",), lambda days: Machine(slower=1.0)),
-    Wear("loose bolt: 0.5 µm at 900 mm", ("bolt",), lambda days: Machine(kink_um=0.5)),
+    Wear("friction", "friction +1 % a week", ("friction_up",), lambda days: Machine(friction=1.0 + 0.01 * days / WEEK)),
+    Wear("guide", "guide +0.05 µm a month", ("guide",), lambda days: Machine(settled_um=0.05 * days / MONTH)),
+    Wear("scale", "scale of y +0.5 % a month", ("stiffness",), lambda days: Machine(scale=1.0 + 0.005 * days / MONTH)),
+    Wear(
+        "amplifier", "amplifier -1 % a week", ("amplifier",), lambda days: Machine(amplifier=1.0 - 0.01 * days / WEEK)
+    ),
+    Wear("latency", "latency +36 µs by an update", ("host",), lambda days: Machine(slower=1.0)),
+    Wear("bolt", "loose bolt, 0.5 µm", ("bolt",), lambda days: Machine(kink_um=0.5)),
 )
 
 
@@ -197,7 +201,7 @@ def simulated_rows(
 
 class Months(NamedTuple):
     """Strokes in the order of time: day since 1970, direction, figures by name (N,), change of the guide (N, m) in µm,
-    software (N,), and which stroke of the pool each is made from."""
+    software (N,), which stroke of the pool each is made from, and the machine's factors by axis."""
 
     day: NDArray[np.int64]
     forward: NDArray[np.bool_]
@@ -205,6 +209,7 @@ class Months(NamedTuple):
     guide: Array
     software: list[str]
     drawn: NDArray[np.intp]
+    factors: dict[str, Array]
 
 
 def months(
@@ -249,7 +254,7 @@ def months(
     if not sensor:
         guide[:] = np.nan
     software = ["1.2" if one else "1.1" for one in (of_day["slower"] > 0.0)[day].tolist()]
-    return Months(day + _FIRST_DAY, forward, figures, guide, software, drawn)
+    return Months(day + _FIRST_DAY, forward, figures, guide, software, drawn, factors)
 
 
 def levels_of_months(strokes: Months, x: Array) -> DayLevels:
@@ -262,11 +267,12 @@ def levels_of_months(strokes: Months, x: Array) -> DayLevels:
 
 def rows_of_months(pool: StrokePool, strokes: Months, stage: str) -> list[StrokeRow]:
     """These months as rows of a store; a bag has a stroke forward and one backward."""
-    base = pool.rows["friction", 1.0]
     rows = []
     per_day = int(np.count_nonzero(strokes.day == strokes.day[0]))
     for k, day in enumerate(strokes.day.tolist()):
-        row = base[2 * int(strokes.drawn[k]) + (0 if strokes.forward[k] else 1)]
+        row = _nearest(pool, {axis: float(one[k]) for axis, one in strokes.factors.items()})[
+            2 * int(strokes.drawn[k]) + (0 if strokes.forward[k] else 1)
+        ]
         within = (k % per_day) * (86_400.0 / per_day)
         started = START + timedelta(days=day - _FIRST_DAY, seconds=within)
         figures = {name: float(values[k]) for name, values in strokes.figures.items()}
@@ -284,6 +290,12 @@ def rows_of_months(pool: StrokePool, strokes: Months, stage: str) -> list[Stroke
             )
         )
     return rows
+
+
+def _nearest(pool: StrokePool, machine: Mapping[str, float]) -> list[StrokeRow]:
+    """The strokes of the grid's machine that is nearest on the axis on which this one differs most."""
+    axis = max(machine, key=lambda one: abs(machine[one] - 1.0))
+    return pool.rows[axis, min(_AXES[axis], key=lambda value: abs(value - machine[axis]))]
 
 
 def _weather(random: np.random.Generator, days: int, size: float, kept: float = 0.8) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
-from urllib.parse import quote
 
 from straightcomp_ros.history.evaluated_bag import parquet
 from straightcomp_ros.history.store import STROKES
@@ -29,11 +28,9 @@ def write_store(
     stages = (SOUND, *WEARS)
     for number, wear in enumerate(stages):
         strokes = months(pool, wear, begin, days, seed + number, bags=_BAGS_A_DAY)
-        # A colon or a percent sign would do, but names of files are easier to type without them.
-        stage = wear.name.split(",")[0].split(":")[0].replace(" ", "_")
-        rows = rows_of_months(pool, strokes, stage)
+        rows = rows_of_months(pool, strokes, wear.name)
         for month, group in groupby(rows, key=lambda row: f"{row.start:%Y-%m}"):
-            place = folder / STROKES / f"stage={quote(stage, safe='')}" / f"month={month}"
+            place = folder / STROKES / f"stage={wear.name}" / f"month={month}"
             place.mkdir(parents=True, exist_ok=True)
             (place / f"simulated_{month}.parquet").write_bytes(parquet(StrokeRow, list(group)))
         progress((number + 1) / len(stages))

@@ -51,13 +51,11 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(figures)
         return 0
-    headings = ("found", "after [days]", "least", "most", "cause named", "2 weeks later")
-    table = titled_table("Wear", "wear", *headings)
+    table = titled_table("Wear", "wear", "found", "after\n[days]", "named\nat once", "other\nadvice")
     for name, one in figures["wears"].items():
-        shares = (f"{one[key]}/{one['years']}" for key in ("found", "cause_named", "cause_named_later"))
-        found, named, later = shares
-        days = (rounded(one[key]) for key in ("days_median", "days_least", "days_most"))
-        table.add_row(name, found, *days, named, later)
+        days = "{} ({} to {})".format(*(rounded(one[f"days_{key}"]) for key in ("median", "least", "most")))
+        found, named, others = (f"{one[key]}/{one['years']}" for key in ("found", "named_at_once", "other_advice"))
+        table.add_row(name, found, days if one["found"] else "–", named, others)
     console.print(table)
     false = f"false advice on a sound stage: {figures['false_a_year']:.2f} a year"
     console.print(f"{false} ({figures['years_with_false']} of {figures['sound_years']} years had any)")
