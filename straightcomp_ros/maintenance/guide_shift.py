@@ -37,15 +37,15 @@ def guide_shifts(profiles: Array, x: Array) -> Array:
         return found
     known = profiles[np.ix_(days, inside)]
     change = known - known[:BASELINE].mean(axis=0)
-    kernel = np.ones(min(_SMOOTH, change.shape[1]))
-    # At the ends over the bins that are there.
-    weight = np.convolve(np.ones(change.shape[1]), kernel, mode="same")
     at = x[inside]
     if at.size <= _DEGREE:
         return found
-    smooth = np.array([np.convolve(one, kernel, mode="same") / weight for one in change])
     powers = np.vander(at - at.mean(), _DEGREE + 1)
-    found[np.ix_(days, inside)] = smooth - (powers @ np.linalg.lstsq(powers, smooth.T, rcond=None)[0]).T
+    local = change - (powers @ np.linalg.lstsq(powers, change.T, rcond=None)[0]).T
+    kernel = np.ones(min(_SMOOTH, at.size))
+    # At the ends over the bins that are there.
+    weight = np.convolve(np.ones(at.size), kernel, mode="same")
+    found[np.ix_(days, inside)] = [np.convolve(one, kernel, mode="same") / weight for one in local]
     return found
 
 

@@ -16,6 +16,8 @@ from straightcomp_ros.maintenance.watched_figures import BY_NAME, GUIDE
 Array = NDArray[np.float64]
 _WEEK = 7
 _SMALL, _HEIGHT = 230, 360
+_FAINT_NM = 20.0
+"""Values that are less than this are pale: noise must not look like a matter."""
 _GUIDE, _ERROR = PROFILES
 
 
@@ -72,15 +74,15 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
 
 def error_map(levels: DayLevels) -> go.Figure | None:
     """The mean error in each bin over x and time, by weeks; None without one."""
-    return _over_time(levels, levels.profiles[_ERROR] * 1e3, "nm")
+    return _over_time(levels, levels.profiles[_ERROR] * 1e3)
 
 
 def guide_map_over_time(levels: DayLevels) -> go.Figure | None:
     """The guide's change over x and time, by weeks; None without a sensor."""
-    return _over_time(levels, guide_shifts(levels.profiles[_GUIDE], levels.x) * 1e3, "nm")
+    return _over_time(levels, guide_shifts(levels.profiles[_GUIDE], levels.x) * 1e3)
 
 
-def _over_time(levels: DayLevels, profiles: Array, unit: str) -> go.Figure | None:
+def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
     if not np.isfinite(profiles).any():
         return None
     week = (levels.day - levels.day[0]) // _WEEK
@@ -89,7 +91,7 @@ def _over_time(levels: DayLevels, profiles: Array, unit: str) -> go.Figure | Non
         rows = [_middle(profiles[week == one]) for one in weeks]
     values = np.array(rows)
     begins = [levels.date(int(np.flatnonzero(week == one)[0])).isoformat() for one in weeks]
-    largest = float(np.nanpercentile(np.abs(values), 99.5)) or 1.0
+    largest = max(float(np.nanpercentile(np.abs(values), 99.5)), _FAINT_NM)
     figure = line_figure("", "slider position x / mm")
     figure.update_layout(height=_HEIGHT)
     figure.add_heatmap(
@@ -100,8 +102,8 @@ def _over_time(levels: DayLevels, profiles: Array, unit: str) -> go.Figure | Non
         zmax=largest,
         # Blue to vermilion through white: told apart with any colour vision.
         colorscale=[[0.0, BLUE], [0.5, "#FFFFFF"], [1.0, VERMILION]],
-        colorbar={"title": unit},
-        hovertemplate="%{x}, x = %{y} mm: %{z:.1f} " + unit + "<extra></extra>",
+        colorbar={"title": "nm"},
+        hovertemplate="%{x}, x = %{y} mm: %{z:.1f} nm<extra></extra>",
     )
     return figure
 

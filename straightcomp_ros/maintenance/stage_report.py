@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -64,12 +65,17 @@ def _advice(levels: DayLevels, advice: list[Advice]) -> str:
     for one in advice:
         others = ", ".join(BY_NAME[change.figure].words for change in one.changes[1:])
         also = f"; changed with it: {escape(others)}" if others else ""
-        remedy = f"What helps: {escape(one.remedy)}." if one.due else "Nothing to do: it is back where it was."
+        remedy = f"What helps: {_with_code(one.remedy)}." if one.due else "Nothing to do: it is back where it was."
         cards.append(
             f"<div class='card{'' if one.due else ' well'}'><p><b>{escape(one.text)}</b></p><p>{remedy}</p>"
             f"<p class=note>found on {one.found}{also}</p>{html_plot(evidence(levels, one), bar=False)}</div>"
         )
     return f"<h2>What needs somebody: {sum(one.due for one in advice)}</h2>{''.join(cards)}"
+
+
+def _with_code(text: str) -> str:
+    """HTML of a text that has commands between backticks."""
+    return re.sub(r"`([^`]*)`", r"<code>\1</code>", escape(text))
 
 
 def _over_x(levels: DayLevels) -> str:

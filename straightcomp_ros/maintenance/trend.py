@@ -35,7 +35,7 @@ def trend_of(day: NDArray[np.int64], levels: NDArray[np.float64]) -> Trend | Non
     day, levels = day[known], levels[known]
     if not day.size:
         return None
-    week = (day - day[-1]) // WEEK
+    week = (day[-1] - day) // WEEK
     weeks = np.unique(week)
     if weeks.size < _FEWEST_WEEKS:
         return None
