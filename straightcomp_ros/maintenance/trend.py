@@ -42,4 +42,4 @@ def trend_of(day: NDArray[np.int64], levels: NDArray[np.float64]) -> Trend | Non
     at = np.array([day[week == one].mean() for one in weeks])
     values = np.array([np.median(levels[week == one]) for one in weeks])
     slope, middle, low, high = theilslopes(values, at, 0.95)
-    return Trend(slope * MONTH, low * MONTH, high * MONTH, float(middle + slope * at[-1]))
+    return Trend(slope * MONTH, low * MONTH, high * MONTH, float(middle + slope * day[-1]))
