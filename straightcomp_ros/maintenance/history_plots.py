@@ -83,7 +83,7 @@ def guide_map_over_time(levels: DayLevels) -> go.Figure | None:
 
 
 def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
-    if not np.isfinite(profiles).any():
+    if np.count_nonzero(np.isfinite(profiles).any(axis=1)) < 2:
         return None
     week = (levels.day - levels.day[0]) // _WEEK
     weeks = np.unique(week)

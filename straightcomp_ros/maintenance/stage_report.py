@@ -6,6 +6,8 @@ import re
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from straightcomp_ros.analysis.html_document import html_document, html_plot, html_table
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.maintenance import day_levels
@@ -38,7 +40,7 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     plots = [
         html_plot(history_plot(levels, values, name, changes.get(name)), bar=False)
         for name, values in figures.items()
-        if (values == values).any()
+        if np.count_nonzero(np.isfinite(values)) > 1
     ]
     parts = [
         f"<h1>Stage “{escape(stage)}”</h1><p class=note>{count}</p>",

@@ -43,7 +43,7 @@ def make_levels():
 
 @pytest.fixture(scope="session")
 def pool() -> StrokePool:
-    return stroke_pool(2)
+    return stroke_pool(1)
 
 
 @pytest.fixture(scope="session")

@@ -29,7 +29,11 @@ _READING_NOISE = 0.2e-6
 
 
 def measure(
-    folder: Path, moved_um: float, seed: int = 0, progress: Callable[[float], None] = lambda fraction: None
+    folder: Path,
+    moved_um: float,
+    seed: int = 0,
+    cycles: int = CYCLES,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> dict[str, Any]:
     """Straightness of the simulated workpiece in µm, p-p, median of nine starts, with each map.
 
@@ -37,6 +41,7 @@ def measure(
         folder: for the surveys.
         moved_um: height in µm of the bump that the guide has got from x = 300 to 420 mm.
         seed: of the noise.
+        cycles: from which the map is proposed, each forward and backward.
         progress: called with the fraction that is done.
     """
     random = default_rng(seed)
@@ -52,7 +57,7 @@ def measure(
     truth = load_map(MapParameters(file=str(true)))
     recorded = Recorded(stage="moved", map_checksum=checksum_of([old.read_bytes()]))
     rows: list[StrokeRow] = []
-    for cycle in range(CYCLES):
+    for cycle in range(cycles):
         driver = {"simulated.truth.guide": str(true), "simulated.initial_y": 0.13e-6 * cycle}
         found = simulated_rows(
             {"driver": driver},
@@ -60,7 +65,7 @@ def measure(
             lambda x: truth.deviations(x) + _READING_NOISE * random.standard_normal(x.size),
         )
         rows += found
-        progress(0.5 * (cycle + 1) / CYCLES)
+        progress(0.5 * (cycle + 1) / cycles)
     proposal = proposed_map(table_of(StrokeRow, rows), old, 1.0)
     proposed = folder / "proposed_map.csv"
     proposal.built.write(proposed)
