@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.maintenance.advice import advice_of
-from straightcomp_ros.trials.bench.worn_stage import BAGS_A_DAY, WEARS, levels_of_months, months
+from straightcomp_ros.trials.bench.known_wear import WEARS
+from straightcomp_ros.trials.bench.worn_stage import BAGS_A_DAY, levels_of_months, months
 
 DAYS, BEGIN = 120, 60
 SINCE = np.maximum(np.arange(DAYS) - BEGIN, 0.0)

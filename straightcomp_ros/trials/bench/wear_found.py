@@ -9,7 +9,8 @@ import numpy as np
 
 from straightcomp_ros.maintenance.advice import Advice, advice_of
 from straightcomp_ros.maintenance.day_levels import DayLevels
-from straightcomp_ros.trials.bench.worn_stage import SOUND, WEARS, StrokePool, Wear, levels_of_months, months
+from straightcomp_ros.trials.bench.known_wear import SOUND, WEARS, Wear
+from straightcomp_ros.trials.bench.worn_stage import StrokePool, levels_of_months, months
 
 DAYS = 365
 BEGIN = 120

@@ -9,7 +9,8 @@ from pathlib import Path
 from straightcomp_ros.history.evaluated_bag import parquet
 from straightcomp_ros.history.store import STROKES
 from straightcomp_ros.history.stroke_row import StrokeRow
-from straightcomp_ros.trials.bench.worn_stage import SOUND, WEARS, StrokePool, months, rows_of_months
+from straightcomp_ros.trials.bench.known_wear import SOUND, WEARS
+from straightcomp_ros.trials.bench.worn_stage import StrokePool, months, rows_of_months
 
 _BAGS_A_DAY = 4
 """Fewer than a machine makes: the store is for looking at."""
