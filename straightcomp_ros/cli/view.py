@@ -22,6 +22,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     priority = "SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)"
     add("--priority", type=int, default=0, metavar="N", help=priority)
+    add(
+        "--maintenance",
+        default="",
+        metavar="FILE",
+        help="show the advice of `straightcomp history advise` in this file",
+    )
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -41,4 +47,4 @@ def run(options: argparse.Namespace) -> int:
             print(url)
         sys.stdout.flush()
 
-    return view(options.port, ready, realtime, arguments)
+    return view(options.port, ready, realtime, arguments, options.maintenance)

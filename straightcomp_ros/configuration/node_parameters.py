@@ -243,6 +243,9 @@ class OpcuaNodeParameters:
     error_limit: float = parameter(
         2e-6, "Peak-to-peak error of one motion of the stage above which there is an alarm", "(0, inf) m"
     )
+    maintenance_file: str = parameter(
+        "", "File of `straightcomp history advise`, whose advice is the alarm MaintenanceDue; empty: none"
+    )
     opcua: OpcuaParameters = group(OpcuaParameters, "OPC UA server")
     stage: StageParameters = group(StageParameters)
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")

@@ -14,6 +14,7 @@ from rclpy.task import Future
 from straightcomp_ros.cell.packml import Order
 from straightcomp_ros.cell.packml_sequence import CellSequence
 from straightcomp_ros.configuration.node_parameters import OpcuaNodeParameters
+from straightcomp_ros.maintenance.due_maintenance import WatchedAdvice
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.opcua.users import UsersError
 from straightcomp_ros.runtime.declare import declare
@@ -43,6 +44,7 @@ class OpcuaNode:
         self._remote = RemoteParameters(node, ["driver"])
         self._sequence = CellSequence(self._services, parameters.stage.motion, parameters.start_timeout)
         self._alarms = Alarms(parameters.error_limit)
+        self._advice = WatchedAdvice(parameters.maintenance_file)
         self._commands = 0
         self._answers: list[tuple[Request, str]] = []
         self._told = ""
@@ -64,7 +66,7 @@ class OpcuaNode:
         if told != self._told:
             self._told = told
             self.node.get_logger().info(told)
-        alarms = self._alarms.active(seen, sequence.state, time.monotonic())
+        alarms = self._alarms.active(seen, sequence.state, time.monotonic(), self._advice.due().text)
         moves = sequence.movements
         shown = Snapshot(sequence.state, sequence.message, moves.strokes, moves.strokes_done, sequence.centred)
         self._server.show(replace(shown, seen=seen, alarms=alarms, limits=self._limits()))

@@ -8,6 +8,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
+from straightcomp_ros.maintenance.due_maintenance import WatchedAdvice
 from straightcomp_ros.runtime.batch_streams import batched_queue
 from straightcomp_ros.runtime.graph_services import GraphServices
 from straightcomp_ros.runtime.graph_watch import GraphWatch
@@ -34,10 +35,19 @@ _OF_NODE = {"rate_hz": RATE, "overruns": OVERRUNS, "lost": LOST, "late_p99_us": 
 class ViewNode:
     """Serves the page at ``port`` and calls ``ready`` with its address. Only the main thread uses ROS; others serve it.
 
-    ``realtime`` must equal that of the graph's nodes: see docs/realtime.md.
+    ``realtime`` must equal that of the graph's nodes: see docs/realtime.md. ``maintenance`` is a file of advice, empty
+    for none.
     """
 
-    def __init__(self, node: Node, port: int, ready: Callable[[str], object], realtime: RealtimeParameters) -> None:
+    def __init__(
+        self,
+        node: Node,
+        port: int,
+        ready: Callable[[str], object],
+        realtime: RealtimeParameters,
+        maintenance: str = "",
+    ) -> None:
+        self._advice = WatchedAdvice(maintenance)
         self.node, self.done, self.realtime, self.loop = node, Future(), realtime, None
         self._watch, self._services = GraphWatch(node), GraphServices(node, _NODES)
         unspun = unspun_node(node)
@@ -85,6 +95,7 @@ class ViewNode:
                 "x_mm": seen.x * 1e3,
                 "stroke_error_pp_um": seen.stroke_error_pp * 1e6,
                 "faults": dict(seen.faults),
+                "maintenance": self._advice.due().text,
                 "nodes": nodes,
             }
         )
@@ -106,6 +117,12 @@ class ViewNode:
         self._server.close()
 
 
-def view(port: int, ready: Callable[[str], object], realtime: RealtimeParameters, arguments: list[str]) -> int:
+def view(
+    port: int,
+    ready: Callable[[str], object],
+    realtime: RealtimeParameters,
+    arguments: list[str],
+    maintenance: str = "",
+) -> int:
     """Serve the view until SIGINT or SIGTERM, see :class:`ViewNode`, with ROS ``arguments``; returns the exit code."""
-    return run("view", lambda node: ViewNode(node, port, ready, realtime), arguments)
+    return run("view", lambda node: ViewNode(node, port, ready, realtime, maintenance), arguments)

@@ -13,6 +13,7 @@ ALARMS: Mapping[str, tuple[int, str]] = {
     "NoSamples": (700, "no samples come from the machine"),
     "ErrorLimit": (500, "error of the last stroke above opcua_node's parameter error_limit"),
     "SampleLoss": (300, "samples did not come to the controller during the last ten seconds"),
+    "MaintenanceDue": (200, "advice from the stage's history, see opcua_node's parameter maintenance_file"),
 }
 """By name: severity as OPC UA counts (1 to 1000), and what it means."""
 
@@ -44,8 +45,9 @@ class Alarms:
         self._lost: int | None = None
         self._loss, self._loss_until = "", -math.inf
 
-    def active(self, seen: Observation, state: State, now: float) -> dict[str, str]:
-        """By name, the text of each alarm that is active at the monotonic time ``now``."""
+    def active(self, seen: Observation, state: State, now: float, maintenance: str = "") -> dict[str, str]:
+        """By name, the text of each alarm that is active at the monotonic time ``now``; ``maintenance`` is what is due,
+        in words."""
         found = {"Fault": seen.fault}
         # Nothing need run in a machine that is stopped.
         if state is not State.STOPPED:
@@ -57,5 +59,6 @@ class Alarms:
         before, self._lost = self._lost, seen.lost_samples
         if before is not None and seen.lost_samples > before:
             self._loss, self._loss_until = f"{seen.lost_samples - before} samples lost", now + 10.0
+        found["MaintenanceDue"] = maintenance
         found["SampleLoss"] = self._loss if now < self._loss_until else ""
         return {name: text for name, text in found.items() if text}

@@ -76,6 +76,20 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_where_the_stat
     assert results["state"] == "Idle"
 
 
+def test_advice_in_the_maintenance_file_is_an_alarm_until_it_is_gone(graph, tmp_path):
+    port, file = free_port(), tmp_path / "gantry.json"
+    graph.start("opcua", {"opcua.port": port, "maintenance_file": str(file)})
+    wait_for_line(graph, "opcua", "OPC UA at")
+    probe = [sys.executable, str(REPOSITORY / "test" / "opcua" / "probes.py"), "maintenance"]
+    url = OpcuaParameters(port=port).endpoint
+    done = subprocess.run([*probe, url, str(file)], capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    text = "as of 2026-05-01: the guide moved; survey it"
+    assert told["values"] == ["", text, ""]
+    assert told["events"] == [[f"MaintenanceDue: {text}", 200], ["MaintenanceDue: over", 1]]
+
+
 @pytest.mark.parametrize("words", [["--opcua", "--lockstep"], ["--strokes", "0"], ["--opcua", "--strokes", "0"]])
 def test_what_a_demonstration_cannot_do_is_refused(words, capfd):
     assert main(["demo", *words]) == EXIT_CONFIGURATION

@@ -13,9 +13,12 @@ pytestmark = pytest.mark.keeps_time
 
 
 @pytest.fixture
-def page(graph):
+def page(graph, tmp_path):
+    file = tmp_path / "gantry.json"
+    file.write_text(json.dumps({"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]}))
     graph.start("driver", {"stage.rate": 200})
-    view = graph.start_program("view", verb_command("view", "--port", "0"), read_output=True)
+    command = verb_command("view", "--port", "0", "--maintenance", str(file))
+    view = graph.start_program("view", command, read_output=True)
     return urlsplit(view.stdout.readline().strip())
 
 
@@ -43,6 +46,7 @@ def test_it_shows_the_graph_and_its_buttons_reach_the_driver(page):
             slots += news["series"]["x"]
     answer.close()
     assert state["fresh"] and not state["amplifier_on"]
+    assert state["maintenance"] == "as of 2026-05-01: worn; mend"
     assert state["nodes"]["driver"]["state"] != "absent" and state["nodes"]["logger"]["state"] == "absent"
     assert float(state["nodes"]["driver"]["rate_hz"]) > 0
     assert [slot[0] for slot in slots] == sorted({slot[0] for slot in slots})

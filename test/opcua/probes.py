@@ -269,6 +269,35 @@ async def watch(url, seconds):
     }
 
 
+async def maintenance(url, file):
+    """What the alarm MaintenanceDue does while a file of advice appears, and then tells that nothing is due."""
+    events = []
+
+    class Handler:
+        def event_notification(self, event):
+            events.append([event.Message.Text, event.Severity])
+
+    made = await connect(url)
+    subscription = await made.create_subscription(100, Handler())
+    await subscription.subscribe_events(made.get_node(ua.NodeId(CELL, 2)))
+    alarm = made.get_node(path("Alarms.MaintenanceDue"))
+
+    async def told(advice, wanted):
+        part = Path(file + ".part")
+        part.write_text(json.dumps({"stage": "gantry", "as_of": "2026-05-01", "advice": advice}))
+        part.replace(file)
+        end = time.monotonic() + 60.0
+        while time.monotonic() < end and not any(wanted in text for text, _ in events):
+            await asyncio.sleep(0.05)
+        return await alarm.read_value()
+
+    values = [await alarm.read_value()]
+    values.append(await told([{"text": "the guide moved", "remedy": "survey it"}], "MaintenanceDue: as of"))
+    values.append(await told([], "MaintenanceDue: over"))
+    await made.disconnect()
+    return {"values": values, "events": [event for event in events if "MaintenanceDue" in event[0]]}
+
+
 if __name__ == "__main__":
     logging.disable(logging.CRITICAL)
     probe, *arguments = sys.argv[1:]

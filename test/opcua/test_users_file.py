@@ -93,3 +93,4 @@ def test_alarms_come_and_go():
     assert "2 samples" in found["SampleLoss"]
     assert set(alarms.active(bad, State.STOPPED, 5.0)) == {"Fault", "ErrorLimit", "SampleLoss"}
     assert "SampleLoss" not in alarms.active(bad, State.IDLE, 12.0)
+    assert alarms.active(well, State.IDLE, 30.0, "as of today: worn") == {"MaintenanceDue": "as of today: worn"}
