@@ -56,7 +56,9 @@ def loop(graph, short_cycle, tmp_path):
     """The nodes of the loop and a logger, unconfigured."""
     short_cycle["stage"]["platform.stop"] = 8e-4
     for node in RECORDED:
-        graph.start(node, {**described(short_cycle, node), "autostart": False})
+        # A cell may activate the logger before it hears of commissioning.
+        output = {"output": str(tmp_path / "bag")} if node == "logger" else {}
+        graph.start(node, {**described(short_cycle, node), **output, "autostart": False})
     return graph
 
 
