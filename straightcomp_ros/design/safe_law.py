@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import StateSpace, closed_loop, linearised, sampled_plant
 from straightcomp_ros.design.feasible_gains import DesignError
 from straightcomp_ros.design.prepared_stroke import prepared_stroke, shortened
 from straightcomp_ros.design.searched_gains import SEARCHED, rule, starts, with_gains
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.sweep.scenario import Scenario
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.settings.declaration import ParameterError, from_mapping, to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import Factors, deviating
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
@@ -141,7 +141,9 @@ def _corners(stage: StageParameters) -> list[_Corner]:
 def _growths(scenario: Scenario, corners: list[_Corner], gains: Mapping[str, float]) -> list[float]:
     """Logarithm of the largest pole's radius at each corner; infinite where the law is refused or not linear."""
     try:
-        law = linearised(make_law(with_gains(scenario.controls[LAW], LAW, gains), scenario.description))
+        # A gain beyond its range is refused, as a node would.
+        control = from_mapping(ControlParameters, to_mapping(with_gains(scenario.controls[LAW], LAW, gains)))
+        law = linearised(make_law(control, scenario.description))
     except ValueError:
         return [math.inf] * len(corners)
     return [math.log(np.abs(np.linalg.eigvals(closed_loop(corner.plant, law))).max()) for corner in corners]

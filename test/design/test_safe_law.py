@@ -1,6 +1,7 @@
 """A machine that is hardly known gets a law that holds it at every corner, or is told what must be known better."""
 
 import dataclasses
+import math
 import re
 
 import numpy as np
@@ -10,7 +11,7 @@ from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant
 from straightcomp_ros.design.feasible_gains import DesignError
-from straightcomp_ros.design.safe_law import LAW, SafeLaw, safe_law
+from straightcomp_ros.design.safe_law import LAW, SafeLaw, _corners, _growths, safe_law
 from straightcomp_ros.design.searched_gains import with_gains
 from straightcomp_ros.offline.sweep.scenario import Scenario, make_scenario
 from straightcomp_ros.stage.truth import Factors, deviating
@@ -66,3 +67,11 @@ def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help(
 def test_facts_without_uncertainty_are_no_corners() -> None:
     known = dict.fromkeys(("mass", "force"), 0.0)
     assert safe_law(scenario(**known, amplifier=1.0)).corners == 4
+
+
+def test_gains_beyond_their_ranges_are_no_candidates(found: SafeLaw) -> None:
+    scenario = make_scenario(shipped_parameters(), [LAW])
+    corners = _corners(scenario.description)
+    far = {**found.values, "control.smc.velocity_bandwidth": 2e6}
+    assert max(_growths(scenario, corners, found.values)) < 0.0
+    assert set(_growths(scenario, corners, far)) == {math.inf}
