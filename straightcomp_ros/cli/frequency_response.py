@@ -18,7 +18,7 @@ from straightcomp_ros.cli.options import PICTURES, output_file
 from straightcomp_ros.cli.output import console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
-from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.response_margins import ResponseMargins, response_margins
 from straightcomp_ros.frequency_response.simulated_measurement import (
     WITHIN_DB,

@@ -7,7 +7,7 @@ import numpy as np
 from straightcomp_ros.commissioning.certificate import LEAST_GAIN, LEAST_PHASE, LOOP
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
-from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.response_margins import response_margins
 from straightcomp_ros.frequency_response.simulated_measurement import WITHIN_DB, WITHIN_DEG, ComparedResponse
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.configuration.node_parameters import Values
-from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters
-from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
 
 Array = NDArray[np.float64]

@@ -55,13 +55,14 @@ def excited(series: Series, travel: float, rate: float) -> Series:
         rate: of the samples, Hz.
 
     Raises:
-        CommissioningError: there is no current in it.
+        CommissioningError: the amplifier is never on.
     """
+    on = np.isfinite(series.current)
     acting = np.flatnonzero(np.nan_to_num(series.command) != 0.0)
-    if not acting.size:
-        raise CommissioningError("the bag has no command other than zero: the controller did not excite the loop")
-    # A ramp begins with a zero of its own.
-    first = max(0, int(acting[0]) - 1)
+    if not on.any():
+        raise CommissioningError("the amplifier is off throughout the bag")
+    # A ramp begins with a zero of its own. Without any current the magnets pulled the platform away by themselves.
+    first = max(0, int(acting[0]) - 1) if acting.size else int(np.argmax(on))
     off = np.flatnonzero(np.isnan(series.current[first:]))
     end = first + int(off[0]) if off.size else len(series.stamps)
     beyond = np.flatnonzero(~(np.abs(series.y[first:] - series.y[first]) <= travel))

@@ -12,7 +12,7 @@ import numpy as np
 
 from straightcomp_ros.commissioning.current_readback import CurrentReadback, current_readback
 from straightcomp_ros.commissioning.outcome import Outcome, Work
-from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters
 from straightcomp_ros.stage.description import StageParameters
 
 _SHAKE = 0.005
@@ -27,6 +27,8 @@ _RAMP_SHARE = 0.5
 """Highest current of a ramp, relative to the highest current."""
 _TRAVEL, _TRAVEL_COUNTS = 3e-6, 6.0
 """m and counts of the encoder, whichever is more: the platform leaves faster the farther it is, and has to coast."""
+_PULLED = 0.3
+"""Part of the first breakaway current below which it was not the current that moved the platform."""
 _GAIN_WITHIN = 0.05
 _BEYOND = 1.1
 """Factor beyond its range at which a fact is called wrong."""
@@ -134,6 +136,10 @@ def _force_fault(currents: list[float], moved: list[float], stage: StageParamete
             f"{_highest(stage):.2g} A do not move the platform; friction should give way at {expected:.2g} A; look for "
             "a blocked platform, a coil without current, or an encoder of y that does not count"
         )
+    first, second = map(abs, currents)
+    if moved[0] > 0.0 and moved[1] > 0.0 and second < _PULLED * first:
+        # Where the first push left it, the magnets pull harder than friction holds: the second tells nothing.
+        return ""
     if moved[0] < 0.0 or moved[1] > 0.0:
         return (
             "a positive current moves the platform toward negative y: the coils or the encoder of y are wired backwards"

@@ -13,8 +13,8 @@ from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.machine import Array, Series
 from straightcomp_ros.configuration.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
 from straightcomp_ros.control.law import Command
-from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters, simple_currents
-from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.frequency_response.loop_excitation import simple_currents
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, measure_simulated
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.learning import LearningParameters
-from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.commanded_plant import Hold
@@ -33,7 +33,7 @@ def _autostart() -> bool:
 class DriverNodeParameters:
     """Parameters of the node `driver`."""
 
-    dynamic: ClassVar[tuple[str, ...]] = ("stage.actuator.current_limit",)
+    dynamic: ClassVar[tuple[str, ...]] = ("stage.actuator.current_limit", "watch.travel")
     """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()

@@ -1,32 +1,17 @@
 """What is injected into the loop: the same tables of currents live and offline, from the same parameters."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.frequency_response.closed_form import LoopResponse, loop_response
-from straightcomp_ros.frequency_response.multisine import Multisine, MultisineParameters, multisine
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.frequency_response.multisine import Multisine, multisine
 from straightcomp_ros.stage.description import StageParameters
 
 _FADE = 0.25
 """s over which a multisine rises and falls."""
-
-
-@dataclass(frozen=True)
-class ExcitationParameters(MultisineParameters):
-    """An excitation of any kind."""
-
-    signal: str = parameter(
-        "multisine",
-        "Kind of the excitation. multisine: a sum of sines, for frequency responses. shake: random steps of the "
-        "current, each taken back by the next. ramp_up, ramp_down: from zero to the current, or to its negative",
-        choices=("multisine", "shake", "ramp_up", "ramp_down"),
-    )
-    duration: float = parameter(1.0, "Length of a shake or a ramp", "(0, 60] s")
 
 
 def loop_multisine(parameters: MultisineParameters, law: Law, stage: StageParameters) -> Multisine:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.frequency_response import FrequencyResponseError
 from straightcomp_ros.frequency_response.closed_form import LoopResponse
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 
 _HIGHEST_SHARE = 0.4
 """Highest line, relative to the sampling rate: above, the samples tell too little of the motion between them."""
@@ -25,28 +25,6 @@ _MOST = 3.0
 """Largest factor of the signal at low frequencies."""
 _CROSSOVER = 0.5
 """Part of a period over which one draw gives way to the next."""
-
-
-@dataclass(frozen=True)
-class MultisineParameters:
-    """The excitation of a frequency response."""
-
-    lowest: float = parameter(2.0, "Lowest frequency of the excitation", "(0, 10000] Hz")
-    highest: float = parameter(
-        500.0, "Highest frequency of the excitation; at most 0.4 times the sampling rate is used", "(0, 10000] Hz"
-    )
-    lines: int = parameter(40, "Frequencies of the excitation, evenly spaced on a logarithmic scale", "[2, 1000]")
-    period: float = parameter(
-        1.0, "Period of the excitation; its inverse is the spacing of the frequencies", "(0, 60] s"
-    )
-    draws: int = parameter(40, "Draws of random phases", "[3, 100]")
-    current: float = parameter(0.25, "RMS of the injected current", "(0, 10] A")
-    travel: float = parameter(3e-4, "Largest |y − r|, beyond which the excitation ends early", "(0, 0.1] m")
-    # A sum of sines rarely passes four times its RMS.
-    motion: float = parameter(
-        1.0 / 6.0, "RMS of the excited motion that the excitation aims at, at most, relative to the travel", "(0, 1]"
-    )
-    seed: int = parameter(1, "Seed of the phases", "[0, 2147483647]")
 
 
 @dataclass(frozen=True, eq=False)

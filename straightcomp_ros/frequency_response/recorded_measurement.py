@@ -10,8 +10,8 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.loop_excitation import loop_multisine
-from straightcomp_ros.frequency_response.multisine import MultisineParameters
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, compared_response
 from straightcomp_ros.stage.description import StageParameters
 

@@ -12,9 +12,10 @@ from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.frequency_response import ExcitationEnded
 from straightcomp_ros.frequency_response.closed_form import LoopResponse, friction_damping, loop_response
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.loop_excitation import loop_multisine, multisine_injection
 from straightcomp_ros.frequency_response.measured_response import MeasuredResponse, measured_response
-from straightcomp_ros.frequency_response.multisine import Multisine, MultisineParameters
+from straightcomp_ros.frequency_response.multisine import Multisine
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles

@@ -126,9 +126,10 @@ class DriverComponent:
         self._publish_state.finish()
 
     def prepare(self, parameters: DriverNodeParameters) -> Callable[[], None]:
-        """Prepare another limit of the control current."""
+        """Prepare another limit of the control current, or of the travel."""
 
         def take_over() -> None:
+            self._sample_watch.travel = parameters.watch.travel
             self._commands.current_limit = parameters.stage.actuator.current_limit
 
         return take_over

@@ -18,20 +18,23 @@ from straightcomp_ros.commissioning.recorded_series import excited, recorded_ser
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.frequency_response import FrequencyResponseError
-from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters
-from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
 from straightcomp_ros.frequency_response.recorded_measurement import response_from_bag
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
 from straightcomp_ros.model.motion import Waypoint, cycles, trapezoid
 from straightcomp_ros.runtime.graph_client import ANSWER_S, GraphClient
 from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.settings.declaration import to_mapping
 
 _AT_ONCE = ("excitation.", "error_limit")
 """Parameters of the controller that change without a bump, so that it need not be configured again."""
 _AT_START = ("autostart", "realtime.")
 """Those that are fixed when a process starts."""
+_TRAVEL = "watch.travel"
 _START_S = 60.0
+_CREEP_S = 0.1
+"""s in which the magnets show whether they pull the platform away by themselves."""
 _SETTLE_S = 0.5
 """s in which a law takes the platform to its reference."""
 _AFTER_S = 0.3
@@ -66,7 +69,8 @@ class RunningMachine:
         self._prepare(self._in_open_loop(ExcitationParameters()))
         bag = self._bag("connection")
         with self._recorded(bag):
-            self._sleep(seconds)
+            end = time.monotonic() + seconds
+            self._client.wait(lambda: time.monotonic() > end, seconds + _LATE_S, "time stood still")
         return recorded_series(bag)
 
     def play(self, excitation: ExcitationParameters) -> Series:
@@ -74,10 +78,16 @@ class RunningMachine:
         values = self._in_open_loop(excitation)
         self._prepare(values)
         bag = self._bag(excitation.signal)
-        with self._recorded(bag), self._switched_on():
-            self._client.require("controller/excite", SetBool.Request(data=True))
-            with suppress(LeftTravel):  # the series shows it
+        travel = self._values.get("driver", {}).get(_TRAVEL, WatchParameters().travel)
+        try:
+            # In the driver: it switches off within a sample, and from the switch-on on.
+            self._client.give("driver", {_TRAVEL: excitation.travel})
+            with self._recorded(bag), self._switched_on(), suppress(LeftTravel):  # the series shows it
+                self._sleep(_CREEP_S)
+                self._client.require("controller/excite", SetBool.Request(data=True))
                 self._sleep(excitation.duration + _SETTLE_S)
+        finally:
+            self._client.give("driver", {_TRAVEL: travel})
         stage = node_parameters("controller", values).stage
         return excited(recorded_series(bag), excitation.travel, stage.rate)
 
@@ -206,7 +216,9 @@ class RunningMachine:
             time.sleep(_SETTLE_S)
         try:
             client.wait(
-                lambda: client.safety.amplifier_on, ANSWER_S, "the driver does not say that the amplifier is on"
+                lambda: client.safety.amplifier_on or bool(client.safety.fault),
+                ANSWER_S,
+                "the driver does not say that the amplifier is on",
             )
             yield
         finally:
@@ -219,14 +231,14 @@ class RunningMachine:
             LeftTravel: the platform left its reference.
             CommissioningError: the amplifier went off for another reason.
         """
-        client, on = self._client, self._client.safety.amplifier_on
-        end = time.monotonic() + seconds
-        client.wait(
-            lambda: time.monotonic() > end or (on and not client.safety.amplifier_on),
-            seconds + _LATE_S,
-            "time stood still",
-        )
-        if on and not client.safety.amplifier_on:
+        client = self._client
+        on, end = client.safety.amplifier_on, time.monotonic() + seconds
+
+        def off() -> bool:
+            return bool(client.safety.fault) or (on and not client.safety.amplifier_on)
+
+        client.wait(lambda: time.monotonic() > end or off(), seconds + _LATE_S, "time stood still")
+        if off():
             reason = client.safety.fault or "another client switched it off"
             if client.safety.code == Fault.FOLLOWING_ERROR.code:
                 raise LeftTravel(

@@ -21,6 +21,9 @@ class WatchParameters:
     """Limits that a working machine does not exceed."""
 
     y_limit: float = parameter(1e-3, "Largest |y|, once y was within it with the amplifier on", "(0, 0.1] m")
+    travel: float = parameter(
+        0.1, "Largest movement of y since the amplifier was switched on, for commissioning in open loop", "(0, 0.1] m"
+    )
     frozen_time: float = parameter(0.01, "Time without a change of y after which it may count as frozen", "(0, 10] s")
     frozen_current: float = parameter(
         0.08, "Change of the mean control current that must move y by a count", "(0, 100] A"
@@ -34,10 +37,15 @@ class WatchParameters:
 
 
 class SampleWatch:
-    """Checks each sample, of which a normal one costs three comparisons and a mean."""
+    """Checks each sample, of which a normal one costs three comparisons and a mean.
+
+    Attributes:
+        travel: largest movement of y since the amplifier was switched on, m; a change holds from the next switch-on.
+    """
 
     def __init__(self, parameters: WatchParameters, stage: StageParameters) -> None:
         self._parameters = parameters
+        self.travel = parameters.travel
         self._period_ns = period_ns = stage.period_ns
         self._x_step = stage.motion.highest_speed * period_ns * 1e-9
         self._share = 1.0 - math.exp(-period_ns * 1e-9 / _MEAN_TIME)
@@ -54,24 +62,30 @@ class SampleWatch:
         """The amplifier was switched on: the current was zero before, and y may be anywhere."""
         self._y, self._unchanged = math.nan, 0
         self._mean = self._mean_at_change = 0.0
-        self._y_limit = sys.float_info.max
+        self._least = -sys.float_info.max
+        self._most = sys.float_info.max
+        self._start = math.nan
 
     def hold(self) -> None:
         """While the amplifier is on: once y is within its limit, it must stay there. Call it a few times a second."""
-        if abs(self._y) <= self._parameters.y_limit:
-            self._y_limit = self._parameters.y_limit
+        limit = self._parameters.y_limit
+        if abs(self._y) <= limit:
+            self._least, self._most = max(self._least, -limit), min(self._most, limit)
 
     def check(self, sample: Sample, current: float) -> Finding | None:
         """The fault of a sample, if any; ``current`` (A) is asked of the amplifier, 0 while it is off."""
         stamp_ns, x, y, _ = sample
         step = self._x_step
-        if not -step <= x - self._x <= step or not -self._y_limit <= y <= self._y_limit:
+        if not -step <= x - self._x <= step or not self._least <= y <= self._most:
             finding = self._unusual(stamp_ns, x, y)
             if finding is not None:
                 return finding
         self._x, self._stamp_ns = x, stamp_ns
         self._mean += self._share * (current - self._mean)
         if y != self._y:
+            if math.isnan(self._y):
+                # The first sample since the amplifier was switched on.
+                self._start, self._least, self._most = y, y - self.travel, y + self.travel
             self._y, self._unchanged, self._mean_at_change = y, 0, self._mean
             return None
         self._unchanged += 1
@@ -83,8 +97,11 @@ class SampleWatch:
     def _unusual(self, stamp_ns: int, x: float, y: float) -> Finding | None:
         if not (math.isfinite(x) and math.isfinite(y)):
             return Fault.SAMPLE_NOT_FINITE, f"sample with x = {x} m, y = {y} m"
-        if abs(y) > self._y_limit:
-            return Fault.Y_OUT_OF_RANGE, f"y = {y * 1e6:.1f} µm; allowed: ±{self._y_limit * 1e6:g} µm"
+        if abs(y - self._start) > self.travel:
+            moved = f"y moved by {(y - self._start) * 1e6:.1f} µm since the amplifier was switched on"
+            return Fault.FOLLOWING_ERROR, f"{moved}; allowed: ±{self.travel * 1e6:g} µm"
+        if not self._least <= y <= self._most:
+            return Fault.Y_OUT_OF_RANGE, f"y = {y * 1e6:.1f} µm; allowed: ±{self._parameters.y_limit * 1e6:g} µm"
         if math.isnan(self._x):
             return None
         # Lost samples are not a jump.

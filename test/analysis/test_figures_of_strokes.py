@@ -15,13 +15,13 @@ from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval, Limit, LimitCheck, assess, judged, read_limits
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.html_document import _number
 from straightcomp_ros.analysis.html_report import (
     _BINS,
     _error,
     _events,
     _extremes,
     _figures,
-    _number,
     _spectrum,
     _straightness,
     _table,

@@ -17,7 +17,7 @@ from straightcomp_ros.commissioning import simulated_machine
 from straightcomp_ros.commissioning.acceptance import acceptance
 from straightcomp_ros.commissioning.outcome import Outcome
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine, sound
-from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
 from straightcomp_ros.hardware.interface import Hardware, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware

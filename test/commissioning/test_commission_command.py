@@ -38,7 +38,7 @@ def test_a_step_alone_is_done_and_a_later_one_is_refused(
 ) -> None:
     folder = str(tmp_path / "done")
     assert main(["commission", stage, "-o", folder, "--only", "connection"]) == 0
-    assert "connection: 4000 samples at 2000 Hz, none lost" in " ".join(capsys.readouterr().out.split())
+    assert "connection: 60000 samples at 2000 Hz, none lost" in " ".join(capsys.readouterr().out.split())
     assert main(["commission", stage, "-o", folder, "--only", "design"]) == 1
     assert "rests on 'signs_and_scales', which has not passed" in capsys.readouterr().err
 

@@ -11,7 +11,7 @@ from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.connection import connection
 from straightcomp_ros.commissioning.signs_and_scales import signs_and_scales
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
-from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters
 
 
 @pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)

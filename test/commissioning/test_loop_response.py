@@ -9,7 +9,7 @@ from straightcomp_ros.commissioning.loop_response import frequency_response
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 from straightcomp_ros.configuration.node_parameters import Values
 from straightcomp_ros.frequency_response import ExcitationEnded
-from straightcomp_ros.frequency_response.multisine import MultisineParameters
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
 
 

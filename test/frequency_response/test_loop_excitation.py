@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
-from straightcomp_ros.frequency_response.loop_excitation import ExcitationParameters, made_injection, simple_currents
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters
+from straightcomp_ros.frequency_response.loop_excitation import made_injection, simple_currents
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()

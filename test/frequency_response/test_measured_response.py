@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.frequency_response.closed_form import LoopResponse
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.measured_response import MeasuredResponse, measured_response
-from straightcomp_ros.frequency_response.multisine import Multisine, MultisineParameters, multisine
+from straightcomp_ros.frequency_response.multisine import Multisine, multisine
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
 
 RATE = 1000.0

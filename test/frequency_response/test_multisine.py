@@ -5,7 +5,8 @@ import pytest
 
 from straightcomp_ros.frequency_response import FrequencyResponseError
 from straightcomp_ros.frequency_response.closed_form import LoopResponse
-from straightcomp_ros.frequency_response.multisine import MultisineParameters, multisine
+from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
+from straightcomp_ros.frequency_response.multisine import multisine
 
 RATE = 2000.0
 

@@ -315,3 +315,15 @@ def test_a_following_error_that_is_no_number_is_a_fault_and_with_the_amplifier_o
     assert watch.check(1.0, amplifier_on=True) is None
     watch.check(0.0, amplifier_on=True)
     assert watch.check(math.nan, amplifier_on=True) is not None
+
+
+def test_a_movement_beyond_the_travel_since_the_switch_on_is_a_fault_of_its_sample():
+    guard = SampleWatch(WatchParameters(), STAGE)
+    guard.travel = 3e-6
+    guard.switched()
+    for step, y in enumerate((5e-6, 7e-6, 2.5e-6)):
+        assert guard.check(Sample(step * T, 0.0, y, 0.0), 0.0) is None
+    finding = guard.check(Sample(3 * T, 0.0, 8.2e-6, 0.0), 0.0)
+    assert finding is not None and finding[0] is Fault.FOLLOWING_ERROR and "moved by 3.2 µm" in finding[1]
+    guard.switched()
+    assert guard.check(Sample(4 * T, 0.0, 8.2e-6, 0.0), 0.0) is None

@@ -140,7 +140,6 @@ TOGETHER = [
     ("driver", {**CAN, "stage.actuator.current_limit": 50.0}, "stage.actuator.current_limit", set()),
     ("driver", {"can.log": "frames.txt"}, "can.log", set()),
     ("driver", {"can.options": "bitrate"}, "can.options", set()),
-    ("driver", {"can.firmware": "board_posix", "can.dbc": "own.dbc"}, "can.firmware", {"can.dbc"}),
     ("driver", {"stage.platform.stop": 2e-3}, "stage.platform.stop", {"stage.actuator.air_gap"}),
     (
         "driver",
