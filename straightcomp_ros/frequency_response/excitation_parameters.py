@@ -1,4 +1,4 @@
-"""The parameters of an excitation. Apart from what it is computed with: every node's parameters are read at its start."""
+"""The parameters of an excitation, apart from what it is computed with: nodes that never excite read them too."""
 
 from dataclasses import dataclass
 

@@ -96,8 +96,8 @@ class Fault(enum.Enum):
     )
     FOLLOWING_ERROR = Description(
         17,
-        "|r − y| beyond `error_limit`, after it has been within; or y farther than `watch.travel` from where the amplifier "
-        "was switched on; or an excitation in open loop has moved the platform by `excitation.travel`",
+        "|r − y| beyond `error_limit`, after it has been within; or y farther than `watch.travel` from where the "
+        "amplifier was switched on; or an excitation in open loop has moved the platform by `excitation.travel`",
         "controller; `watch.travel`: driver, within a sample",
         60.0,
     )

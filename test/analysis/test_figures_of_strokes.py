@@ -15,7 +15,7 @@ from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval, Limit, LimitCheck, assess, judged, read_limits
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.analysis.html_document import _number
+from straightcomp_ros.analysis.html_document import _number, _table
 from straightcomp_ros.analysis.html_report import (
     _BINS,
     _error,
@@ -24,7 +24,6 @@ from straightcomp_ros.analysis.html_report import (
     _figures,
     _spectrum,
     _straightness,
-    _table,
     _timing,
 )
 from straightcomp_ros.analysis.map_building import Choices, build
