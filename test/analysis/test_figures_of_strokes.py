@@ -15,7 +15,7 @@ from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval, Limit, LimitCheck, assess, judged, read_limits
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.analysis.html_document import _number, _table
+from straightcomp_ros.analysis.html_document import _number, html_table
 from straightcomp_ros.analysis.html_report import (
     _BINS,
     _error,
@@ -360,6 +360,6 @@ def test_what_is_no_number_is_a_dash_in_the_report():
 
 
 def test_a_table_of_the_report_has_a_row_for_each_event_and_says_none_where_there_is_none():
-    assert "none" in _table([])
-    text = _table([{"time_s": 0.5, "slip_um": 2.0}, {"time_s": 1.5, "slip_um": None}])
+    assert "none" in html_table([])
+    text = html_table([{"time_s": 0.5, "slip_um": 2.0}, {"time_s": 1.5, "slip_um": None}])
     assert text.count("<tr>") == 3 and "time_<wbr>s" in text and "1.5" in text and "–" in text and "none" not in text
