@@ -71,7 +71,8 @@ class SafetyPanel:
         node: the driver.
         safety: its state machine.
         refusal: returns why the amplifier may not be switched on now, apart from faults; empty if it may.
-        switched_on: called before the amplifier is switched on.
+        anew: called before the amplifier is switched on, and before a fault is cleared, so that what came before does not
+            count.
     """
 
     def __init__(
@@ -79,10 +80,10 @@ class SafetyPanel:
         node: ManagedNode,
         safety: SafetyMachine,
         refusal: Callable[[], str],
-        switched_on: Callable[[], None],
+        anew: Callable[[], None],
     ) -> None:
         self._node, self._safety = node, safety
-        self._refusal, self._switched_on = refusal, switched_on
+        self._refusal, self._anew = refusal, anew
         self._publisher = node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
         self._reported: tuple[Condition, str] | None = None
         node.create_service(SetBool, "~/enable", self._on_enable)
@@ -109,7 +110,7 @@ class SafetyPanel:
         else:
             refusal = "" if self._safety.fault else self._refusal()
             if not refusal:
-                self._switched_on()
+                self._anew()
                 refusal = self._safety.enable()
             response.success, response.message = not refusal, refusal or "amplifier on"
             self._node.get_logger().info(f"enable: {response.message}")
@@ -119,6 +120,7 @@ class SafetyPanel:
     def _on_reset_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Clear the latched fault; the amplifier stays off."""
         reason = self._safety.reason
+        self._anew()
         self._safety.reset()
         self.report()
         response.success, response.message = True, f"cleared: {reason}" if reason else "there was no fault"

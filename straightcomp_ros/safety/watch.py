@@ -59,7 +59,7 @@ class SampleWatch:
         self.switched()
 
     def switched(self) -> None:
-        """The amplifier was switched on: the current was zero before, and y may be anywhere."""
+        """The amplifier is switched on, or a fault is cleared: the current was zero before, and y may be anywhere."""
         self._y, self._unchanged = math.nan, 0
         self._mean = self._mean_at_change = 0.0
         self._least = -sys.float_info.max
