@@ -71,7 +71,7 @@ class SafetyPanel:
         node: the driver.
         safety: its state machine.
         refusal: returns why the amplifier may not be switched on now, apart from faults; empty if it may.
-        anew: called before the amplifier is switched on, and before a fault is cleared: what came before does not count.
+        anew: called before the amplifier is switched on and before a fault is cleared: what came before counts no more.
     """
 
     def __init__(
