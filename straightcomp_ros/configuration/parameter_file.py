@@ -100,7 +100,7 @@ def shipped_parameters(params_file: str | None = None, stage: str | None = None)
     return values
 
 
-class _ForRcl(yaml.SafeDumper):
+class _ForRcl(yaml.SafeDumper):  # type: ignore[misc, unused-ignore]  # types of PyYAML may be installed or not
     """Puts in quotes what rcl takes for a boolean and PyYAML does not: a signal may be called Y."""
 
 
