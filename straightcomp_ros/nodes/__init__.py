@@ -1,7 +1,7 @@
 """The ROS 2 nodes: thin shells around the packages that know no ROS.
 
-OpenBLAS's threads wait for each other in a busy loop. With real-time priority on the CPU of a control loop they would wait
-for ever, so that a node computes in one thread. The variable must be set before NumPy is imported.
+OpenBLAS's threads wait for each other in busy loops. With real-time priority on the CPU of a control loop they would
+wait for ever, so a node computes in one thread. The variable must be set before NumPy is imported.
 """
 
 import os
