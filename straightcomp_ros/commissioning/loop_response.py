@@ -1,4 +1,8 @@
-"""Step `frequency_response`: plant and margins as measured; does what was identified explain them?"""
+"""Step `frequency_response`: plant and margins as measured; does what was identified explain them?
+
+The same measurement is made of the simulated machine as identified. Between rest and sliding, friction is neither a
+spring nor a damping: what it makes of the response depends on the excitation, and no closed form has it.
+"""
 
 import dataclasses
 
@@ -9,7 +13,12 @@ from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
 from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.response_margins import response_margins
-from straightcomp_ros.frequency_response.simulated_measurement import WITHIN_DB, WITHIN_DEG, ComparedResponse
+from straightcomp_ros.frequency_response.simulated_measurement import (
+    WITHIN_DB,
+    WITHIN_DEG,
+    ComparedResponse,
+    measure_simulated,
+)
 
 _ALIKE_DB = 0.5
 """Deviations are alike if half of them are within this of their median."""
@@ -65,10 +74,17 @@ def _measured(work: Work) -> ComparedResponse:
     """The response; once more with half the motion if the platform left the travel: how far it moves is a guess."""
     excitation = MultisineParameters(travel=work.travel)
     try:
-        return work.machine.response(work.values, excitation)
+        found = work.machine.response(work.values, excitation)
     except ExcitationEnded:
-        halved = dataclasses.replace(excitation, motion=0.5 * excitation.motion)
-        return work.machine.response(work.values, halved)
+        excitation = dataclasses.replace(excitation, motion=0.5 * excitation.motion)
+        found = work.machine.response(work.values, excitation)
+    try:
+        described = measure_simulated(work.described(), excitation)
+    except ExcitationEnded as error:
+        raise FrequencyResponseError(
+            f"the machine as identified would leave the travel, this one did not: {error}"
+        ) from error
+    return dataclasses.replace(found, model=described.measured.response)
 
 
 def _changed(found: ComparedResponse) -> str:

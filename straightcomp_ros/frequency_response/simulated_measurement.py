@@ -37,7 +37,8 @@ class ComparedResponse:
     Attributes:
         law: name of the law.
         measured: the measurement.
-        model: closed form of the description, at the measured lines, with friction linearised at the measured speed.
+        model: of the description, at the measured lines: its closed form with friction linearised at the measured
+            speed, unless something else is put in its place.
         damping: that friction, N·s/m.
         clipped: samples in which the current limit cut the excitation.
         duration: of the excitation, s.
