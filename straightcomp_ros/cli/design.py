@@ -156,8 +156,9 @@ def _print(design: Design, name: str) -> None:
     console.print(budget)
     for state, limit in design.limits.items():
         console.print(
-            f"{state}: stable for gains × {limit.gain_low:.2f} to {limit.gain_high:.2f}, masses × {limit.mass_low:.2f} "
-            f"to {limit.mass_high:.2f}, delays up to {limit.longest_delay:.2f} samples; phase {limit.phase:.0f}°",
+            f"{state}: stable for gains × {limit.gain_low:.2f} to {limit.gain_high:.2f}, of the amplifier "
+            f"× {limit.amplifier_low:.2f} to {limit.amplifier_high:.2f}, masses × {limit.mass_low:.2f} to "
+            f"{limit.mass_high:.2f}, delays up to {limit.longest_delay:.2f} samples; phase {limit.phase:.0f}°",
             highlight=False,
         )
     sweep = design.verification.summary

@@ -3,6 +3,10 @@
 The law's own step function, the one that runs, is linearised by central differences about rest at the centre, and
 closed over the sampled nominal plant with its command delay and the amplifier's lag. A law whose slope at rest is
 infinite (sgn, super-twisting) has no linearisation and is refused.
+
+A law may answer to the measured current of the coils too. As long as amplifier and delay are those of its own model,
+the current is as predicted and tells it nothing: how much more or less force it endures is the same with and without.
+How far off the amplifier's gain may be is another matter, because there the current contradicts the model.
 """
 
 import math
@@ -25,12 +29,12 @@ Matrix = NDArray[np.float64]
 
 
 class StateSpace(NamedTuple):
-    """x⁺ = A x + B u, out = C x + D u, one input and one output."""
+    """x⁺ = A x + B u, out = C x + D u: a (n, n), b (n, inputs), c (outputs, n), d (outputs, inputs)."""
 
     a: Matrix
     b: Matrix
     c: Matrix
-    d: float
+    d: Matrix
 
 
 class Margins(NamedTuple):
@@ -51,7 +55,7 @@ class Margins(NamedTuple):
 
 
 def sampled_plant(stage: StageParameters, delay: float, damping: float = 0.0) -> StateSpace:
-    """From commanded current (A) to position (m): the linear plant (3), sampled.
+    """From commanded current (A) to position (m) and current of the coils (A): the linear plant (3), sampled.
 
     Args:
         stage: whose plant, rate and amplifier are taken.
@@ -71,54 +75,39 @@ def sampled_plant(stage: StageParameters, delay: float, damping: float = 0.0) ->
     with_old, with_new = expm(continuous * rest), expm(continuous * (period - rest))
     # State: y, ẏ, i, then the commands that have not acted yet, the oldest first.
     n = 4 + whole
-    a, b, c = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    a, b, c = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((2, n))
     a[:3, :3] = with_new[:3, :3] @ with_old[:3, :3]
     a[:3, 3] = with_new[:3, :3] @ with_old[:3, 3]
     if whole:
         a[:3, 4] = with_new[:3, 3]
     else:
-        b[:3] = with_new[:3, 3]
+        b[:3, 0] = with_new[:3, 3]
     for place in range(3, n - 1):
         a[place, place + 1] = 1.0
     b[n - 1] = 1.0
-    c[0] = 1.0
-    return StateSpace(a, b, c, 0.0)
+    c[0, 0] = c[1, 2] = 1.0
+    return StateSpace(a, b, c, np.zeros((2, 1)))
 
 
-def linearised(law: Law) -> StateSpace:
+def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
     """From reading (m) to commanded current (A): the law about rest at the centre, with the reference at zero.
 
-    All numbers of its state are zero there: 'smc_observer' is taken without friction. States that the reading does not
-    reach, or that do not act on the current, are left out.
+    All numbers of its state are zero there: 'smc_observer' is taken without friction. States that no input reaches, or
+    that do not act on the command, are left out.
+
+    Args:
+        law: the law.
+        with_current: whether the measured current of the coils (A) is a second input. Otherwise none is measured.
 
     Raises:
         ValueError: the law is not linear there.
     """
-    columns = _slopes_at_rest(law, inputs=1)
+    columns = _slopes_at_rest(law, inputs=2 if with_current else 1)
     size = len(columns) - 1
     # A clock or a paused fit would be a pole on the unit circle, though it is not in the loop.
-    all_a, all_b, all_c = columns[:size, :size], columns[:size, size], columns[size, :size]
-    looped = np.flatnonzero(_connected(all_a, all_c) & _connected(all_a.T, all_b))
-    a, b, c = all_a[np.ix_(looped, looped)], all_b[looped], all_c[looped]
-    return StateSpace(a, b, c, float(columns[size, size]))
-
-
-def linearised_with_current(law: Law) -> tuple[StateSpace, StateSpace]:
-    """The law as :func:`linearised`, but with the measured current of the coils as a second input.
-
-    Returns:
-        From reading (m) and from measured current (A) to commanded current (A); both have the same states, all of them.
-
-    Raises:
-        ValueError: the law is not linear there.
-    """
-    columns = _slopes_at_rest(law, inputs=2)
-    size = len(columns) - 1
-    a, c = columns[:size, :size], columns[size, :size]
-    from_reading, from_current = (
-        StateSpace(a, columns[:size, place], c, float(columns[size, place])) for place in (size, size + 1)
-    )
-    return from_reading, from_current
+    all_a, all_b, all_c = columns[:size, :size], columns[:size, size:], columns[size:, :size]
+    looped = np.flatnonzero(_connected(all_a, all_c) & _connected(all_a.T, all_b.T))
+    return StateSpace(all_a[np.ix_(looped, looped)], all_b[looped], all_c[:, looped], columns[size:, size:])
 
 
 def _slopes_at_rest(law: Law, inputs: int) -> Matrix:
@@ -147,20 +136,24 @@ def _slopes_at_rest(law: Law, inputs: int) -> Matrix:
 
 
 def _connected(a: Matrix, c: Matrix) -> NDArray[np.bool_]:
-    """Whether the output depends on each state, through others too."""
-    seen: NDArray[np.bool_] = c != 0.0
-    for _ in range(len(c)):
+    """Whether any output depends on each state, through others too."""
+    seen: NDArray[np.bool_] = np.any(c != 0.0, axis=0)
+    for _ in range(len(a)):
         seen |= np.any(a[seen] != 0.0, axis=0)
     return seen
 
 
-def loop_margins(law: Law, stage: StageParameters, delay: float | None = None) -> Margins:
+def loop_margins(
+    law: Law, stage: StageParameters, delay: float | None = None, *, with_current: bool = False
+) -> Margins:
     """Margins of ``law`` on the plant of ``stage``, with commands ``delay`` s late: by default as described.
+
+    ``with_current`` as of :func:`linearised`: the gain is then the amplifier's, otherwise just as well the force's.
 
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    controller, period = linearised(law), stage.period
+    controller, period = linearised(law, with_current=with_current), stage.period
     late = stage.drive.delay * period if delay is None else delay
 
     def plant(at: float = late) -> StateSpace:
@@ -170,7 +163,7 @@ def loop_margins(law: Law, stage: StageParameters, delay: float | None = None) -
         return np.asarray(np.linalg.eigvals(closed_loop(plant(at), controller, gain)), dtype=np.complex128)
 
     def stable(gain: float = 1.0, at: float = late) -> bool:
-        return bool(np.abs(poles(gain, at)).max() < 1.0)
+        return spectral_radius(closed_loop(plant(at), controller, gain)) < 1.0
 
     if not stable():
         return Margins(poles(), 1.0, 1.0, 0.0, 0.0)
@@ -184,10 +177,17 @@ def loop_margins(law: Law, stage: StageParameters, delay: float | None = None) -
 
 
 def closed_loop(plant: StateSpace, controller: StateSpace, gain: float = 1.0) -> Matrix:
-    """A of the closed loop, the plant's states first, with the plant's input times ``gain``."""
-    b = gain * plant.b
-    top = [plant.a + controller.d * np.outer(b, plant.c), np.outer(b, controller.c)]
-    return np.block([top, [np.outer(controller.b, plant.c), controller.a]])
+    """A of the closed loop, the plant's states first, with the plant's input times ``gain``.
+
+    The controller takes as many of the plant's outputs as it has inputs.
+    """
+    b, seen = gain * plant.b, plant.c[: controller.b.shape[1]]
+    return np.block([[plant.a + b @ controller.d @ seen, b @ controller.c], [controller.b @ seen, controller.a]])
+
+
+def spectral_radius(matrix: Matrix) -> float:
+    """Largest magnitude of an eigenvalue: a sampled loop is stable below 1."""
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
 def last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:
@@ -210,18 +210,20 @@ def last_stable(stable: Callable[[float], bool], inside: float, outside: float) 
 def phase_margin(plant: StateSpace, controller: StateSpace, period: float, frequencies: int = 5_000) -> float:
     """Smallest phase margin over all gain crossovers in degrees, found on a grid of ``frequencies``."""
     grid = np.geomspace(0.1, 0.4999 / period, frequencies)
-    z = np.exp(2j * math.pi * grid * period)
-    loop = -response(plant, z) * response(controller, z)
+    loop = open_loop(plant, controller, np.exp(2j * math.pi * grid * period))
     magnitude = np.abs(loop)
     crossing = np.flatnonzero((magnitude[:-1] - 1.0) * (magnitude[1:] - 1.0) <= 0.0)
     margins = np.abs(np.degrees(np.angle(-loop[crossing])))
     return float(margins.min()) if len(margins) else 180.0
 
 
+def open_loop(plant: StateSpace, controller: StateSpace, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """From command to what the controller answers to it, its sign turned, at the points ``z`` (n,): (n,)."""
+    seen = response(plant, z)[:, : controller.b.shape[1]]
+    return -(response(controller, z) @ seen)[:, 0, 0]
+
+
 def response(system: StateSpace, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Output per input of ``system`` at the points ``z`` (n,) of the z plane, (n,)."""
-    n = len(system.b)
-    solved = np.linalg.solve(
-        z[:, None, None] * np.eye(n) - system.a, np.broadcast_to(system.b[:, None], (len(z), n, 1))
-    )
-    return np.asarray((system.c @ solved)[:, 0] + system.d)
+    """Outputs per input of ``system`` at the points ``z`` (n,) of the z plane, (n, outputs, inputs)."""
+    solved = np.linalg.solve(z[:, None, None] * np.eye(len(system.a)) - system.a, system.b)
+    return np.asarray(system.c @ solved + system.d)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.design.error_budget import BudgetEntry, error_budget
 from straightcomp_ros.design.failing_limits import FailingLimits, failing_limits
-from straightcomp_ros.design.feasible_gains import feasible_gains, refusal
+from straightcomp_ros.design.feasible_gains import feasible_gains, mended_starts, refusal
 from straightcomp_ros.design.following_parameters import following
 from straightcomp_ros.design.gain_search import Found, search
 from straightcomp_ros.design.judged_gains import Judge, judge_of
@@ -136,7 +136,7 @@ def design_gains(
         judge = judge_of(scenario, law, quiet, held)
         found = search(
             judge,
-            [*begin, tighter],
+            mended_starts(scenario, law, [*begin, tighter], held, seed=seed),
             evaluations=evaluations if rounds == 1 else evaluations // 2,
             seed=seed + rounds - 1,
             jobs=jobs,

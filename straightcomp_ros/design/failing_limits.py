@@ -3,10 +3,15 @@
 import dataclasses
 from typing import NamedTuple
 
-import numpy as np
-
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.margins import closed_loop, last_stable, linearised, loop_margins, sampled_plant
+from straightcomp_ros.control.margins import (
+    closed_loop,
+    last_stable,
+    linearised,
+    loop_margins,
+    sampled_plant,
+    spectral_radius,
+)
 from straightcomp_ros.design.searched_gains import stiffened
 from straightcomp_ros.offline.sweep.scenario import Scenario
 
@@ -18,13 +23,16 @@ class FailingLimits(NamedTuple):
 
     Attributes:
         gain_low, gain_high: factors of the loop gain.
-        phase: smallest phase margin, degrees.
+        amplifier_low, amplifier_high: factors of the amplifier's gain, with the current measured behind it.
+        phase: smallest phase margin, with and without the measured current, degrees.
         longest_delay: of a command, samples.
         mass_low, mass_high: factors of the mass.
     """
 
     gain_low: float
     gain_high: float
+    amplifier_low: float
+    amplifier_high: float
     phase: float
     longest_delay: float
     mass_low: float
@@ -41,15 +49,24 @@ def failing_limits(scenario: Scenario, control: ControlParameters) -> dict[str, 
 def _limits(scenario: Scenario, control: ControlParameters) -> FailingLimits:
     stage = scenario.description
     law = make_law(control, stage)
-    margins, controller = loop_margins(law, stage), linearised(law)
+    margins, measured = loop_margins(law, stage), loop_margins(law, stage, with_current=True)
+    controller = linearised(law)
 
     def stable(factor: float) -> bool:
         platform = dataclasses.replace(stage.platform, mass=factor * stage.platform.mass)
         plant = sampled_plant(dataclasses.replace(stage, platform=platform), stage.drive.delay * stage.period)
-        return bool(np.abs(np.linalg.eigvals(closed_loop(plant, controller))).max() < 1.0)
+        return spectral_radius(closed_loop(plant, controller)) < 1.0
 
     low = high = 1.0
     if stable(1.0):
         low, high = last_stable(stable, 1.0, _LIGHTEST), last_stable(stable, 1.0, _HEAVIEST)
-    longest = margins.longest_delay / stage.period
-    return FailingLimits(margins.gain_low, margins.gain_high, margins.phase, longest, low, high)
+    return FailingLimits(
+        gain_low=margins.gain_low,
+        gain_high=margins.gain_high,
+        amplifier_low=measured.gain_low,
+        amplifier_high=measured.gain_high,
+        phase=min(margins.phase, measured.phase),
+        longest_delay=margins.longest_delay / stage.period,
+        mass_low=low,
+        mass_high=high,
+    )

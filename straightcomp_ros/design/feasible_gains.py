@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from straightcomp_ros.design.searched_gains import SEARCHED, rule, scaled, starts, with_gains
@@ -43,8 +43,32 @@ def feasible_gains(
         evaluations: of each of two searches, which simulate nothing.
         seed: of the search.
     """
-    from cma import CMAEvolutionStrategy
+    violation = _violation(scenario, law, demands)
+    if violation(start) == 0.0:
+        return dict(start)
+    for begin in sorted(starts(law, start), key=violation)[:_VALLEYS]:
+        found = _mended(violation, law, begin, evaluations, seed)
+        if found is not None:
+            return found
+    return None
 
+
+def mended_starts(
+    scenario: Scenario, law: str, begins: Sequence[Mapping[str, float]], demands: Demands = STANDARD, *, seed: int = 1
+) -> list[dict[str, float]]:
+    """``begins`` in their order, but gains near by in the place of those that miss a demand.
+
+    They are of different valleys, and a search that begins outside the demands may not find back into its own. Where no
+    gains near by hold the demands, they stay as they are.
+    """
+    violation = _violation(scenario, law, demands)
+    return [
+        dict(one) if violation(one) == 0.0 else _mended(violation, law, one, _IN_BISECTION, seed) or dict(one)
+        for one in begins
+    ]
+
+
+def _violation(scenario: Scenario, law: str, demands: Demands) -> Callable[[Mapping[str, float]], float]:
     check = StabilityCheck(scenario.description, demands)
     control = next(iter(scenario.controls.values()))
 
@@ -54,20 +78,30 @@ def feasible_gains(
         except ParameterError:
             return math.inf
 
-    if violation(start) == 0.0:
-        return dict(start)
-    names = [gain.name for gain in SEARCHED[law] if gain.name in start]
-    for begin in sorted(starts(law, start), key=violation)[:_VALLEYS]:
-        strategy = CMAEvolutionStrategy(
-            [math.log(begin[name]) for name in names], _STEP, {"seed": seed, "popsize": 10, "verbose": -9}
-        )
-        for _ in range(evaluations // 10):
-            candidates = strategy.ask()
-            gains = [{**start, **dict(zip(names, map(math.exp, one), strict=True))} for one in candidates]
-            violations = [violation(one) for one in gains]
-            if 0.0 in violations:
-                return gains[violations.index(0.0)]
-            strategy.tell(candidates, violations)
+    return violation
+
+
+def _mended(
+    violation: Callable[[Mapping[str, float]], float],
+    law: str,
+    begin: Mapping[str, float],
+    evaluations: int,
+    seed: int,
+) -> dict[str, float] | None:
+    """The first gains without a violation that a search from ``begin`` comes upon."""
+    from cma import CMAEvolutionStrategy
+
+    names = [gain.name for gain in SEARCHED[law] if gain.name in begin]
+    strategy = CMAEvolutionStrategy(
+        [math.log(begin[name]) for name in names], _STEP, {"seed": seed, "popsize": 10, "verbose": -9}
+    )
+    for _ in range(evaluations // 10):
+        candidates = strategy.ask()
+        gains = [{**begin, **dict(zip(names, map(math.exp, one), strict=True))} for one in candidates]
+        violations = [violation(one) for one in gains]
+        if 0.0 in violations:
+            return gains[violations.index(0.0)]
+        strategy.tell(candidates, violations)
     return None
 
 

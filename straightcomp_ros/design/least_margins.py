@@ -7,10 +7,15 @@ runs; how far the loop is stable is looked for only where a limit is missed.
 
 from collections.abc import Callable, Iterator
 
-import numpy as np
-
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
-from straightcomp_ros.control.margins import StateSpace, closed_loop, linearised, phase_margin, sampled_plant
+from straightcomp_ros.control.margins import (
+    StateSpace,
+    closed_loop,
+    linearised,
+    phase_margin,
+    sampled_plant,
+    spectral_radius,
+)
 from straightcomp_ros.design.searched_gains import stiffened
 from straightcomp_ros.stage.description import StageParameters
 
@@ -20,6 +25,7 @@ _STIFFEST_GAINS = (0.9, 1.1)
 """The same where the law is at its stiffest, which it leaves again when it has learned the friction."""
 LEAST_PHASE = 5.0
 """Degrees."""
+_MEASURED = ", with the coils' current measured,"
 _FREQUENCIES = 400
 _HALVINGS = 10
 
@@ -49,9 +55,13 @@ def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]
     """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
     loop = _Loop(control, stage)
     yield from _gains_missed(loop, "", LEAST_GAINS)
+    yield from _gains_missed(_Loop(control, stage, with_current=True), _MEASURED, LEAST_GAINS)
     stiff = stiffened(control)
     if stiff is not control:
         yield from _gains_missed(_Loop(stiff, stage), ", at its stiffest,", _STIFFEST_GAINS)
+        yield from _gains_missed(
+            _Loop(stiff, stage, with_current=True), f", at its stiffest{_MEASURED}", _STIFFEST_GAINS
+        )
     latest = stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
     if not loop.stable_at_delay(latest):
         longest = _border(loop.stable_at_delay, stage.drive.delay, latest)
@@ -76,10 +86,10 @@ def _gains_missed(loop: "_Loop", where: str, gains: tuple[float, float]) -> Iter
 
 
 class _Loop:
-    """A law, linearised, around the plant of a stage."""
+    """A law, linearised, around the plant of a stage; with or without the measured current."""
 
-    def __init__(self, control: ControlParameters, stage: StageParameters) -> None:
-        self.law = linearised(make_law(control, stage))
+    def __init__(self, control: ControlParameters, stage: StageParameters, *, with_current: bool = False) -> None:
+        self.law = linearised(make_law(control, stage), with_current=with_current)
         self.plant = sampled_plant(stage, stage.drive.delay * stage.period)
         self._stage = stage
 
@@ -90,7 +100,7 @@ class _Loop:
         return self._stable(sampled_plant(self._stage, samples * self._stage.period), 1.0)
 
     def _stable(self, plant: StateSpace, gain: float) -> bool:
-        return bool(np.abs(np.linalg.eigvals(closed_loop(plant, self.law, gain))).max() < 1.0)
+        return spectral_radius(closed_loop(plant, self.law, gain)) < 1.0
 
 
 def _border(stable: Callable[[float], bool], inside: float, outside: float) -> float:

@@ -13,10 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.margins import StateSpace, closed_loop, linearised, sampled_plant
+from straightcomp_ros.control.margins import StateSpace, closed_loop, linearised, sampled_plant, spectral_radius
 from straightcomp_ros.design.feasible_gains import DesignError
 from straightcomp_ros.design.prepared_stroke import prepared_stroke, shortened
 from straightcomp_ros.design.searched_gains import SEARCHED, rule, starts, with_gains
@@ -146,7 +144,7 @@ def _growths(scenario: Scenario, corners: list[_Corner], gains: Mapping[str, flo
         law = linearised(make_law(control, scenario.description))
     except ValueError:
         return [math.inf] * len(corners)
-    return [math.log(np.abs(np.linalg.eigvals(closed_loop(corner.plant, law))).max()) for corner in corners]
+    return [math.log(spectral_radius(closed_loop(corner.plant, law))) for corner in corners]
 
 
 def _calmest(scenario: Scenario, corners: list[_Corner], evaluations: int, seed: int) -> tuple[dict[str, float], float]:

@@ -14,14 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.margins import StateSpace, linearised_with_current, response, sampled_plant
+from straightcomp_ros.control.margins import StateSpace, linearised, open_loop, response, sampled_plant
 from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.stage.description import StageParameters
 
 Complex = NDArray[np.complex128]
-
-_CURRENT = 2
-"""Place of the coils' current in the state of :func:`~straightcomp_ros.control.margins.sampled_plant`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +45,7 @@ def friction_damping(friction: LuGreParameters, speed: float) -> float:
 
 def plant_response(stage: StageParameters, frequencies: NDArray[np.float64], damping: float) -> Complex:
     """The plant of ``stage`` with ``damping`` in N·s/m, at ``frequencies`` (lines,) in Hz."""
-    return response(_plant(stage, damping), _points(stage, frequencies))
+    return _position(_plant(stage, damping), _points(stage, frequencies))
 
 
 def loop_response(
@@ -68,12 +65,12 @@ def loop_response(
         ValueError: the law has no linearisation at rest.
     """
     z, plant = _points(stage, frequencies), _plant(stage, damping)
-    select_current = np.zeros_like(plant.c)
-    select_current[_CURRENT] = 1.0
-    position, current = response(plant, z), response(plant._replace(c=select_current), z)
-    from_reading, from_current = linearised_with_current(law)
-    open_loop = -(response(from_reading, z) * position + response(from_current, z) * current)
-    return LoopResponse(position, open_loop, 1.0 / (1.0 + open_loop))
+    loop = open_loop(plant, linearised(law, with_current=True), z)
+    return LoopResponse(_position(plant, z), loop, 1.0 / (1.0 + loop))
+
+
+def _position(plant: StateSpace, z: Complex) -> Complex:
+    return response(plant, z)[:, 0, 0]
 
 
 def _plant(stage: StageParameters, damping: float) -> StateSpace:

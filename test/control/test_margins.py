@@ -76,13 +76,27 @@ def test_a_loop_turned_by_its_phase_margin_is_on_the_border_of_stability(name):
 def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
     """L = k/(z − 1), or k/(z (z − 1)): |L| = 1 where 2 sin(ωT/2) = k."""
     k, one = 0.3, np.eye(1)
-    integrator = StateSpace(one, np.array([k]), np.array([1.0]), 0.0)
+    integrator = StateSpace(one, k * one, one, 0.0 * one)
     if delayed:
-        integrator = StateSpace(np.array([[1.0, k], [0.0, 0.0]]), np.array([0.0, 1.0]), np.array([1.0, 0.0]), 0.0)
-    minus_one = StateSpace(np.zeros((1, 1)), np.zeros(1), np.zeros(1), -1.0)
+        a, b = np.array([[1.0, k], [0.0, 0.0]]), np.array([[0.0], [1.0]])
+        integrator = StateSpace(a, b, np.array([[1.0, 0.0]]), 0.0 * one)
+    minus_one = StateSpace(0.0 * one, 0.0 * one, 0.0 * one, -one)
     half = np.degrees(np.arcsin(k / 2.0))
     expected = 90.0 - half - (2.0 * half if delayed else 0.0)
     assert phase_margin(integrator, minus_one, PERIOD) == pytest.approx(expected, abs=0.2)
+
+
+def test_while_the_amplifier_is_as_described_the_measured_current_does_not_change_what_force_is_endured():
+    made, delay = law("smc_observer", smc_observer=ObserverDesign(delay=1.0)), PERIOD
+    plain, measured = (linearised(made, with_current=measured) for measured in (False, True))
+    for force in (0.7, 2.0):
+        plant = sampled_plant(STAGE, delay)
+        # The position's part of the input and of the law's answer to it, not the current's.
+        stronger = plant._replace(c=np.array([[force], [1.0]]) * plant.c)
+        one, other = (np.abs(np.linalg.eigvals(closed_loop(stronger, linear))).max() for linear in (plain, measured))
+        assert one == pytest.approx(other, abs=1e-6)
+    margins = [loop_margins(made, STAGE, delay, with_current=with_current).gain_high for with_current in (False, True)]
+    assert abs(margins[0] / margins[1] - 1.0) > 0.05
 
 
 def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
@@ -105,14 +119,16 @@ def test_knowing_the_delay_makes_the_observer_tolerate_it():
 @pytest.mark.parametrize("delay", [0.0, 2.5e-4, 5e-4, 7.5e-4, 1e-3])
 def test_the_sampled_plant_answers_a_constant_current_after_its_delay_as_the_continuous_one(delay):
     plant = sampled_plant(dataclasses.replace(STAGE, drive=DriveParameters(bandwidth=1e5)), delay)
-    x = np.zeros(len(plant.b))
+    x = np.zeros((len(plant.b), 1))
     cycles = 40
     for _ in range(cycles):
         x = plant.a @ x + plant.b
     pole = np.sqrt(STAGE.actuator.position_stiffness / STAGE.platform.mass)
     static = STAGE.actuator.current_stiffness / STAGE.actuator.position_stiffness
     acting = cycles * PERIOD - delay - 1.0 / (2 * np.pi * 1e5)
-    assert plant.c @ x + plant.d == pytest.approx(static * (np.cosh(pole * acting) - 1.0), rel=1e-3)
+    position, current = (plant.c @ x + plant.d)[:, 0]
+    assert current == pytest.approx(1.0)
+    assert position == pytest.approx(static * (np.cosh(pole * acting) - 1.0), rel=1e-3)
 
 
 def test_the_border_of_stability_is_the_one_next_to_the_stable_value():

@@ -5,13 +5,25 @@ import re
 
 import pytest
 
+from scripts.stage_files import stage_scenario
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.design.automatic_design import closed_form, design_gains
 from straightcomp_ros.design.failing_limits import failing_limits
 from straightcomp_ros.design.feasible_gains import DesignError, feasible_gains, refusal
+from straightcomp_ros.design.least_margins import missing_margin
 from straightcomp_ros.design.searched_gains import scaled, with_gains
 from straightcomp_ros.design.stability_demands import Demands, StabilityCheck
+
+GAINS_OF_A_SEARCH = {
+    "control.smc_observer.bandwidth": 305.62,
+    "control.smc_observer.third_pole": 0.33874,
+    "control.smc_observer.delay": 0.88,
+    "control.smc_observer.surface": 481.23,
+    "control.smc_observer.reaching": 1925.7,
+    "control.smc_observer.gain_allowance": 1.8527,
+}
+"""Found for an encoder of 5 nm by a search that did not look at the measured current."""
 
 
 def control_of(scenario, factor=1.0):
@@ -34,6 +46,17 @@ def test_what_is_held_is_within_the_margins_that_were_asked_for(shipped):
     assert margins.gain_low < demands.gain_low and margins.gain_high > demands.gain_high
     assert margins.phase > demands.phase
     assert margins.longest_delay > (stage.uncertainty.longest_delay + demands.spare_delay) * stage.period
+
+
+def test_gains_for_a_fine_encoder_that_hold_without_the_measured_current_may_not_hold_with_it():
+    scenario = stage_scenario("fine_encoder")
+    control = with_gains(scenario.controls["smc_observer"], "smc_observer", GAINS_OF_A_SEARCH)
+    missed = StabilityCheck(scenario.description).missed(control)
+    assert missed and all("amplifier" in name or "current measured" in name for name in missed)
+    told = missing_margin(control, scenario.description)
+    assert told is not None and "at its stiffest, with the coils' current measured, stable up to 1.0" in told
+    stiff = failing_limits(scenario, control)["stiff"]
+    assert stiff.gain_high > 1.9 and stiff.amplifier_high < 1.1
 
 
 def test_tighter_demands_are_missed_sooner(shipped):
