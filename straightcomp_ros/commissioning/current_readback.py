@@ -10,12 +10,13 @@ from scipy.signal import lfilter
 from straightcomp_ros.commissioning.machine import Array, Series
 from straightcomp_ros.model.converters import DriveParameters
 
-_DELAYS = np.arange(0.0, 5.0, 0.25)
-"""Samples; where the search begins."""
+_LONGEST = 8
+"""Samples of delay."""
+_DELAYS = (0.1, 0.5, 0.9)
+"""Parts of a sample, where the search begins."""
 _BANDWIDTHS = np.geomspace(0.005, 2.0, 13)
 """Relative to the sampling rate, likewise."""
-_LONGEST = 8.0
-_STARTS = 3
+_STARTS = 2
 _TOLERANCE = 1e-15
 _UNEXPLAINED = 0.9
 """Share of the current from which no amplifier fits."""
@@ -61,15 +62,20 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
     def residuals(numbers: Array) -> Array:
         return fitted(numbers)[1]
 
-    starts = [np.array([math.log(2.0 * math.pi * band), delay]) for band in _BANDWIDTHS for delay in _DELAYS]
-    starts.sort(key=lambda start: float(np.sum(residuals(start) ** 2)))
-    bounds = ([math.log(1e-4), 0.0], [math.log(100.0), _LONGEST])
     scale = max(1e-12, float(current.std()))
     exact = {"xtol": _TOLERANCE, "ftol": _TOLERANCE, "gtol": _TOLERANCE}
-    found = [
-        least_squares(lambda numbers: residuals(numbers) / scale, start, bounds=bounds, **exact)
-        for start in starts[:_STARTS]
-    ]
+    low, high = math.log(1e-4), math.log(100.0)
+    found = []
+    # Each whole sample by itself: at a whole one the current is not smooth in the delay, and a search does not pass.
+    for whole in range(_LONGEST):
+        starts = [np.array([math.log(2.0 * math.pi * band), whole + part]) for band in _BANDWIDTHS for part in _DELAYS]
+        starts.sort(key=lambda start: float(np.sum(residuals(start) ** 2)))
+        found += [
+            least_squares(
+                lambda numbers: residuals(numbers) / scale, start, bounds=([low, whole], [high, whole + 1.0]), **exact
+            )
+            for start in starts[:_STARTS]
+        ]
     best: Array = min(found, key=lambda one: float(one.cost)).x
     (gain, offset), left = fitted(best)
     missed = float(left.std()) / max(1e-12, float(np.diff(current).std()))
