@@ -19,7 +19,7 @@ from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.design.least_margins import missing_margin
 from straightcomp_ros.frequency_response.loop_excitation import made_injection
 from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher, batched_queue
-from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
+from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop, awaited
 from straightcomp_ros.runtime.excitation_service import ExcitationService
 from straightcomp_ros.runtime.locked_loop import LockedLoop, sendings
 from straightcomp_ros.runtime.managed import ManagedNode
@@ -113,7 +113,7 @@ class ControllerComponent:
         former = self._parameters
         same_law = (parameters.control, parameters.stage) == (former.control, former.stage)
         # Eigenvalues take several cycles.
-        law = self._law if same_law else self._beside.result(lambda: self._made(parameters), self._go_on)
+        law = self._law if same_law else awaited(lambda: self._made(parameters), self._go_on)
 
         def take_over() -> None:
             self._parameters, self._law = parameters, law
@@ -132,7 +132,7 @@ class ControllerComponent:
             law = make_law(parameters.control, parameters.stage)
             return made_injection(parameters.excitation, law, parameters.stage)
 
-        return self._beside.result(make, self._go_on)
+        return awaited(make, self._go_on)
 
     def _left_travel(self, reason: str) -> None:
         # Under a law the excitation fades out and the platform is held. In open loop nothing holds it.

@@ -10,7 +10,7 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, batched_queue
-from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop
+from straightcomp_ros.runtime.beside_the_loop import awaited
 from straightcomp_ros.runtime.locked_loop import LockedLoop
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -42,7 +42,6 @@ class FeedforwardComponent:
 
     def __init__(self, node: ManagedNode, parameters: FeedforwardNodeParameters) -> None:
         self._node, self._parameters = node, parameters
-        self._worker = BesideTheLoop(node)
         self._map = load_map(parameters.stage.guide)
         node.get_logger().info(f"map {parameters.stage.guide.file}: {self._map.report}")
         self._feedforward = Feedforward(self._map, parameters.feedforward, parameters.stage.motion.highest_speed)
@@ -94,7 +93,7 @@ class FeedforwardComponent:
             else:
                 time.sleep(LOOK_AHEAD_S)
 
-        return self._worker.result(lambda: load_map(parameters), answer)
+        return awaited(lambda: load_map(parameters), answer)
 
     def _on_reload_map(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Read the map's file again; the reference fades over to it."""
@@ -150,8 +149,7 @@ class FeedforwardComponent:
         }
 
     def close(self) -> None:
-        """Stop the worker thread and release the subscription."""
-        self._worker.close()
+        """Release the subscription."""
         self._unspun.destroy_node()
 
 

@@ -15,6 +15,19 @@ sampling periods."""
 T = TypeVar("T")
 
 
+def awaited(job: Callable[[], T], meanwhile: Callable[[], object]) -> T:
+    """What ``job`` returns or raises, done once in a thread that ends with it; scheduling as of `BesideTheLoop`.
+
+    ``meanwhile`` is called again and again until it is done.
+    """
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        done = thread.submit(job)
+        while not done.done():
+            meanwhile()
+        return done.result()
+
+
 class BesideTheLoop:
     """Runs jobs one after the other in the order of submission; logs those that fail.
 
@@ -30,13 +43,6 @@ class BesideTheLoop:
     def run(self, job: Callable[[], None]) -> None:
         """Queue ``job`` and return at once."""
         self._thread.submit(job).add_done_callback(self._report)
-
-    def result(self, job: Callable[[], T], meanwhile: Callable[[], object]) -> T:
-        """What ``job`` returns or raises; ``meanwhile`` is called again and again until it is done."""
-        done = self._thread.submit(job)
-        while not done.done():
-            meanwhile()
-        return done.result()
 
     def close(self) -> None:
         """Wait for all jobs."""
