@@ -22,7 +22,6 @@ import numpy as np
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.oscillation import sustained_oscillation, tolerated_amplitude
-from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.commissioning.procedure import Procedure
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
@@ -38,7 +37,6 @@ from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.starts import runs_of_starts, spread
 from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.trials.faults.faulty_machine import FaultyHardware
 
 STARTS = 3
@@ -77,9 +75,9 @@ class WatchedMachine(SimulatedMachine):
         self._watched.append(Watched(hardware))
         return self._watched[-1]
 
-    def stroke(self, values: Values, bag: Path, travel: float) -> tuple[StrokeRecord, StraightnessMap]:
-        self.strokes += 1
-        return super().stroke(values, bag, travel)
+    def stroke(self, values: Values, bag: Path, travel: float, count: int = 1) -> None:
+        self.strokes += count
+        super().stroke(values, bag, travel, count)
 
     @property
     def farthest(self) -> float:

@@ -21,6 +21,7 @@ from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 
 SUMMARY = "measure, tune and verify a stage, step by step"
 _LARGEST = 100_000
+_MOST_STROKES = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--evaluations", type=int, default=400, metavar="N", help="candidates of the design (default: %(default)s)")
     add("--machines", type=int, default=200, metavar="N", help="uncertain machines of its check (default: %(default)s)")
     add(
+        "--learn",
+        type=int,
+        default=0,
+        metavar="N",
+        help="before the acceptance let the controller learn from N strokes, and keep what it learned (default: none)",
+    )
+    add(
         "--check-survey",
         metavar="FILE",
         help="independent measurement of the guide at some places, at least twice: acceptance checks the map by it",
@@ -48,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     for name in ("evaluations", "machines"):
         check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
+    check_range("--learn", options.learn, 0, _MOST_STROKES)
     if (options.graph == RUNNING) == bool(options.file):
         raise CommandFailed(
             f"STAGE: not with --graph {RUNNING}, whose nodes have a description; needed otherwise", exit_code=2
@@ -79,7 +88,13 @@ def _commission(
     from straightcomp_ros.commissioning.procedure import Procedure
 
     procedure = Procedure(
-        machine, values, folder, evaluations=options.evaluations, machines=options.machines, check_survey=check
+        machine,
+        values,
+        folder,
+        evaluations=options.evaluations,
+        machines=options.machines,
+        learning_strokes=options.learn,
+        check_survey=check,
     )
     done: dict[str, Any] = {}
     failed = ""

@@ -1,5 +1,8 @@
 """Step `acceptance`: a stroke of the stage under the designed law, and limits for all later ones.
 
+On request the controller first learns from some strokes what correction of its reference makes them better, and keeps
+it: gains of the step. The stroke that is judged comes after.
+
 The stroke tells how well the platform follows the map. Whether the map is that of the guide, only a check survey tells.
 """
 
@@ -12,7 +15,7 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.commissioning import LeftTravel
-from straightcomp_ros.commissioning.certificate import STROKE
+from straightcomp_ros.commissioning.certificate import LEARNED, STROKE
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.commissioning.timing_budget import timing_budget
 from straightcomp_ros.configuration.node_parameters import by_node
@@ -27,17 +30,22 @@ _LIMITED = ("encoder_pp_um", "encoder_rms_um", "control_rms_step_A")
 
 
 def acceptance(work: Work) -> Outcome:
-    """Make one cycle, judge it, and write `limits.yaml`."""
+    """Make one cycle, after those for learning, judge it, and write `limits.yaml`."""
     bag = work.folder / "bags" / "acceptance"
+    learning = _learning(work)
+    values = {**work.values, "controller": {**work.values["controller"], **learning}}
     try:
-        work.machine.stroke(work.values, bag, work.travel)
+        if learning:
+            (work.folder / LEARNED).unlink(missing_ok=True)
+            work.machine.stroke(values, work.folder / "bags" / "learning", work.travel, work.learning_strokes)
+        work.machine.stroke(values, bag, work.travel)
     except LeftTravel as error:
         return Outcome(False, str(error))
     run = evaluate_bag(bag)
     record, straightness = run.record, load_map(work.stage.guide)
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
     known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
-    verdict = judged_run(known, straightness, by_node(work.values), straightness, run.stalls)
+    verdict = judged_run(known, straightness, by_node(values), straightness, run.stalls)
     figures = {**evaluate(record, straightness).to_display(), **verdict._asdict()}
     if not verdict.in_order:
         return Outcome(False, f"the stroke is not in order: {verdict}", figures)
@@ -53,11 +61,22 @@ def acceptance(work: Work) -> Outcome:
         return Outcome(False, told, figures)
     limits = {name: float(f"{_ALLOWANCE * figures[name]:.3g}") for name in _LIMITED}
     write_whole(work.folder / "limits.yaml", yaml.safe_dump(limits, sort_keys=False))
+    learned = f" after {work.learning_strokes} strokes of learning" if learning else ""
+    found = f"{figures['encoder_pp_um']:.2f} µm p-p, {figures['encoder_rms_um']:.3f} µm RMS by the encoder{learned}"
     return Outcome(
         True,
-        f"{figures['encoder_pp_um']:.2f} µm p-p, {figures['encoder_rms_um']:.3f} µm RMS by the encoder; {told}",
+        f"{found}; {told}",
         {**figures, "limits": limits},
+        gains=learning,
     )
+
+
+def _learning(work: Work) -> dict[str, Any]:
+    """Parameters of the controller with which it learns; none if it shall not."""
+    if not work.learning_strokes:
+        return {}
+    # From another folder too, the nodes must find it.
+    return {"learning.learn": True, "learning.file": str((work.folder / LEARNED).resolve())}
 
 
 def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any], str]:

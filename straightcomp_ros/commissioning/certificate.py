@@ -15,7 +15,7 @@ from straightcomp_ros.settings.declaration import to_mapping
 from straightcomp_ros.settings.plain_json import plain
 from straightcomp_ros.settings.whole_file import write_whole
 
-TUNED, LOOP, STROKE = "tuned.yaml", "loop.png", "stroke.png"
+TUNED, LOOP, STROKE, LEARNED = "tuned.yaml", "loop.png", "stroke.png", "learned.csv"
 LEAST_PHASE, LEAST_GAIN = 10.0, 1.3
 """Smallest phase margin in degrees and gain margin that `frequency_response` accepts."""
 
@@ -45,7 +45,7 @@ def certificate(work: Work) -> Outcome:
 
 def _files(work: Work) -> Iterator[tuple[str, Path]]:
     """What the certificate stands for: parameters, limits, map and bags."""
-    for name in (TUNED, "limits.yaml"):
+    for name in (TUNED, "limits.yaml", LEARNED):
         yield name, work.folder / name
     survey = Path(work.stage.guide.file)
     yield f"map {survey.name}", survey

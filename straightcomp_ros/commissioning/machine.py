@@ -53,8 +53,8 @@ class Machine(Protocol):
         The series then goes on for some samples, in which the platform comes to rest.
         """
 
-    def stroke(self, values: Values, bag: Path, travel: float) -> None:
-        """One cycle of the stage under the controller of ``values``, recorded as ``bag``.
+    def stroke(self, values: Values, bag: Path, travel: float, count: int = 1) -> None:
+        """Some cycles of the stage, one after the other, under the controller of ``values``, recorded as ``bag``.
 
         Raises:
             LeftTravel: y was farther than ``travel`` (m) from its reference; the amplifier went off at once.

@@ -46,6 +46,7 @@ class Work:
         evaluations: candidates of the search for gains.
         machines: uncertain machines of its verification.
         outcomes: of the steps that are done, by name.
+        learning_strokes: cycles in which the law's reference is corrected before the acceptance; 0 for none.
         check_survey: an independent measurement of the guide, by which the map is checked; None without one.
         progress: called with the fraction of the step that is done.
     """
@@ -57,6 +58,7 @@ class Work:
     evaluations: int
     machines: int
     outcomes: Mapping[str, Outcome]
+    learning_strokes: int = 0
     check_survey: Survey | None = None
     progress: Callable[[float], None] = lambda fraction: None
 

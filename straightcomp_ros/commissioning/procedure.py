@@ -47,6 +47,7 @@ class Procedure:
         folder: where the record and all files are; a record of the same description is taken up again.
         evaluations: candidates of the search for gains.
         machines: uncertain machines of its verification.
+        learning_strokes: cycles in which `acceptance` first lets the controller learn; 0 for none.
         check_survey: an independent measurement of the guide, by which `acceptance` checks the map.
 
     Raises:
@@ -62,11 +63,12 @@ class Procedure:
         *,
         evaluations: int,
         machines: int,
+        learning_strokes: int = 0,
         check_survey: Survey | None = None,
     ) -> None:
         self._machine, self._values, self._folder = machine, values, folder
         self._evaluations, self._machines = evaluations, machines
-        self._check_survey = check_survey
+        self._learning_strokes, self._check_survey = learning_strokes, check_survey
         self._description = node_parameters("controller", values).stage
         self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
         self.outcomes = self._read()
@@ -110,6 +112,7 @@ class Procedure:
             self._evaluations,
             self._machines,
             dict(self.outcomes),
+            self._learning_strokes,
             self._check_survey,
             progress,
         )

@@ -62,7 +62,7 @@ class SimulatedMachine:
         finally:
             hardware.disable()
 
-    def stroke(self, values: Values, bag: Path, travel: float) -> None:
+    def stroke(self, values: Values, bag: Path, travel: float, count: int = 1) -> None:
         """See `Machine`."""
         whole = self._with_controller(values)
         wired: list[Hardware] = []
@@ -81,7 +81,9 @@ class SimulatedMachine:
                         "platform, and at the magnets"
                     )
 
-            simulation.run(observe=observe)
+            for _ in range(count):
+                simulation.run(observe=observe)
+            simulation.save_learning()
 
     def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
         """See `Machine`."""

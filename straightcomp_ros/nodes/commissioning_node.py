@@ -80,8 +80,8 @@ class CommissioningNode(Runnable):
         return response
 
     def _steps(self, *arguments: str) -> list[str]:
-        search = (("--evaluations", self._parameters.evaluations), ("--machines", self._parameters.machines))
-        words = [word for option, value in search for word in (option, str(value))]
+        chosen = ((name, getattr(self._parameters, name)) for name in ("evaluations", "machines", "learn"))
+        words = [word for name, value in chosen for word in (f"--{name}", str(value))]
         return ["commission", "--output", str(self._folder), *words, *arguments]
 
     def _begin(self, doing: str, words: Sequence[str], response: Trigger.Response) -> Trigger.Response:

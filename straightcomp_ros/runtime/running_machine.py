@@ -91,13 +91,13 @@ class RunningMachine:
         stage = node_parameters("controller", values).stage
         return excited(recorded_series(bag), excitation.travel, stage.rate)
 
-    def stroke(self, values: Values, bag: Path, travel: float) -> None:
+    def stroke(self, values: Values, bag: Path, travel: float, count: int = 1) -> None:
         """See `Machine`."""
         self._prepare(values, error_limit=travel)
         motion = node_parameters("cell", values).stage.motion
         self._approach(motion.start, motion.speed, motion.acceleration)
         shutil.rmtree(bag, ignore_errors=True)
-        waypoints = cycles(motion, 1)
+        waypoints = cycles(motion, count)
         with self._recorded(bag), self._switched_on():
             self._sleep(_SETTLE_S)
             self._client.move(waypoints)
