@@ -16,6 +16,9 @@ from straightcomp_ros.frequency_response.simulated_measurement import ComparedRe
 
 Array = NDArray[np.float64]
 
+COASTING = 0.1
+"""s that a series goes on for when the amplifier has been switched off."""
+
 
 @dataclass(frozen=True, eq=False)
 class Series:

@@ -6,13 +6,11 @@ import numpy as np
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.values_at import values_at
 from straightcomp_ros.commissioning import CommissioningError
-from straightcomp_ros.commissioning.machine import Series
+from straightcomp_ros.commissioning.machine import COASTING, Series
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER
 from straightcomp_ros.identification.recorded_lag import advanced, readback_lag
-
-_COASTING = 0.1
-"""s that a series goes on for when the amplifier has been switched off."""
 
 
 def recorded_series(bag: Path) -> Series:
@@ -32,18 +30,11 @@ def recorded_series(bag: Path) -> Series:
     encoder = streams[ENCODER.topic]
     stamps, rows = np.unique(encoder.stamp, return_index=True)
 
-    def matching(topic: str, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        found = np.full(len(stamps), np.nan)
-        if topic in streams:
-            own, places = np.unique(streams[topic].stamp, return_index=True)
-            _, here, there = np.intersect1d(stamps, own, assume_unique=True, return_indices=True)
-            found[here] = streams[topic].columns[name][places[there]]
-        return found
-
     x, y, current = (encoder.columns[name][rows] for name in ("x", "y", "coil_current"))
     current = advanced(current, readback_lag(bag))
-    command = matching(COMMAND.topic, "control_current")
-    return Series(stamps, x, y, current, command, matching(DRIVER_STATE.topic, "command_latency"))
+    command = values_at(streams.get(COMMAND.topic), "control_current", stamps)
+    latency = values_at(streams.get(DRIVER_STATE.topic), "command_latency", stamps)
+    return Series(stamps, x, y, current, command, latency)
 
 
 def excited(series: Series, travel: float, rate: float) -> Series:
@@ -69,7 +60,7 @@ def excited(series: Series, travel: float, rate: float) -> Series:
     left_at = int(beyond[0]) if beyond.size else None
     if left_at is not None:
         # The part in which the platform comes to rest.
-        end = max(end, first + left_at + 1) + round(_COASTING * rate)
+        end = max(end, first + left_at + 1) + round(COASTING * rate)
     part = slice(first, end)
     return Series(
         series.stamps[part],

@@ -10,7 +10,7 @@ import numpy as np
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.commissioning import LeftTravel
-from straightcomp_ros.commissioning.machine import Array, Series
+from straightcomp_ros.commissioning.machine import COASTING, Array, Series
 from straightcomp_ros.configuration.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
@@ -20,9 +20,6 @@ from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.settings.declaration import to_mapping
-
-_COASTING = 0.1
-"""s that a series goes on for when the amplifier has been switched off."""
 
 
 def sound(hardware: SimulatedHardware) -> Hardware:
@@ -132,7 +129,7 @@ class SimulatedMachine:
                     asked[index + 1 :] = [0.0] * len(asked[index + 1 :])
             if left_at is None:
                 hardware.write(asked[index], now_ns + delay_ns)
-            elif len(rows) > left_at + round(_COASTING * stage.rate):
+            elif len(rows) > left_at + round(COASTING * stage.rate):
                 break
         stamps = np.array([row[0] for row in rows], np.int64)
         x, y, measured, command = np.array([row[1:] for row in rows]).reshape(-1, 4).T

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.values_at import values_at
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
@@ -47,14 +48,9 @@ def response_from_bag(
     common = np.unique(streams[ENCODER.topic].stamp)
     for stream in wanted[1:]:
         common = np.intersect1d(common, streams[stream.topic].stamp)
-
-    def column(topic: str, name: str) -> NDArray[np.float64]:
-        stamps, places = np.unique(streams[topic].stamp, return_index=True)
-        found: NDArray[np.float64] = streams[topic].columns[name][places[np.searchsorted(stamps, common)]]
-        return found
-
-    commands = column(COMMAND.topic, "control_current")
-    asked = column(CONTROLLER_STATE.topic, "equivalent_current") + column(CONTROLLER_STATE.topic, "switching_current")
+    state = streams[CONTROLLER_STATE.topic]
+    commands = values_at(streams[COMMAND.topic], "control_current", common)
+    asked = values_at(state, "equivalent_current", common) + values_at(state, "switching_current", common)
     excitation = loop_multisine(parameters, make_law(control, stage), stage)
     limit = stage.highest_current
     added = np.nan_to_num(commands - np.clip(asked, -limit, limit))
@@ -65,7 +61,7 @@ def response_from_bag(
             f"bag {bag}: has not the whole excitation (correlation {alike:.2f}; allowed: >= {_ALIKE:g}); was it ended "
             "early, or made with other parameters?"
         )
-    reading = column(ENCODER.topic, "y")
+    reading = values_at(streams[ENCODER.topic], "y", common)
     clipped = int(np.count_nonzero(np.abs(commands[part]) >= limit))
     return compared_response(excitation, asked[part], commands[part], reading[part], control, stage, clipped)
 
