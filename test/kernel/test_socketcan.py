@@ -122,12 +122,17 @@ def test_a_stroke_under_the_control_law(request, cable, fd, file, program):
         begin, lost = len(driver.samples), driver.hardware.lost_samples
         driver.hardware.move(Trajectory(waypoints), time.time_ns())
         driver.run(waypoints[-1].time_ns * 1e-9)
+        start, stroke = driver.stage.motion.start, driver.stage.motion.stroke
+        driver.until(lambda: abs(driver.samples[-1][0].x - start) < 0.01 * stroke)
         errors = driver.true_errors(begin)
+        places = (np.array([sample.x for sample, _ in driver.samples[begin:]]) - start) / stroke
         lost = driver.hardware.lost_samples - lost
         print(f"p-p {np.ptp(errors) * 1e6:.2f} µm, {len(errors)} samples, {lost} lost")
         assert driver.hardware.state is State.ON and driver.hardware.fault == ""
         # Without a law the magnets drive the platform to its stops, 2.4 mm apart.
-        assert len(errors) > 0.8 * waypoints[-1].time_ns / driver.stage.period_ns and np.ptp(errors) < 0.1e-3
+        assert np.ptp(errors) < 0.1e-3
+        # There and back, without a gap. How many samples that takes is this computer's, which may do other work.
+        assert places.max() > 0.99 and np.abs(np.diff(places)).max() < 0.1 and len(errors) >= 0.98 * len(places)
 
 
 @FD
