@@ -8,11 +8,13 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
-_ASK_EVERY_S = 0.25
+_LOOK_EVERY_S = 0.25
+_AGAIN_AFTER = 8
+"""Looks until a node is asked again: a response is lost if the node hears of the request before it hears who asks."""
 
 
 class RemoteParameters:
-    """Asks each of the nodes ``names`` in this node's namespace once, when it is available, for all its parameters.
+    """Asks each of the nodes ``names`` in this node's namespace, when it is available, for all its parameters.
 
     Attributes:
         values: the parameters by node and dotted name.
@@ -20,14 +22,17 @@ class RemoteParameters:
 
     def __init__(self, node: Node, names: Sequence[str]) -> None:
         self.values: dict[str, dict[str, object]] = {}
-        self._count = len(names)
-        self._waiting = {name: AsyncParameterClient(node, name) for name in names}
-        self._timer = node.create_timer(_ASK_EVERY_S, self._ask)
+        self._clients = {name: AsyncParameterClient(node, name) for name in names}
+        self._looks_left = dict.fromkeys(names, 0)
+        self._timer = node.create_timer(_LOOK_EVERY_S, self._look)
 
-    def _ask(self) -> None:
-        for name in [name for name, client in self._waiting.items() if client.services_are_ready()]:
-            self._collect(name, self._waiting.pop(name))
-        if not self._waiting:
+    def _look(self) -> None:
+        for name in [name for name in self._clients if name not in self.values]:
+            self._looks_left[name] -= 1
+            if self._looks_left[name] < 0 and self._clients[name].services_are_ready():
+                self._looks_left[name] = _AGAIN_AFTER
+                self._collect(name, self._clients[name])
+        if self.complete:
             self._timer.cancel()
 
     def _collect(self, node: str, client: AsyncParameterClient) -> None:
@@ -46,7 +51,7 @@ class RemoteParameters:
     @property
     def complete(self) -> bool:
         """Whether all nodes have answered."""
-        return len(self.values) == self._count
+        return len(self.values) == len(self._clients)
 
     def as_yaml(self) -> str:
         """The collected parameters, in the form of a ROS 2 parameter file."""
