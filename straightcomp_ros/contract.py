@@ -115,5 +115,6 @@ HEARTBEAT = "heartbeat"
 COMMISSIONING_STATE = "commissioning_state"
 """diagnostic_msgs/DiagnosticStatus, latched, from the node `commissioning` when it begins or ends something: its name,
 level, what was found, and a value `running`."""
-COMMISSIONING = "commissioning"
-"""Name in the heartbeats of a client that commissions the machine, with what it does as message: no cycle may run."""
+COMMISSIONING_CLIENT = "commissioning_client"
+"""diagnostic_msgs/DiagnosticStatus, latched, from a client that commissions the machine: what it does, as message. As
+long as it lives (liveliness, 1 s), no cycle may run; when it is gone, the driver switches the amplifier off."""

@@ -24,8 +24,9 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.contract import HEARTBEAT, SAFETY_STATE, STAGE_TRAJECTORY
+from straightcomp_ros.contract import COMMISSIONING_CLIENT, SAFETY_STATE, STAGE_TRAJECTORY
 from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.runtime.commissioning_client import CommissioningSign
 from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.middleware import own_profile
@@ -38,7 +39,6 @@ ANSWER_S = 20.0
 _START_S = 60.0
 _POLL_S = 0.01
 _WATCH_S = 0.05
-_BEAT_S = 0.1
 _UP = ("unconfigured", "inactive", "active")
 _STEPS = {
     ("unconfigured", "inactive"): Transition.TRANSITION_CONFIGURE,
@@ -55,29 +55,25 @@ class GraphError(RuntimeError):
 class GraphClient:
     """Lifecycle, parameters, amplifier and motion of the graph; as a context manager it leaves ROS at its end.
 
-    While it lives it publishes heartbeats, by which cell and gateway know that somebody else uses the machine.
+    While it lives, driver, cell and gateway know that somebody commissions the machine.
 
     Args:
-        name: of this client in the heartbeats.
         nodes: of the graph.
         namespace: of all of them.
         trouble: returns why the graph cannot work any more; empty if it can.
 
     Attributes:
-        doing: what is being done, in the heartbeats.
         safety: the driver's newest safety state.
+        tell: says what is being done.
     """
 
-    def __init__(
-        self, name: str, nodes: Sequence[str], namespace: str = "", trouble: Callable[[], str] = lambda: ""
-    ) -> None:
+    def __init__(self, nodes: Sequence[str], namespace: str = "", trouble: Callable[[], str] = lambda: "") -> None:
         self._trouble = trouble
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             # Another name than that of a node which starts such clients.
-            self._node = Node(f"{name}_client", namespace=namespace or None)
-        self._name = name
-        node, self.doing, self.safety = self._node, "begins", SafetyState()
+            self._node = Node(COMMISSIONING_CLIENT, namespace=namespace or None)
+        node, self.safety = self._node, SafetyState()
         self._clients: dict[str, Client] = {
             "driver/enable": node.create_client(SetBool, "driver/enable"),
             "driver/reset_fault": node.create_client(Trigger, "driver/reset_fault"),
@@ -88,13 +84,12 @@ class GraphClient:
             self._clients[f"{one}/get_state"] = node.create_client(GetState, f"{one}/get_state")
         self._parameters = {one: AsyncParameterClient(node, one) for one in nodes}
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        self._beats = node.create_publisher(DiagnosticStatus, HEARTBEAT, 10)
+        self.tell = CommissioningSign(node).tell
         self.heartbeats = Heartbeats(node, nodes)
         self._remote = RemoteParameters(node, nodes)
         self._watch = GraphWatch(node, batches=False)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_timer(_WATCH_S, self._watch.fetch)
-        node.create_timer(_BEAT_S, self._beat)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, daemon=True)
@@ -183,11 +178,6 @@ class GraphClient:
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
         self.safety = SafetyState.of(message)
-
-    def _beat(self) -> None:
-        self._beats.publish(
-            DiagnosticStatus(name=self._name, message=self.doing, hardware_id=self._node.get_fully_qualified_name())
-        )
 
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):

@@ -12,8 +12,9 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.observation import ABSENT, PLAIN, SILENT
-from straightcomp_ros.contract import COMMISSIONING, STAGE_TRAJECTORY
+from straightcomp_ros.contract import STAGE_TRAJECTORY
 from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 
@@ -42,7 +43,7 @@ class GraphServices:
         self._change_state = {name: _Caller(node, ChangeState, f"{name}/change_state") for name in names}
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self._heartbeats = Heartbeats(node, names, silent_after)
-        self._commissioning = Heartbeats(node, [COMMISSIONING])
+        self._commissioning = CommissioningWatch(node)
         self._present: set[str] = set()
         node.create_timer(_LOOK_EVERY_S, self._look)
 
@@ -57,7 +58,7 @@ class GraphServices:
     @property
     def commissioning(self) -> str:
         """What a client that commissions the machine is doing; empty without one."""
-        return "" if self._commissioning.silent() else self._commissioning.states[COMMISSIONING] or COMMISSIONING
+        return self._commissioning.doing
 
     @property
     def obstacle(self) -> str:

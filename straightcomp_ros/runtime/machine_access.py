@@ -17,7 +17,6 @@ from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environm
 from straightcomp_ros.commissioning import CommissioningError
 from straightcomp_ros.configuration.node_parameters import STAGE, Values, node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
-from straightcomp_ros.contract import COMMISSIONING
 from straightcomp_ros.runtime.graph_client import GraphClient, GraphError
 from straightcomp_ros.runtime.running_machine import RunningMachine
 from straightcomp_ros.settings.declaration import belongs_to_ros
@@ -44,15 +43,11 @@ def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] 
         CommissioningError: the graph cannot be used, or stopped working.
     """
     try:
-        with GraphClient(COMMISSIONING, RECORDED, namespace, trouble) as client:
+        with GraphClient(RECORDED, namespace, trouble) as client:
             values = described(client.values())
             machine = RunningMachine(client, values, folder)
-
-            def tell(doing: str) -> None:
-                client.doing = doing
-
             try:
-                yield Access(machine, values, tell)
+                yield Access(machine, values, client.tell)
             finally:
                 # Whatever happened, the amplifier is off already.
                 machine.release()

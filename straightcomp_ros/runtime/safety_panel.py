@@ -11,6 +11,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import SAFETY_STATE, TRIP
 from straightcomp_ros.runtime.clock import now_ns
+from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched, SafetyMachine
@@ -65,7 +66,9 @@ def safety_status(condition: Condition, fault: Latched | None, hardware_id: str)
 
 
 class SafetyPanel:
-    """Provides ``~/enable``, ``~/reset_fault`` and `safety_state`, and switches off on requests on `trip`.
+    """Provides ``~/enable``, ``~/reset_fault`` and `safety_state`.
+
+    It switches off on requests on `trip`, and when a client that commissions the machine leaves the amplifier on.
 
     Args:
         node: the driver.
@@ -88,6 +91,7 @@ class SafetyPanel:
         node.create_service(SetBool, "~/enable", self._on_enable)
         node.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
         node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
+        CommissioningWatch(node, self._on_client_gone)
         self.report()
 
     def report(self) -> None:
@@ -124,6 +128,11 @@ class SafetyPanel:
         self.report()
         response.success, response.message = True, f"cleared: {reason}" if reason else "there was no fault"
         return response
+
+    def _on_client_gone(self) -> None:
+        if self._safety.condition is Condition.ON:
+            self._safety.trip(Fault.CLIENT_GONE, "nobody commissions the machine any more", now_ns())
+            self.report()
 
     def _on_trip(self, message: DiagnosticStatus) -> None:
         # While the driver is not active the amplifier is off anyway: do not latch a fault that must then be reset.

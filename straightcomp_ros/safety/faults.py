@@ -101,6 +101,12 @@ class Fault(enum.Enum):
         "controller; `watch.travel`: driver, within a sample",
         60.0,
     )
+    CLIENT_GONE = Description(
+        18,
+        "the client that commissions the machine has ended, or was not awake for 1 s, and has left the amplifier on",
+        "driver",
+        1200.0,
+    )
 
     @property
     def label(self) -> str:

@@ -31,6 +31,7 @@ NUMBERS = {
     "tripped": 15,
     "recording_stopped": 16,
     "following_error": 17,
+    "client_gone": 18,
 }
 """Of every fault that ever was in a release: add to it, and take nothing away."""
 
