@@ -13,6 +13,7 @@ from straightcomp_ros.stage.description import StageParameters
 
 _MEAN_TIME = 0.005
 """s, time constant of the mean control current, which suppresses a law's switching."""
+_BEYOND = 1.2
 _ERROR_STEP, _ERROR_LIMIT = 4, 16
 
 
@@ -26,7 +27,10 @@ class WatchParameters:
     )
     frozen_time: float = parameter(0.01, "Time without a change of y after which it may count as frozen", "(0, 10] s")
     frozen_current: float = parameter(
-        0.08, "Change of the mean control current that must move y by a count", "(0, 100] A"
+        0.0,
+        "Change of the mean control current that must move y by a count; 0: by the description of the stage, at the "
+        "most friction and the least force of its uncertainty",
+        "[0, 100] A",
     )
     follow_distance: float = parameter(
         0.02, "Length of the stage's trajectory over which x must move by a count", "(0, 10] m"
@@ -34,6 +38,17 @@ class WatchParameters:
     clock_step: float = parameter(
         0.05, "Step of the system's clock that is a fault; a slewed clock is not", "(0, 3600] s"
     )
+
+
+def current_against_friction(stage: StageParameters) -> float:
+    """Change of the control current in A that must move the platform, on each machine of ``stage.uncertainty``.
+
+    It takes friction from −F_S to F_S with the least K̄_i; `_BEYOND` is for friction that grows while it holds.
+    """
+    ranges = stage.uncertainty
+    most = stage.friction.static * ranges.friction
+    least = stage.actuator.current_stiffness * (1.0 - ranges.force) / (1.0 + ranges.air_gap) ** 2
+    return _BEYOND * 2.0 * most / least
 
 
 class SampleWatch:
@@ -50,7 +65,7 @@ class SampleWatch:
         self._x_step = stage.motion.highest_speed * period_ns * 1e-9
         self._share = 1.0 - math.exp(-period_ns * 1e-9 / _MEAN_TIME)
         self._frozen_samples = math.ceil(parameters.frozen_time / (period_ns * 1e-9))
-        self._frozen_current = parameters.frozen_current
+        self._frozen_current = parameters.frozen_current or current_against_friction(stage)
         self.restart()
 
     def restart(self) -> None:

@@ -8,7 +8,15 @@ import pytest
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.watch import ClockWatch, CommandWatch, ErrorWatch, SampleWatch, StageWatch, WatchParameters
+from straightcomp_ros.safety.watch import (
+    ClockWatch,
+    CommandWatch,
+    ErrorWatch,
+    SampleWatch,
+    StageWatch,
+    WatchParameters,
+    current_against_friction,
+)
 from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
@@ -173,6 +181,23 @@ def test_the_finding_gives_y_in_micrometres_and_the_sign_of_the_change():
     found = watch()
     findings = [found.check(Sample(k * T, 0.0, 5e-6, 0.0), -0.5 if k else 0.0) for k in range(2000)]
     assert findings[-1] == (Fault.Y_FROZEN, "y stays at 5.0 µm though the current changed by -0.50 A")
+
+
+def test_no_friction_within_the_uncertainty_makes_y_frozen_and_more_does():
+    rough = from_mapping(
+        StageParameters,
+        {"uncertainty.friction": 3.0, "uncertainty.force": 0.4, "uncertainty.air_gap": 0.4},
+    )
+    # The worst machine: K̄_i × 0.6 / 1.4², F_S × 3. Friction goes from −F_S to F_S before the platform moves.
+    held = 2.0 * rough.friction.static * 3.0 / (rough.actuator.current_stiffness * 0.6 / 1.4**2)
+    for change, frozen in ((held, False), (1.25 * held, True)):
+        found = SampleWatch(WatchParameters(), rough)
+        found.check(Sample(0, 0.0, COUNT, 0.0), 0.0)
+        findings = [found.check(Sample(k * T, 0.0, COUNT, 0.0), change) for k in range(1, 400)]
+        assert any(findings) == frozen
+    # Who knows the machine better finds a dead encoder sooner.
+    assert current_against_friction(STAGE) == pytest.approx(0.105, abs=0.001)
+    assert current_against_friction(rough) > 0.3
 
 
 def test_the_mean_current_follows_a_step_to_63_percent_in_five_milliseconds():
