@@ -218,6 +218,25 @@ def test_each_of_a_strangers_frames_is_counted_and_none_is_used(board, driver, f
     assert {sample.x for sample, _ in driver.samples[begin:]} == {0.0}
 
 
+@BUSES
+@FIRMWARE_TOO
+def test_requests_for_the_frames_of_either_side_are_counted_and_nothing_follows(board, driver, fd):
+    driver.switch_on()
+    wire, begin, requests = CanParameters(fd=fd).make_wire(), len(driver.samples), 20
+    refused, before = _refused(driver), driver.hardware.counters()
+    for end, identifiers in ((BOARD, wire.identifiers), (HOST, [wire.command.identifier])):
+        for identifier in identifiers:
+            # At once: taken for commands without content, these would be a fault of the board after four.
+            driver.beside("cangen", end, "-R", "-g", "1", "-I", f"{identifier:X}", "-L", "8", "-n", requests)
+    driver.run(0.5)
+    asked = driver.count("remote") - before["can_remote"]
+    print(f"{asked} remote frames counted")
+    assert asked == requests * len(wire.identifiers) and _refused(driver) == refused
+    assert driver.hardware.state is State.ON and driver.hardware.fault == ""
+    assert driver.count("boot_ups") == before["can_boot_ups"]
+    assert {sample.x for sample, _ in driver.samples[begin:]} == {0.0}
+
+
 @FD
 def test_what_is_not_for_the_driver_never_reaches_it(board, driver, fd):
     driver.switch_on()

@@ -13,6 +13,7 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frame_sets import FrameSets
 from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Report, counted
+from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
 from straightcomp_ros.hardware.can.message_frames import ReportFrames
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
@@ -96,8 +97,17 @@ class Receiver:
         self._accepted = self._good = self.amplifier = None
         self.strikes = 0
 
+    def take(self, frame: Frame, arrival_ns: int) -> None:
+        """Take a frame of any kind: one without data is counted by its kind."""
+        if frame.flags & ERROR:
+            self.receive_error_frame(frame.identifier, frame.data)
+        elif frame.flags & REMOTE:
+            self.counts["remote"] += 1
+        else:
+            self.receive(address(frame), frame.data, arrival_ns)
+
     def receive(self, identifier: int, payload: bytes, arrival_ns: int) -> None:
-        """Take one frame of the bus."""
+        """Take one frame with data."""
         handler = self._handlers.get(identifier)
         if handler is None:
             self.counts["foreign"] += 1
