@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, is_fd, limits
-from straightcomp_ros.hardware.can.frames import Amplifier
+from straightcomp_ros.hardware.can.frames import UNITS, Amplifier
 from straightcomp_ros.hardware.can.signal_code import selectors
 from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, WireParameters
 from straightcomp_ros.settings.declaration import RefusedParameter
@@ -28,7 +28,14 @@ _COUNTS = (
 )
 _LENGTHS = {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 _CURRENTS = {"": 1.0, "A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "μA": 1e-6}
-_UNITS = {"x": _LENGTHS, "y": _LENGTHS, "current": _CURRENTS, "command": _CURRENTS}
+_FACTORS = {"m": _LENGTHS, "A": _CURRENTS}
+"""By the SI unit of a field the units that a DBC file may have for it, with their factors."""
+_FIELDS = {"command": "current", "heartbeat": "state"}
+
+
+def field_of(role: str) -> str:
+    """The field of a report, a command or a heartbeat that has the signal of a role."""
+    return _FIELDS.get(role, role)
 
 
 class Roles:
@@ -91,7 +98,7 @@ class Roles:
         factor: float = self._named(role).factor
         if factor == 0.0:
             raise RefusedParameter(f"wire.{role}.factor", "0.0 is not allowed; allowed: any other number")
-        signal, known = self.signals[role], _UNITS[role]
+        signal, known = self.signals[role], _FACTORS[UNITS[field_of(role)]]
         unit = signal.unit or ""
         if unit not in known:
             text = f"'{signal.name}' is in '{unit}'; allowed: {', '.join(known)[2:]}, or no unit for SI"
