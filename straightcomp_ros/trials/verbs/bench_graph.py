@@ -14,7 +14,7 @@ from straightcomp_ros.cli.law_tables import rounded, titled_table
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
+from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.trials.bench.graph_bench import (
     BenchFailed,
