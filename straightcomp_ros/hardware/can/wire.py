@@ -216,12 +216,17 @@ class Wire:
             )
             raise RefusedParameter("wire.counter.message", text)
         if self.sample_modulus and self.sample_modulus < _LEAST_COUNTS:
-            text = f"counts to {self.sample_modulus}; allowed: >= {_LEAST_COUNTS} counts"
+            name = self.parts[0].signals.message.name
+            text = f"message '{name}' counts to {self.sample_modulus}; allowed: >= {_LEAST_COUNTS} counts"
             raise RefusedParameter("wire.counter.signal", text)
         if any("echo" in frames.signals.signals for frames in self.commands) and not self.number_modulus:
             raise RefusedParameter("wire.echo.signal", "needs a count of the samples: 'counter' or 'protection.sample'")
         if self.echo_modulus and self.number_modulus % self.echo_modulus:
-            text = f"counts to {self.echo_modulus}, which does not divide the {self.number_modulus} of the samples"
+            signal, message = self._roles.signals["echo"].name, self._roles.homes["echo"]
+            text = (
+                f"'{signal}' of message '{message}' counts to {self.echo_modulus}; allowed: a divisor of the "
+                f"{self.number_modulus} of the samples"
+            )
             raise RefusedParameter("wire.echo.signal", text)
 
 
