@@ -26,8 +26,9 @@ from rich.progress import track
 from rich.table import Table
 
 from straightcomp_ros.analysis.record import MetricsError
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, node_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current

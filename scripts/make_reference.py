@@ -30,7 +30,7 @@ ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime")
 HEAD = """\
 # Reference
 
-Made by `scripts/make_reference.py` from `contract.py`, `configuration/node_parameters.py`, the nodes, the DBC files and
+Made by `scripts/make_reference.py` from `contract.py`, `configuration/parameter_sets.py`, the nodes, the DBC files and
 `history/`; a test holds it to them. Numbers are SI where no unit is named. All names of topics, services and nodes are
 relative: a namespace or a remapping moves them.
 

@@ -1,5 +1,7 @@
 #include "output.h"
 
+#include "scale.h"
+
 void output_start(struct output *output, const struct output_config *config, output_drive_t drive, void *context,
                   int64_t now_ns)
 {
@@ -16,25 +18,13 @@ void output_start(struct output *output, const struct output_config *config, out
     drive(context, now_ns, false, 0);
 }
 
-/* The code of the D/A converter nearest to a current in A; a tie goes upward. */
+/* The code of the D/A converter nearest to a current in A. */
 static int32_t nearest_code(const struct output_config *config, board_real current)
 {
     const board_real limit = (board_real)config->half_codes;
-    const board_real wanted = (current / config->code_current) + (board_real)0.5;
-    int32_t code;
 
     /* The range first: a conversion of what does not fit is undefined. */
-    if (wanted >= limit) {
-        code = config->half_codes - 1;
-    } else if (wanted < -limit) {
-        code = -config->half_codes;
-    } else {
-        code = (int32_t)wanted;
-        if ((board_real)code > wanted) {
-            code -= 1;
-        }
-    }
-    return code;
+    return nearest(limited_real(current / config->code_current, -limit, limit - (board_real)1));
 }
 
 static board_real current_of(const struct output *output)

@@ -1,5 +1,13 @@
 #include "scale.h"
 
+#include <stdbool.h>
+
+/* The rule: up from the floor where more than half is left, and where half is left of an odd one. */
+static bool goes_up(bool more, bool half, bool odd)
+{
+    return more || (half && odd);
+}
+
 int64_t scaled(struct scale scale, int32_t counts)
 {
     /* 31 bits by 31 bits fit into 63. */
@@ -13,10 +21,7 @@ int64_t scaled(struct scale scale, int32_t counts)
         rest += denominator;
         quotient -= 1;
     }
-    if (((2 * rest) > denominator) || (((2 * rest) == denominator) && ((quotient % 2) != 0))) {
-        quotient += 1;
-    }
-    return quotient;
+    return quotient + (goes_up((2 * rest) > denominator, (2 * rest) == denominator, (quotient % 2) != 0) ? 1 : 0);
 }
 
 int32_t nearest(board_real value)
@@ -30,27 +35,16 @@ int32_t nearest(board_real value)
         whole -= 1;
     }
     rest = value - (board_real)whole;
-    if ((rest > half) || ((rest >= half) && ((whole % 2) != 0))) {
-        whole += 1;
-    }
-    return whole;
+    return whole + (goes_up(rest > half, rest >= half, (whole % 2) != 0) ? 1 : 0);
 }
 
 int64_t nearest_of_many(board_real value)
 {
-    const board_real half = (board_real)0.5;
-    int64_t whole = (int64_t)value;
-    board_real rest;
+    /* Both parts are exact, and the first is even. */
+    const board_real many = (board_real)1073741824;
+    const int64_t first = (int64_t)(value / many);
 
-    if ((board_real)whole > value) {
-        /* C rounds to zero; from here on it is the floor. */
-        whole -= 1;
-    }
-    rest = value - (board_real)whole;
-    if ((rest > half) || ((rest >= half) && ((whole % 2) != 0))) {
-        whole += 1;
-    }
-    return whole;
+    return (first * 1073741824) + nearest(value - ((board_real)first * many));
 }
 
 int64_t limited(int64_t value, int64_t least, int64_t largest)

@@ -14,11 +14,12 @@ struct scale {
     int32_t denominator;
 };
 
-/* Scaled to the nearest count, a tie to the even one, as Python's round() does. */
+/* All of these round to the nearest whole number, a tie to the even one, as Python's round() does. */
+
 int64_t scaled(struct scale scale, int32_t counts);
 
-/* The nearest whole number, a tie to the even one, of a value between -2^30 and 2^30; the other takes any up to 2^62, but
- * more of a processor that has no whole numbers of 64 bits. */
+/* Of a value between -2^30 and 2^30; the other takes any up to 2^62, but more of a processor that has no whole numbers of
+ * 64 bits. */
 int32_t nearest(board_real value);
 int64_t nearest_of_many(board_real value);
 

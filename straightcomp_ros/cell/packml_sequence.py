@@ -1,55 +1,19 @@
-"""The sequencer of the stage's cycle: PackML's state machine, for the cell node and the OPC UA gateway.
+"""The sequencer of the stage's cycle: PackML's state machine, for the cell node and the OPC UA gateway."""
 
-The work of a state is the generator with its name, e.g. `_starting`. Each tick advances it once. It returns when the
-work is done, and raises if it cannot be done.
-"""
-
-import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
+from collections.abc import Callable
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
 from straightcomp_ros.cell.stage_movements import NotArrived, StageMovements
-from straightcomp_ros.model.motion import MotionParameters, Waypoint
+from straightcomp_ros.cell.state_work import Answer, Machine, StateWork, WorkFailed
+from straightcomp_ros.model.motion import MotionParameters
 
-_ASK_AGAIN_S = 0.5
-_HEARD_S = 0.3
-_SETTLE_S = 1.5
-"""A node that has just started needs about one more second to allocate and connect, and loses messages meanwhile."""
-_HOME_S = 1.0
-"""Time for the reference to fade to the middle or back to the map, and for the platform to follow."""
-_OFF_WITHIN_S = 2.0
-"""A driver that has not switched off within this time has failed; its machine's own watchdog has switched off."""
-_REPORTED_WITHIN_S = 1.5
-"""Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
 MOST_STROKES = 1_000_000
 AMPLIFIER_OFF = "the amplifier went off"
 _BEGINNING = (Command.RESET, Command.START)
 _WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
 _WITH_AMPLIFIER = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
-Answer = Callable[[str], None]
-"""Called with the reason for a refusal; an empty text means success."""
-
-
-class Machine(Protocol):
-    """What the sequence requests from the graph. No call waits; the next observations show the effect."""
-
-    refusal: str  # why the last switch_on was refused; empty before the answer, and after success
-    obstacle: str  # why the stage cannot be moved; empty if it can
-
-    def activate(self) -> None: ...
-    def switch_on(self) -> None: ...
-    def switch_off(self) -> None: ...
-    def reset_faults(self) -> None: ...
-    def move(self, waypoints: Sequence[Waypoint]) -> None: ...
-    def reload_map(self, then: Answer) -> None: ...
-    def center(self, middle: bool, then: Answer) -> None: ...
-
-
-class _Failed(Exception):
-    """The work of a state cannot be done; the message gives the reason."""
 
 
 class CellSequence:
@@ -67,10 +31,10 @@ class CellSequence:
     Attributes:
         state: current state.
         message: reason for the state, or for the refusal of the last command.
-        movements: of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop.
-        centred: the reference is in the middle of the travel, or was requested to go there.
         recovered: number of times that the amplifier was switched on again.
     """
+
+    work_of_states: type[StateWork] = StateWork
 
     def __init__(
         self,
@@ -83,14 +47,20 @@ class CellSequence:
         home: bool = False,
         recoveries: int = 0,
     ) -> None:
-        self._machine, self._start_timeout, self._clock = machine, start_timeout, clock
-        self._home, self._recoveries = home, recoveries
-        # A single trajectory contains its own rest at the end.
-        self._settled, self._settle = as_one, 0.0 if as_one else motion.settle
-        self.movements = StageMovements(motion, as_one)
-        self.recovered, self.centred = 0, False
-        self._seen, self._now = Observation(), clock()
+        self._machine, self._clock, self._recoveries = machine, clock, recoveries
+        self._works = self.work_of_states(machine, motion, start_timeout, clock(), as_one=as_one, home=home)
+        self.recovered = 0
         self._enter(State.STOPPED, "")
+
+    @property
+    def movements(self) -> StageMovements:
+        """Of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop."""
+        return self._works.movements
+
+    @property
+    def centred(self) -> bool:
+        """Whether the reference is in the middle of the travel, or was requested to go there."""
+        return self._works.centred
 
     @property
     def at_work(self) -> bool:
@@ -100,13 +70,13 @@ class CellSequence:
     @property
     def progress(self) -> float:
         """Elapsed fraction of the current movement's time; 0 without a movement."""
-        return self.movements.progress(self._seen)
+        return self.movements.progress(self._works.seen)
 
     def command(self, command: Command, strokes: int = 0) -> str:
         """Execute a command, with the number of ``strokes`` for Start; returns the reason for a refusal, or ``""``."""
         reason = refusal(command, self.state)
         if not reason and command in _BEGINNING:
-            reason = self._seen.occupied
+            reason = self._works.seen.occupied
         to_be_run = {Command.START: strokes, Command.UNHOLD: self.movements.strokes}.get(command, 0)
         if not reason and not 0 <= to_be_run <= MOST_STROKES:
             reason = f"strokes {strokes} is out of range; allowed: 0 to {MOST_STROKES}"
@@ -136,7 +106,7 @@ class CellSequence:
 
         def answered(refusal: str) -> None:
             if order is Order.CENTER:
-                self.centred = before if refusal else middle
+                self._works.centred = before if refusal else middle
             if self.state is state:
                 self.message = refusal or f"command {order.value}"
             then(refusal)
@@ -145,16 +115,16 @@ class CellSequence:
             self._machine.reload_map(answered)
         else:
             # No stroke may begin before the answer.
-            self.centred = before or middle
+            self._works.centred = before or middle
             self._machine.center(middle, answered)
 
     def tick(self, seen: Observation) -> None:
         """Continue with the graph as ``seen`` now."""
-        self._now, self._seen = self._clock(), seen
+        self._works.now, self._works.seen = self._clock(), seen
         trouble = "" if self._recovering else self._trouble(seen)
         if trouble and self._recoverable(seen):
             self.recovered += 1
-            self._recovering, self._work = True, self._recover(self._work)
+            self._recovering, self._work = True, self._works.recover(self._work, self._has_recovered)
         elif trouble:
             self._enter(State.ABORTING, trouble)
         try:
@@ -162,15 +132,18 @@ class CellSequence:
         except StopIteration:
             if self.state in DONE:
                 self._enter(DONE[self.state], self.message)
-        except (_Failed, NotArrived) as failure:
+        except (WorkFailed, NotArrived) as failure:
             self._enter(FAILED[self.state], str(failure))
 
     def _enter(self, state: State, message: str) -> None:
-        self.state, self.message, self._since = state, message, self._clock()
-        self._asked, self._recovering = -math.inf, False
-        self._work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
+        self.state, self.message = state, message
+        self._recovering = False
+        self._work = self._works.of(state, self._clock())
         if state is State.ABORTING:
             self._machine.switch_off()
+
+    def _has_recovered(self) -> None:
+        self._recovering = False
 
     def _trouble(self, seen: Observation) -> str:
         # In Stopped another client may use the graph: its faults are only shown as alarms.
@@ -187,121 +160,3 @@ class CellSequence:
         """Whether the trouble is that the amplifier is off, and it may be switched on again."""
         allowed = self.state is State.EXECUTE and self.recovered < self._recoveries
         return allowed and not seen.absence and not seen.amplifier_on
-
-    def _recover(self, work: Iterator[None]) -> Iterator[None]:
-        yield from self._clearing(0.0)
-        yield from self._switching_on()
-        self._recovering = False
-        yield from work
-
-    def _resetting(self) -> Iterator[None]:
-        ready_since = self._now
-        while True:
-            obstacle = self._seen.obstacle or self._machine.obstacle
-            if self._seen.occupied:
-                raise _Failed(self._seen.occupied)
-            if self._seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
-                raise _Failed(self._seen.contradiction)
-            if obstacle:
-                ready_since = self._now
-                if self._overdue(self._start_timeout):
-                    raise _Failed(f"not ready: {obstacle}")
-                # First hear whether somebody else uses the machine.
-                if self._seen.missing and self._overdue(_HEARD_S) and self._due():
-                    self._machine.activate()
-            elif self._due():
-                # Another client may have left the reference in the middle. Retried if refused during another change.
-                self._machine.center(False, self._back_on_the_map)
-            if self._now - ready_since >= _SETTLE_S:
-                return
-            yield
-
-    def _back_on_the_map(self, refusal: str) -> None:
-        self.centred = self.centred and bool(refusal)
-
-    def _starting(self) -> Iterator[None]:
-        yield from self._switching_on()
-        # In lockstep no time passes before the motion, so the platform cannot be homed.
-        for middle in (True, False) if self._home and self._seen.stamp_ns else ():
-            answers: list[str] = []
-            self._machine.center(middle, answers.append)
-            asked = self._now
-            while not answers or self._now - asked < _HOME_S:
-                if any(answers) or self._now - asked > self._start_timeout:
-                    raise _Failed(f"homing: {'; '.join(answers) or 'the feedforward does not answer'}")
-                yield
-
-    def _execute(self) -> Iterator[None]:
-        moves = self.movements
-        while True:
-            if moves.strokes and self._arrived():
-                if moves.strokes_done >= moves.strokes:
-                    return
-                self._machine.move(moves.next(self._seen, self._now))
-            yield
-
-    def _arrived(self) -> bool:
-        return self.movements.arrived(self._seen, self._now)
-
-    def _holding(self) -> Iterator[None]:
-        while not (self._arrived() and self._seen.still):
-            yield
-
-    def _completing(self) -> Iterator[None]:
-        # The stage's last movement has ended; another client may still be moving the stage.
-        while not (self._arrived() and (self._settled or self._seen.still) and self._overdue(self._settle)):
-            yield
-        yield from self._switching_off()
-
-    def _stopping(self) -> Iterator[None]:
-        # Without samples the end of the movement cannot be seen.
-        while self._seen.fresh and not self._arrived():
-            yield
-        yield from self._switching_off()
-
-    def _aborting(self) -> Iterator[None]:
-        # The stage keeps its trajectory and comes to rest at the end of its movement.
-        self.movements.forget()
-        for _ in self._switching_off():
-            if self._overdue(_OFF_WITHIN_S):
-                return
-            yield
-
-    def _clearing(self, least: float = _REPORTED_WITHIN_S) -> Iterator[None]:
-        yield from self._asking(
-            self._machine.reset_faults,
-            lambda: not self._seen.faults and self._overdue(least),
-            lambda: f"the fault remains: {self._seen.fault}",
-        )
-
-    def _switching_on(self) -> Iterator[None]:
-        yield from self._asking(
-            self._machine.switch_on,
-            lambda: self._seen.amplifier_on,
-            lambda: f"the driver refuses to enable: {self._machine.refusal or 'no answer'}",
-        )
-
-    def _switching_off(self) -> Iterator[None]:
-        while self._seen.amplifier_on:
-            if self._due():
-                self._machine.switch_off()
-            yield
-
-    def _asking(self, ask: Callable[[], None], done: Callable[[], bool], why: Callable[[], str]) -> Iterator[None]:
-        """Repeat a request until it is done; fails after the start timeout with the text of ``why``."""
-        end, self._asked = self._now + self._start_timeout, -math.inf
-        while not done():
-            if self._now > end:
-                raise _Failed(why())
-            if self._due():
-                ask()
-            yield
-
-    def _due(self) -> bool:
-        """Whether to send the request (again) now."""
-        if due := self._now - self._asked >= _ASK_AGAIN_S:
-            self._asked = self._now
-        return due
-
-    def _overdue(self, seconds: float) -> bool:
-        return self._now - self._since > seconds

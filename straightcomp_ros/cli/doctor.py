@@ -1,18 +1,27 @@
-"""Look at this machine: what would a run miss here, and what helps?
+"""Look at this machine: what would a run miss here, and what helps? With --stage, at its board's frames on CAN too.
 
 Each check is ok, warn (it runs, but less well, or not in every way) or fail. The exit code is 1 if one fails."""
 
 import argparse
+import itertools
 
 from straightcomp_ros.cli.findings import show_findings
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.doctor.examination import examine
+from straightcomp_ros.doctor.wire_findings import board_findings
 
 SUMMARY = "look at this machine and say what to do"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--stage", metavar="FILE", help="stage file: look at its board's frames on CAN too")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> int:
-    return show_findings(examine(), json=options.json)
+    found = examine()
+    if options.stage:
+        board = board_findings(node_parameters("driver", shipped_parameters(stage=options.stage)))
+        found = itertools.chain(found, board)
+    return show_findings(found, json=options.json)

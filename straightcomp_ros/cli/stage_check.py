@@ -10,7 +10,7 @@ from straightcomp_ros.cli.findings import show_findings
 from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.doctor.stage_findings import stage_findings
-from straightcomp_ros.doctor.wire_findings import wire_findings
+from straightcomp_ros.doctor.wire_findings import board_findings
 
 SUMMARY = "check a description: what does not fit together, why, and what helps"
 
@@ -26,6 +26,4 @@ def run(options: argparse.Namespace) -> int:
     tracking = node_parameters("feedforward", values).feedforward
     driver = node_parameters("driver", values)
     found = stage_findings(controller.stage, controller.control, tracking)
-    if driver.hardware == "can" or driver.can.dbc:
-        found = itertools.chain(found, wire_findings(driver.stage, driver.can))
-    return show_findings(found, json=options.json)
+    return show_findings(itertools.chain(found, board_findings(driver)), json=options.json)

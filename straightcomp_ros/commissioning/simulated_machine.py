@@ -11,7 +11,8 @@ import numpy as np
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.machine import COASTING, Array, Series
-from straightcomp_ros.configuration.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
+from straightcomp_ros.configuration.node_parameters import Values, by_node, node_parameters
+from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
 from straightcomp_ros.frequency_response.loop_excitation import simple_currents

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.doctor.finding import Finding
 from straightcomp_ros.hardware.can.budget import Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -12,6 +13,12 @@ from straightcomp_ros.hardware.can.wire_gaps import gaps
 from straightcomp_ros.stage.description import StageParameters
 
 _FULL = 0.8
+
+
+def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
+    """As :func:`wire_findings`, for a machine that is a board on CAN or has a DBC file; none for another."""
+    if driver.hardware == "can" or driver.can.dbc:
+        yield from wire_findings(driver.stage, driver.can)
 
 
 def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Finding]:

@@ -17,8 +17,11 @@ def nearest_count(resolution: float, position: float) -> float:
 
 @compilable
 def nearest_step(step: float, half_codes: int, current: float) -> float:
-    """``current`` in A rounded to the nearest code from −half_codes to half_codes − 1, of ``step`` in A each."""
-    return max(-half_codes, min(half_codes - 1, math.floor(current / step + 0.5))) * step
+    """``current`` in A rounded to the nearest code from −half_codes to half_codes − 1, of ``step`` in A each.
+
+    A tie goes to the even code: boards round currents and values of frames by the same rule.
+    """
+    return max(-half_codes, min(half_codes - 1, round(current / step))) * step
 
 
 @dataclass(frozen=True)

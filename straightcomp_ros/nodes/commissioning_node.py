@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.commissioning import STEP_NAMES
-from straightcomp_ros.configuration.node_parameters import CommissioningNodeParameters
+from straightcomp_ros.configuration.parameter_sets import CommissioningNodeParameters
 from straightcomp_ros.contract import COMMISSIONING_STATE
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics

@@ -8,7 +8,7 @@ from functools import partial
 
 from rclpy.node import Node
 
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
+from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Command, Law

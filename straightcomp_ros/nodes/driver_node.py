@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
+from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.contract import (
     COMMAND,
     DRIVER_STATE,

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
+from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.board_line import BusLine, HubLine, Line
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.configuration.node_parameters import FeedforwardNodeParameters
+from straightcomp_ros.configuration.parameter_sets import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import awaited

@@ -17,7 +17,7 @@ from straightcomp_ros.bags.definitions import definition
 from straightcomp_ros.bags.recorded_parameters import attach_map
 from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration.node_parameters import LoggerNodeParameters
+from straightcomp_ros.configuration.parameter_sets import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.messages.cdr import header_stamp_ns
 from straightcomp_ros.runtime.batch_streams import BatchQueue

@@ -13,7 +13,7 @@ from rclpy.task import Future
 
 from straightcomp_ros.cell.packml import Order
 from straightcomp_ros.cell.packml_sequence import CellSequence
-from straightcomp_ros.configuration.node_parameters import OpcuaNodeParameters
+from straightcomp_ros.configuration.parameter_sets import OpcuaNodeParameters
 from straightcomp_ros.maintenance.due_maintenance import WatchedAdvice
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.opcua.users import UsersError

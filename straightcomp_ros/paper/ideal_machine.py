@@ -7,11 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from straightcomp_ros.configuration.node_parameters import (
-    ControllerNodeParameters,
-    DriverNodeParameters,
-    node_parameters,
-)
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters, DriverNodeParameters
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.model.plant import PlantParameters

@@ -18,7 +18,7 @@ from straightcomp_ros.bags.recorder import DiskGuard
 from straightcomp_ros.bags.sqlite_input import SqliteInput
 from straightcomp_ros.bags.topics import chosen_topics, resolved
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
+from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.settings.declaration import declarations
 

@@ -13,6 +13,7 @@ import pytest
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor import can_bus, capacity, examination, scheduling, software
 from straightcomp_ros.doctor.finding import Finding
+from straightcomp_ros.settings.share import share_path
 
 MIB = 1 << 20
 
@@ -39,6 +40,17 @@ def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys: p
     for check in answer["checks"]:
         assert (check["remedy"] == "") == (check["state"] == "ok"), check
         assert check["remedy"] == "" or check["remedy"].endswith("."), check
+
+
+def test_what_the_frames_of_a_stages_board_leave_open_is_told_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(()))
+    main(["doctor", "--json", "--stage", str(share_path("config/board_motorola.yaml"))])
+    told = [check["detail"] for check in json.loads(capsys.readouterr().out)["checks"]]
+    assert any(text.startswith("there is no heartbeat") for text in told)
+    assert main(["doctor", "--stage", "nowhere.yaml"]) == 2
+    assert "nowhere.yaml" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("states", "code"), [(["ok", "warn"], 0), (["fail", "ok"], 1)])

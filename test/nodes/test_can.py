@@ -123,8 +123,10 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     processes = {node: graph.start(node, {"output": str(bag)} if node == "logger" else {}, file) for node in NODES}
     operator.until(operator.enabled)
     operator.until(operator.on)
-    operator.trajectory.publish(message_from_waypoints(forward_and_back(MotionParameters(stroke=0.3, settle=0.0))))
+    waypoints = forward_and_back(MotionParameters(stroke=0.3, settle=0.0))
+    operator.trajectory.publish(message_from_waypoints(waypoints))
     operator.until(lambda: operator.x > 0.01)
+    moved_ns = time.time_ns()
 
     board.send_signal(signal.SIGKILL)
     log = graph.log("driver")
@@ -132,6 +134,8 @@ def test_a_killed_board_latches_a_fault_and_a_killed_driver_makes_the_board_swit
     assert not operator.enabled()
     assert all(process.poll() is None for process in [hub, *processes.values()])
 
+    # The second stage knows of no motion: as long as the driver expects one, x that stands still is a fault too.
+    operator.until(lambda: time.time_ns() > moved_ns + waypoints[-1].time_ns)
     # On a busy computer the operator still has samples of the first board to read.
     restarted_ns = time.time_ns()
     graph.start_program("second_board", verb_command("dsp", "--params-file", str(file)))

@@ -35,10 +35,12 @@ def test_a_core_that_cannot_be_built_is_told(tmp_path):
         boards([None], tmp_path, tmp_path)
 
 
-def test_a_stroke_that_fails_is_told_with_the_board(tmp_path):
-    (board,) = boards([None], None, tmp_path)
-    with pytest.raises(BenchFailed, match=r"straightcomp\.dbc, emulator: .*'stage.rate': 0"):
-        measure([board], 1, ["--set", "stage.rate=0"], tmp_path)
+def test_a_board_without_a_finished_stroke_is_told_with_the_reason(capsys):
+    assert main(["bench", "boards", "--board", FOREIGN, "--set", "stage.rate=0"]) == 1
+    told = capsys.readouterr()
+    for name in ("straightcomp.dbc, emulator", "board_motorola.dbc, emulator"):
+        assert name in told.out and f"{name}: straightcomp demo: " in told.err
+    assert told.err.count("'stage.rate': 0") == 2
 
 
 @pytest.mark.parametrize(
@@ -55,7 +57,7 @@ def test_a_refused_option_ends_with_code_2_and_what_is_allowed(capsys, arguments
 
 
 def test_a_stroke_that_fails_is_counted_and_the_next_one_is_made(monkeypatch, tmp_path):
-    figures = dict.fromkeys(("lost_samples", "lost_commands"), 1) | {"verdict": "in_order"}
+    figures = dict.fromkeys(("lost_samples", "lost_commands"), 1) | {"verdict": "starved", "reason": "held up"}
     figures |= dict.fromkeys(("residual_pp_um", "true_pp_um", "latency_p50_us", "latency_p99_us"), 2.0)
     said = iter([("", "the board fell silent\n"), (json.dumps(figures), "")])
     ended = SimpleNamespace(communicate=lambda: next(said))
@@ -64,4 +66,5 @@ def test_a_stroke_that_fails_is_counted_and_the_next_one_is_made(monkeypatch, tm
     found = measure([board], 2, [], tmp_path)
     (one,) = found["boards"]
     assert one["failed"] == ["straightcomp.dbc, emulator: the board fell silent"] and not found["in_order"]
-    assert one["pp_um_of_each"] == [2.0] and one["lost_samples"] == 1 and one["verdict"] == "in_order"
+    assert one["pp_um_of_each"] == [2.0] and one["lost_samples"] == 1
+    assert one["not_in_order"] == ["straightcomp.dbc, emulator: starved: held up"]

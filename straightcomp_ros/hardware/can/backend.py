@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, Command
-from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.wire_gaps import gaps
@@ -48,7 +47,7 @@ class CanHardware(Hardware):
         self._receiver = Receiver(parameters, stage)
         self._wire = wire = self._receiver.wire
         self._stage_frames = EmulatorFrames(parameters.node, wire) if parameters.simulated_stage else None
-        self._link = make_link(parameters, self._receiver.identifiers, self._receive, clock)
+        self._link = make_link(parameters, self._receiver.identifiers, self._receiver.take, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._turn = self._deadline_ns = 0
         self._current = 0.0
@@ -176,14 +175,6 @@ class CanHardware(Hardware):
             if link.log.problem:
                 counters["log"] = link.log.problem
         return {f"can_{name}": value for name, value in counters.items()}
-
-    def _receive(self, frame: Frame, arrival_ns: int) -> None:
-        if frame.flags & ERROR:
-            self._receiver.receive_error_frame(frame.identifier, frame.data)
-        elif frame.flags & REMOTE:
-            self._receiver.counts["remote"] += 1
-        else:
-            self._receiver.receive(address(frame), frame.data, arrival_ns)
 
     def _upsets(self) -> dict[str, int]:
         """Counters of events that must not happen while the amplifier is on, by the text of the fault."""

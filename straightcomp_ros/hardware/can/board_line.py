@@ -10,7 +10,7 @@ import time
 import can
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import ERROR, Hub, address, addressed, from_packet, to_packet
+from straightcomp_ros.hardware.can.hub import NO_DATA, Hub, address, addressed, from_packet, to_packet
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.link import opened_bus
 
@@ -51,8 +51,8 @@ class BusLine:
                 message = self._bus.recv(0)
                 if message is None:
                     break
-                if not message.is_error_frame:
-                    frame = frame_of(message)
+                frame = frame_of(message)
+                if not frame.flags & NO_DATA:
                     frames.append((address(frame), frame.data, frame.stamp_ns))
         except (can.CanError, OSError):
             self.close()
@@ -94,7 +94,7 @@ class HubLine:
         self._hub.serve(0)
         frames = [from_packet(packet) for packet in self._packets]
         self._packets.clear()
-        return [(address(frame), frame.data, frame.stamp_ns) for frame in frames if not frame.flags & ERROR]
+        return [(address(frame), frame.data, frame.stamp_ns) for frame in frames if not frame.flags & NO_DATA]
 
     def close(self) -> None:
         self._hub.close()

@@ -3,7 +3,7 @@
 import random
 from collections.abc import Callable, Mapping
 
-from straightcomp_ros.hardware.can.hub import Flag, Frame, LinkCut
+from straightcomp_ros.hardware.can.hub import EXTENDED, REMOTE, Flag, Frame, LinkCut
 
 FLOOD = 20
 """Frames that a babbling node sends before each of ours."""
@@ -74,6 +74,8 @@ KINDS: Mapping[str, Callable[[Faults, Frame], list[Frame]]] = {
     "truncate": lambda faults, frame: [frame._replace(data=frame.data[: faults.random.randrange(len(frame.data))])],
     "wrong_id": lambda faults, frame: [frame._replace(identifier=frame.identifier ^ 1 << faults.random.randrange(11))],
     "error_frame": lambda faults, frame: [Frame(frame.stamp_ns, 0x20, Flag.ERROR, bytes(8)), frame],
+    # A request for the frame, which a bus has in the classic format alone.
+    "remote": lambda faults, frame: [frame._replace(flags=frame.flags & EXTENDED | REMOTE, data=b""), frame],
     "flood": lambda faults, frame: [frame._replace(identifier=_FOREIGN_ID)] * FLOOD + [frame],
     "cut": Faults._cut,
 }

@@ -68,6 +68,10 @@ class Command(NamedTuple):
     echo: int | None = None
 
 
+UNITS = {"x": "m", "y": "m", "current": "A"}
+"""SI unit of each field of a report or command that has a physical value."""
+
+
 def counted(report: Report) -> int | None:
     """What numbers the sample of a frame: the counter of the samples if the frame has it, else that of the frames."""
     return report.alive if report.counter is None else report.counter

@@ -38,6 +38,8 @@ class Flag(enum.IntFlag):
 # Plain numbers, since each operation on an IntFlag takes some microseconds. FD_FRAME is what this package sends.
 EXTENDED, REMOTE, ERROR = int(Flag.EXTENDED), int(Flag.REMOTE), int(Flag.ERROR)
 FD_FRAME = int(Flag.FD | Flag.BIT_RATE_SWITCH)
+NO_DATA = ERROR | REMOTE
+"""A frame of either kind has no payload to use, whatever its identifier."""
 
 
 class Frame(NamedTuple):

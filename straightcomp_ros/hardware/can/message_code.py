@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from straightcomp_ros.hardware.can.dbc_file import is_fd, limits, modulus
-from straightcomp_ros.hardware.can.frames import Amplifier, Command, FrameError, Report
+from straightcomp_ros.hardware.can.frames import UNITS, Amplifier, Command, FrameError, Report
 from straightcomp_ros.hardware.can.protection import Crc
 from straightcomp_ros.hardware.can.signal_code import Reading, Writing, compiled, in_page, pages, physical
 
@@ -100,7 +100,7 @@ class Signals:
         reading = Reading(self.message, list(self.signals.values()))
         lines = self._checks(reading)
         values = {field: "None" for field in Report._fields} | {"good": "True"}
-        for field in ("x", "y", "current"):
+        for field in UNITS:
             if field in self.signals:
                 values[field] = self._value(reading, field)
         for field in ("alive", "counter", "fault"):
@@ -199,7 +199,7 @@ class Signals:
     def _refuse(self, name: str, value: float) -> NoReturn:
         field, signal = next((field, one) for field, one in self.signals.items() if one.name == name)
         ends = self.span(field) if field in self.factors else limits(signal)
-        unit = {"x": " m", "y": " m", "current": " A"}.get(field, "")
+        unit = f" {UNITS[field]}" if field in UNITS else ""
         raise ValueError(
             f"{field} of {value}{unit} does not fit signal '{name}' of message '{self.message.name}'; "
             f"allowed: {ends[0]:.9g} to {ends[1]:.9g}{unit}"

@@ -13,6 +13,7 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frame_sets import FrameSets
 from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Report, counted
+from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
 from straightcomp_ros.hardware.can.message_frames import ReportFrames
 from straightcomp_ros.hardware.can.sample_clock import SampleClock
 from straightcomp_ros.hardware.can.sequence import Sequence
@@ -51,7 +52,7 @@ class Receiver:
         self.clock = SampleClock(period_ns)
         self._modulus = wire.sample_modulus
         slow = wire.counting is not None and wire.counting not in wire.parts
-        self.sequence = Sequence(self._elapsed, self._modulus, wire.number_modulus if slow else 0)
+        self.sequence = Sequence(self._elapsed, period_ns, self._modulus, wire.number_modulus if slow else 0)
         self.sets: FrameSets[Report] = FrameSets(len(wire.parts), wire.part_modulus, period_ns)
         numbered = wire.parts[0].signals
         self._alive_modulus = numbered.counts("alive") if numbered.counts("counter") else 0
@@ -72,7 +73,7 @@ class Receiver:
         """Count of the newest accepted frame; 0 for frames without."""
         self._good: tuple[float, float, int] | None = None
         """Newest good reading, and its number."""
-        self._alive = self._stamp_ns = 0
+        self._stamp_ns = 0
         self.current = 0.0
         self._truth: tuple[int, Truth | None] = (-1, None)
         self._handlers: dict[int, Callable[[bytes, int], None]] = {
@@ -96,8 +97,17 @@ class Receiver:
         self._accepted = self._good = self.amplifier = None
         self.strikes = 0
 
+    def take(self, frame: Frame, arrival_ns: int) -> None:
+        """Take a frame of any kind: one without data is counted by its kind."""
+        if frame.flags & ERROR:
+            self.receive_error_frame(frame.identifier, frame.data)
+        elif frame.flags & REMOTE:
+            self.counts["remote"] += 1
+        else:
+            self.receive(address(frame), frame.data, arrival_ns)
+
     def receive(self, identifier: int, payload: bytes, arrival_ns: int) -> None:
-        """Take one frame of the bus."""
+        """Take one frame with data."""
         handler = self._handlers.get(identifier)
         if handler is None:
             self.counts["foreign"] += 1
@@ -143,8 +153,6 @@ class Receiver:
             self._hear_sample(*whole)
 
     def _hear_sample(self, report: Report, arrival_ns: int) -> None:
-        if report.alive is not None:
-            self._alive = report.alive
         jumps = self.sequence.jumps
         ahead = self.sequence.ahead(counted(report), arrival_ns)
         self._follow_jump(jumps)
@@ -229,7 +237,7 @@ class Receiver:
         if report.counter is None:
             return
         jumps = self.sequence.jumps
-        placed = self.sequence.place(report.counter, self._alive)
+        placed = self.sequence.place(report.counter, arrival_ns)
         self._follow_jump(jumps)
         for number, (waiting, waiting_ns) in placed:
             if self.sequence.index is None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, is_fd, limits
-from straightcomp_ros.hardware.can.frames import Amplifier
+from straightcomp_ros.hardware.can.frames import UNITS, Amplifier
 from straightcomp_ros.hardware.can.signal_code import selectors
 from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, WireParameters
 from straightcomp_ros.settings.declaration import RefusedParameter
@@ -28,7 +28,14 @@ _COUNTS = (
 )
 _LENGTHS = {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 _CURRENTS = {"": 1.0, "A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "μA": 1e-6}
-_UNITS = {"x": _LENGTHS, "y": _LENGTHS, "current": _CURRENTS, "command": _CURRENTS}
+_FACTORS = {"m": _LENGTHS, "A": _CURRENTS}
+"""By the SI unit of a field the units that a DBC file may have for it, with their factors."""
+_FIELDS = {"command": "current", "heartbeat": "state"}
+
+
+def field_of(role: str) -> str:
+    """The field of a report, a command or a heartbeat that has the signal of a role."""
+    return _FIELDS.get(role, role)
 
 
 class Roles:
@@ -76,14 +83,16 @@ class Roles:
         except DbcError as error:
             raise RefusedParameter(parameter, str(error)) from None
         if parameter in _COUNTS and (signal.is_signed or signal.is_float):
-            raise RefusedParameter(parameter, f"'{name}' is signed or a float; allowed: an unsigned integer")
+            text = f"'{name}' of message '{message.name}' is signed or a float; allowed: an unsigned integer"
+            raise RefusedParameter(parameter, text)
         return signal
 
     def in_every_frame(self, message: Message, name: str, parameter: str) -> Signal:
         """As :meth:`find`, for a signal that must not be multiplexed."""
         signal = self.find(message, name, parameter)
         if selectors(message, signal):
-            raise RefusedParameter(parameter, f"'{name}' is multiplexed; allowed: a signal that is in every frame")
+            text = f"'{name}' of message '{message.name}' is multiplexed; allowed: a signal that is in every frame"
+            raise RefusedParameter(parameter, text)
         return signal
 
     def factor(self, role: str) -> float:
@@ -91,10 +100,11 @@ class Roles:
         factor: float = self._named(role).factor
         if factor == 0.0:
             raise RefusedParameter(f"wire.{role}.factor", "0.0 is not allowed; allowed: any other number")
-        signal, known = self.signals[role], _UNITS[role]
+        signal, known = self.signals[role], _FACTORS[UNITS[field_of(role)]]
         unit = signal.unit or ""
         if unit not in known:
-            text = f"'{signal.name}' is in '{unit}'; allowed: {', '.join(known)[2:]}, or no unit for SI"
+            place = f"'{signal.name}' of message '{self.homes[role]}'"
+            text = f"{place} is in '{unit}'; allowed: {', '.join(known)[2:]}, or no unit for SI"
             raise RefusedParameter(f"wire.{role}.signal", text)
         return known[unit] * factor
 
@@ -128,7 +138,8 @@ class Roles:
         for role in OF_HOST:
             if homes.get(role) in of_board:
                 where = role if self._named(role).message else "command"
-                raise RefusedParameter(f"wire.{where}.message", f"'{homes[role]}' is a message of the board already")
+                text = f"'{homes[role]}' is a message of the board already; allowed: one that the host sends"
+                raise RefusedParameter(f"wire.{where}.message", text)
         if "heartbeat" in homes and homes["heartbeat"] in (homes[role] for role in homes if role != "heartbeat"):
             text = f"'{homes['heartbeat']}' has other signals of the board; allowed: a message of its own"
             raise RefusedParameter("wire.heartbeat.message", text)
@@ -141,7 +152,8 @@ class Roles:
             *((role, []) for role in OF_HOST if role in homes),
         ):
             if self._page(role) != wanted:
-                text = f"'{self.signals[role].name}' is not in all frames that it must be in; allowed: one that is"
+                place = f"'{self.signals[role].name}' of message '{homes[role]}'"
+                text = f"{place} is not in all frames that it must be in; allowed: one that is"
                 raise RefusedParameter(f"wire.{role}.signal", text)
 
     def _page(self, role: str) -> list[tuple[Signal, list[int]]]:

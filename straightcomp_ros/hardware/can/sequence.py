@@ -27,12 +27,16 @@ class Sequence:
 
     Args:
         elapsed: ``elapsed(index, arrival_ns)`` is the number of samples taken since ``index``, by the clock.
+        period_ns: from one sample to the next.
         modulus: of the count in each sample's frame, 0 without one.
         full_modulus: of the full counter in frames of its own, which ``modulus`` divides; 0 without one.
     """
 
-    def __init__(self, elapsed: Callable[[int, int], float], modulus: int, full_modulus: int = 0) -> None:
-        self._elapsed, self._modulus, self._full_modulus = elapsed, modulus, full_modulus
+    def __init__(
+        self, elapsed: Callable[[int, int], float], period_ns: int, modulus: int, full_modulus: int = 0
+    ) -> None:
+        self._elapsed, self._period_ns = elapsed, period_ns
+        self._modulus, self._full_modulus = modulus, full_modulus
         self._early = min(_EARLY, (modulus - 1) // 3)
         self._ambiguous = modulus - 1 - self._early if modulus else _SILENCE
         self.lost = self.repeated = self.out_of_order = self.unplaced = self.jumps = 0
@@ -111,10 +115,10 @@ class Sequence:
             del self._waiting[0]
             self.unplaced += 1
 
-    def place(self, counter: int, alive: int) -> list[tuple[int, tuple[Report, int]]]:
-        """Number the waiting frames; returns (number, (report, arrival_ns)), oldest first.
+    def place(self, counter: int, arrival_ns: int) -> list[tuple[int, tuple[Report, int]]]:
+        """Number the waiting frames; returns (number, (report, arrival_ns)) in the order of their arrival.
 
-        ``counter`` is the number of the newest sample frame or of one before it, ``alive`` that frame's own count.
+        ``counter`` came at ``arrival_ns`` in a frame of its own.
         """
         modulus = self._modulus
         ahead = 0 if self.index is None else _signed(counter - self.index, self._full_modulus)
@@ -123,17 +127,23 @@ class Sequence:
                 self.jumps += 1
                 self.reset()
             return []
-        full = counter if self.index is None else self.index + ahead
-        number = full - (full - alive) % modulus
+        number = counter if self.index is None else self.index + ahead
         placed = []
-        later = alive
         for waiting in reversed(self._waiting):
-            count = waiting[0].alive or 0
-            number -= (later - count) % modulus
-            later = count
+            report, waiting_ns = waiting
+            number -= self._from_one_to_the_next(number - (report.alive or 0), arrival_ns - waiting_ns)
+            arrival_ns = waiting_ns
             placed.append((number, waiting))
         self._waiting = []
         return placed[::-1]
+
+    def _from_one_to_the_next(self, difference: int, passed_ns: int) -> int:
+        """Samples between two frames with this difference of their counts; less than zero if they were swapped."""
+        lost = difference % self._modulus
+        swapped = self._modulus - lost
+        # To lose almost as many as the count can tell apart takes as long; swapped frames arrive close together.
+        soon = passed_ns / self._period_ns + self._early < lost
+        return -swapped if soon and swapped <= self._early else lost
 
 
 def _signed(difference: int, modulus: int) -> int:

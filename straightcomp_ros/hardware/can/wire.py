@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, modulus
-from straightcomp_ros.hardware.can.frames import BoardFault
+from straightcomp_ros.hardware.can.frames import UNITS, BoardFault
 from straightcomp_ros.hardware.can.message_code import Signals
 from straightcomp_ros.hardware.can.message_frames import CommandFrames, HeartbeatFrames, ReportFrames
 from straightcomp_ros.hardware.can.protection import Crc, ProtectionParameters, alive_modulus, data_ids
-from straightcomp_ros.hardware.can.roles import OF_BOARD, OF_HOST, READINGS, Roles
+from straightcomp_ros.hardware.can.roles import OF_BOARD, OF_HOST, READINGS, Roles, field_of
 from straightcomp_ros.hardware.can.shipped_wire import FILE, shipped_wire
 from straightcomp_ros.hardware.can.wire_parameters import WireParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, to_mapping
@@ -68,7 +68,7 @@ class Wire:
         protection = self._protections(homes)
         reports: dict[str, ReportFrames] = {}
         for name, protected in protection.items():
-            inside = {role: signals[role] for role in OF_BOARD if homes.get(role) == name}
+            inside = [role for role in OF_BOARD if homes.get(role) == name]
             if inside:
                 reports[name] = ReportFrames(self._signals(name, inside, *protected), meaning.fault.none_value)
         self.homes = {role: reports[homes[role]] for role in OF_BOARD if role in homes}
@@ -77,7 +77,7 @@ class Wire:
         self.reports: Mapping[int, ReportFrames] = {frames.identifier: frames for frames in reports.values()}
         commands: dict[str, CommandFrames] = {}
         for name in dict.fromkeys(homes[role] for role in reversed(OF_HOST) if role in homes):
-            inside = {"current" if one == "command" else one: signals[one] for one in OF_HOST if homes.get(one) == name}
+            inside = [role for role in OF_HOST if homes.get(role) == name]
             commands[name] = CommandFrames(self._signals(name, inside, *protection[name]))
         self.command = commands.pop(homes["command"])
         self.commands = *commands.values(), self.command
@@ -86,8 +86,7 @@ class Wire:
         self.command_modulus = self._common_modulus(self.commands)
         self.heartbeat: HeartbeatFrames | None = None
         if "heartbeat" in signals:
-            inside = {"state": signals["heartbeat"]}
-            beat = self._signals(homes["heartbeat"], inside, "", ProtectionParameters())
+            beat = self._signals(homes["heartbeat"], ["heartbeat"], "", ProtectionParameters())
             self.heartbeat = HeartbeatFrames(beat, meaning.heartbeat.boot_up_value, meaning.heartbeat.operational_value)
         self.sample_modulus = count_modulus(self.parts[0])
         self.number_modulus = self.counting.signals.counts("counter") if self.counting else self.sample_modulus
@@ -150,7 +149,8 @@ class Wire:
             found |= {name: (part, protected) for name in names}
         return found
 
-    def _signals(self, name: str, inside: Mapping[str, Signal], part: str, protected: ProtectionParameters) -> Signals:
+    def _signals(self, name: str, inside: Sequence[str], part: str, protected: ProtectionParameters) -> Signals:
+        """The signals of the message ``name``: those of the roles ``inside``, and its protection."""
         message = self.dbc.message(name)
         place = f"wire.protection.{part}"
         self._places[name] = place
@@ -158,7 +158,7 @@ class Wire:
             identifier = self.dbc.identifier(message, self._node)
         except DbcError as error:
             raise RefusedParameter("node", str(error)) from None
-        crc, everything = None, dict(inside)
+        crc, everything = None, {field_of(role): self._roles.signals[role] for role in inside}
         alive = self._roles.in_every_frame(message, protected.alive, f"{place}.alive") if protected.alive else None
         if alive is not None:
             everything["alive"] = alive
@@ -175,9 +175,7 @@ class Wire:
                 raise RefusedParameter(f"{place}.crc", str(error)) from None
         elif protected.crc or protected.data_id:
             raise RefusedParameter(f"{place}.profile", "'none' is not allowed beside a CRC signal or data id")
-        asked = "command" if part in OF_HOST else "current"
-        known = {"x": "x", "y": "y", "current": asked}
-        factors = {field: self._roles.factor(known[field]) for field in inside if field in known}
+        factors = {field_of(role): self._roles.factor(role) for role in inside if field_of(role) in UNITS}
         counts = alive_modulus(alive, protected.profile) if alive is not None else 0
         return Signals(message, identifier, everything, factors, self._roles.values(), counts, crc)
 
@@ -218,12 +216,17 @@ class Wire:
             )
             raise RefusedParameter("wire.counter.message", text)
         if self.sample_modulus and self.sample_modulus < _LEAST_COUNTS:
-            text = f"counts to {self.sample_modulus}; allowed: >= {_LEAST_COUNTS} counts"
+            name = self.parts[0].signals.message.name
+            text = f"message '{name}' counts to {self.sample_modulus}; allowed: >= {_LEAST_COUNTS} counts"
             raise RefusedParameter("wire.counter.signal", text)
         if any("echo" in frames.signals.signals for frames in self.commands) and not self.number_modulus:
             raise RefusedParameter("wire.echo.signal", "needs a count of the samples: 'counter' or 'protection.sample'")
         if self.echo_modulus and self.number_modulus % self.echo_modulus:
-            text = f"counts to {self.echo_modulus}, which does not divide the {self.number_modulus} of the samples"
+            signal, message = self._roles.signals["echo"].name, self._roles.homes["echo"]
+            text = (
+                f"'{signal}' of message '{message}' counts to {self.echo_modulus}; allowed: a divisor of the "
+                f"{self.number_modulus} of the samples"
+            )
             raise RefusedParameter("wire.echo.signal", text)
 
 

@@ -8,11 +8,18 @@ from straightcomp_ros.hardware.can.wire import Wire
 _SHORT = 256
 """Samples: a counter that tells no more of them apart does not bridge a fifth of a second at 2 kHz."""
 
+_SAID = {
+    "amplifier": "state of the amplifier",
+    "fault": "fault code",
+    "counter": "number of a sample",
+    "current": "measured current",
+}
+"""What frames say that do not come with each sample."""
+
 
 def gaps(wire: Wire) -> list[str]:
     """One sentence for each thing that the frames lack; none for the package's own."""
     found = []
-    status = wire.status
     for frames in wire.parts:
         if frames.signals.crc is None:
             name = frames.signals.message.name
@@ -34,8 +41,10 @@ def gaps(wire: Wire) -> list[str]:
         )
     if "good" not in wire.homes:
         found.append("no signal says whether the readings are good: bad ones are found only by their limits")
-    if status not in wire.parts and status.signals.crc is None:
-        found.append(f"{status.signals.message.name} has no CRC: a damaged state of the amplifier is believed")
+    for frames in wire.reports.values():
+        if frames not in wire.parts and frames.signals.crc is None:
+            said = " or ".join(words for field, words in _SAID.items() if field in frames.signals.signals)
+            found.append(f"{frames.signals.message.name} has no CRC: a damaged {said} is believed")
     if wire.current is None:
         found.append("no signal has the measured current: the commanded one stands for it")
     if wire.heartbeat is None:
@@ -47,12 +56,12 @@ def gaps(wire: Wire) -> list[str]:
         if "alive" not in asked.signals.signals:
             found.append(f"{name} has no counter: the board does not find repeated commands")
     has = _has(wire.commands)
-    said = {field for asked in wire.commands for field in asked.signals.signals}
+    asks = {field for asked in wire.commands for field in asked.signals.signals}
     if len(wire.commands) > 1 and not wire.command_modulus:
         found.append(f"{has} no counter in each: the board must tell by their time which belong together")
-    if "echo" not in said:
+    if "echo" not in asks:
         found.append(f"{has} no echo: the board does not know which sample a command answers, and how old it is")
-    if "reset" not in said:
+    if "reset" not in asks:
         found.append(f"{has} no reset: the board must clear its fault when it is told to be off")
     return found
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, node_parameters
+from straightcomp_ros.configuration.node_parameters import node_parameters
+from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.pairing import extrapolated

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.configuration.node_parameters import DriverNodeParameters, Values
+from straightcomp_ros.configuration.node_parameters import Values
+from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import node_set

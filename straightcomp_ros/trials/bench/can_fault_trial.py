@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from straightcomp_ros.hardware.can.bus_faults import FLOOD, Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Report
-from straightcomp_ros.hardware.can.hub import Flag, Frame, addressed
+from straightcomp_ros.hardware.can.hub import Frame, addressed
 from straightcomp_ros.hardware.can.message_frames import ReportFrames
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
@@ -48,6 +48,7 @@ class Trial:
             "truncate": checks,
             "wrong_id": counts["foreign"] + checks,
             "error_frame": counts["error_frames"],
+            "remote": counts["remote"],
             "flood": counts["foreign"] // FLOOD,
         }[kind]
 
@@ -97,7 +98,7 @@ def run_trial(
             # Count only the faults of one frame of each sample, not those of the slow ones.
             hurt = k > _LEAD_IN and frame.identifier == wire.sample.identifier and k < frames - 2
             for arrived in faults(frame) if hurt else [frame]:
-                _hand_over(receiver, arrived)
+                receiver.take(arrived, arrived.stamp_ns)
     wrong = 0
     for index, sample, _ in receiver.samples:
         x, y = position(index)
@@ -122,10 +123,3 @@ def _frames(wire: Wire, index: int, stamp_ns: int) -> list[Frame]:
 
 def _counted(frames: ReportFrames, report: Report, index: int) -> Report:
     return report._replace(alive=index // frames.every % frames.alive_modulus)
-
-
-def _hand_over(receiver: Receiver, frame: Frame) -> None:
-    if frame.flags & Flag.ERROR:
-        receiver.receive_error_frame(frame.identifier, frame.data)
-    else:
-        receiver.receive(frame.identifier, frame.data, frame.stamp_ns)

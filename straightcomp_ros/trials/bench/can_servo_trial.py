@@ -21,7 +21,7 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.firmware import FirmwareBoard
 from straightcomp_ros.hardware.can.frame_sets import together
 from straightcomp_ros.hardware.can.frames import Amplifier, Report
-from straightcomp_ros.hardware.can.hub import ERROR, Flag, Frame
+from straightcomp_ros.hardware.can.hub import ERROR, NO_DATA, Flag, Frame
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
@@ -140,7 +140,7 @@ class _Trial:
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
         """Send a frame from the host to the board."""
         for frame in self._arriving(self.to_board, identifier, payload, fd):
-            if not frame.flags & ERROR:
+            if not frame.flags & NO_DATA:
                 self.board.receive(frame.identifier, frame.data, self.now)
         return True
 

@@ -21,7 +21,7 @@ from straightcomp_ros.configuration.node_parameters import STAGE, node_parameter
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Command
-from straightcomp_ros.hardware.can.hub import Frame, address
+from straightcomp_ros.hardware.can.hub import Frame
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import Link, filter_of
 from straightcomp_ros.hardware.can.receiver import Receiver
@@ -145,7 +145,7 @@ class _Host:
             self.link.wait(_LOOK_S)
 
     def _receive(self, frame: Frame, arrival_ns: int) -> None:
-        self.receiver.receive(address(frame), frame.data, arrival_ns)
+        self.receiver.take(frame, arrival_ns)
         samples = self.receiver.samples
         if samples:
             number, *_ = samples.pop()

@@ -10,37 +10,32 @@ from dataclasses import replace
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml_sequence import CellSequence
+from straightcomp_ros.cell.state_work import StateWork
 from straightcomp_ros.nodes.cell_node import CellNode
 from straightcomp_ros.runtime.runner import run
 
 _PATIENCE_S = 5.0
 
 
-class SteadySequence(CellSequence):
-    """Switches the amplifier on again whenever a fault has switched it off; ends only on command."""
+class SteadyWork(StateWork):
+    """Switches the amplifier on again whenever a fault has switched it off; the motion never ends by itself."""
 
-    _began = _duration = 0.0
-
-    def tick(self, seen: Observation) -> None:
-        """Continue, whatever faults there are."""
-        super().tick(replace(seen, faults={}))
-
-    def _trouble(self, seen: Observation) -> str:
-        return ""
+    began = duration = 0.0
+    """Of the motion, s."""
 
     def _starting(self) -> Iterator[None]:
-        while not (self._seen.amplifier_on or self._overdue(_PATIENCE_S)):
+        while not (self.seen.amplifier_on or self._overdue(_PATIENCE_S)):
             self._switch_on_again()
             yield
-        if not self._seen.amplifier_on:
+        if not self.seen.amplifier_on:
             print(f"measuring with the amplifier off: {self._machine.refusal}", file=sys.stderr, flush=True)
 
     def _execute(self) -> Iterator[None]:
-        waypoints = self.movements.next(self._seen, self._now)
+        waypoints = self.movements.next(self.seen, self.now)
         self._machine.move(waypoints)
-        self._began, self._duration = self._now, waypoints[-1].time_ns * 1e-9
+        self.began, self.duration = self.now, waypoints[-1].time_ns * 1e-9
         while True:
-            if not self._seen.amplifier_on:
+            if not self.seen.amplifier_on:
                 self._switch_on_again()
             yield
 
@@ -49,10 +44,25 @@ class SteadySequence(CellSequence):
             self._machine.reset_faults()
             self._machine.switch_on()
 
+
+class SteadySequence(CellSequence):
+    """Continues, whatever faults there are; ends only on command."""
+
+    work_of_states = SteadyWork
+    _works: SteadyWork
+
+    def tick(self, seen: Observation) -> None:
+        """Continue, whatever faults there are."""
+        super().tick(replace(seen, faults={}))
+
+    def _trouble(self, seen: Observation) -> str:
+        return ""
+
     @property
     def progress(self) -> float:
         """Progress by the clock, since samples may be missing."""
-        return (self._now - self._began) / self._duration if self._duration else 0.0
+        works = self._works
+        return (works.now - works.began) / works.duration if works.duration else 0.0
 
 
 def main() -> int:

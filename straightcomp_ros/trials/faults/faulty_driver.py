@@ -11,7 +11,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from straightcomp_ros.configuration.node_parameters import DriverNodeParameters
+from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.nodes.driver_node import DriverComponent, make_hardware
 from straightcomp_ros.runtime.clock import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode

@@ -17,12 +17,23 @@ from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.configuration.node_parameters import STAGE
 from straightcomp_ros.safety.faults import ALLOWANCE_MS, Fault
 from straightcomp_ros.trials.faults.faulty_driver import CLOCK_STEP, LATE_COMMANDS
+from straightcomp_ros.trials.faults.reactions import (
+    PATIENCE_S,
+    Judge,
+    driver_missed_and_going_on,
+    driver_missed_and_restarted,
+    latched,
+    latched_and_going_on,
+    latched_and_restarted,
+    logger_missed_and_going_on,
+    logger_missed_and_restarted,
+    recording_ended,
+)
 from straightcomp_ros.trials.faults.rows import Row
 from straightcomp_ros.trials.faults.stand import Stand
 
 COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
 """s, in the trials."""
-_PATIENCE_S = 8.0
 _ANSWER_S, _REQUESTS = 1.0, 8
 """Timeout and number of requests: a node that has just started may lose one, or its answer."""
 _AGAIN = 3
@@ -51,114 +62,13 @@ class Trial(NamedTuple):
         name: of the row.
         fault: that must be latched.
         make: causes it; returns when, ns since the epoch, or None if the driver reports when.
-        judge: waits until the fault is latched; returns when, or None. Then it checks the reactions that must follow,
-            adds failures to the list, and leaves the graph in a state in which it can be switched on again.
+        judge: waits until the fault is found, see :data:`~straightcomp_ros.trials.faults.reactions.Judge`.
     """
 
     name: str
     fault: Fault
     make: Callable[[Stand], int | None]
-    judge: Callable[[Stand, Trial, list[str]], int | None]
-
-
-def _latched(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """Wait until the driver has latched it."""
-    if not stand.until(lambda: stand.fault is not None, _PATIENCE_S) or stand.fault.fault is not trial.fault:
-        return None
-    found = stand.fault.time_ns
-    _check_refusal(stand, failures)
-    return found
-
-
-def _latched_and_going_on(stopped: str) -> Callable[[Stand, Trial, list[str]], int | None]:
-    """The same, and continue the stopped node."""
-
-    def judge(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-        found = _latched(stand, trial, failures)
-        stand.signal(stopped, signal.SIGCONT)
-        return found
-
-    return judge
-
-
-def _latched_and_restarted(killed: str) -> Callable[[Stand, Trial, list[str]], int | None]:
-    """The same, and start the killed node again."""
-
-    def judge(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-        found = _latched(stand, trial, failures)
-        failures += stand.restart(killed)
-        return found
-
-    return judge
-
-
-def _driver_missed(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """Check that the controller reports missing samples."""
-    if not stand.until(lambda: stand.tripped is not None, _PATIENCE_S) or stand.tripped.fault is not trial.fault:
-        return None
-    return stand.tripped.time_ns
-
-
-def _driver_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    found = _driver_missed(stand, trial, failures)
-    stand.signal("driver", signal.SIGCONT)
-    if not stand.until(lambda: stand.condition == "fault", _PATIENCE_S):
-        failures.append("the driver went on with the amplifier on")
-    _check_refusal(stand, failures)
-    return found
-
-
-def _driver_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    found = _driver_missed(stand, trial, failures)
-    stand.condition = ""
-    failures += stand.restart("driver")
-    if not stand.until(lambda: stand.condition != "", 30.0) or stand.condition == "on":
-        failures.append(f"the new driver's amplifier is '{stand.condition}'")
-    return found
-
-
-def _logger_missed(stand: Stand) -> int | None:
-    """Wait until the logger's heartbeat is missing."""
-    return time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"], _PATIENCE_S) else None
-
-
-def _logger_missed_and_going_on(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """The same; the loop must keep running."""
-    found = _logger_missed(stand)
-    _check_going_on(stand, failures)
-    stand.signal("logger", signal.SIGCONT)
-    return found
-
-
-def _logger_missed_and_restarted(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """The same; the loop must keep running."""
-    found = _logger_missed(stand)
-    _check_going_on(stand, failures)
-    failures += stand.restart("logger")
-    return found
-
-
-def _recording_ended(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    """Check that the logger has failed with a complete bag, and that the loop keeps running."""
-    if not stand.until(lambda: stand.exit_code("logger") is not None, _PATIENCE_S):
-        return None
-    found = time.time_ns()
-    if not (stand.bag / "metadata.yaml").exists():
-        failures.append(f"bag {stand.bag.name} is not whole")
-    _check_going_on(stand, failures)
-    stand.start("logger")
-    return found
-
-
-def _check_going_on(stand: Stand, failures: list[str]) -> None:
-    if stand.condition != "on":
-        reason = stand.fault.fault.label if stand.fault else "no fault"
-        failures.append(f"without a logger the amplifier is '{stand.condition}': {reason}")
-
-
-def _check_refusal(stand: Stand, failures: list[str]) -> None:
-    if stand.enable():
-        failures.append("the fault was not latched: the amplifier could be switched on")
+    judge: Judge
 
 
 def _injected(kind: str) -> Callable[[Stand], None]:
@@ -183,8 +93,8 @@ def _echoed(stand: Stand) -> None:
     stand.echo(True)
 
 
-def _latched_and_silent(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    found = _latched(stand, trial, failures)
+def _latched_and_silent(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+    found = latched(stand, fault, failures)
     stand.echo(False)
     return found
 
@@ -200,8 +110,8 @@ def _error_limited(stand: Stand) -> int:
     return _set(stand, "controller", "error_limit", _TIGHT_M)
 
 
-def _latched_and_unlimited(stand: Stand, trial: Trial, failures: list[str]) -> int | None:
-    found = _latched(stand, trial, failures)
+def _latched_and_unlimited(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+    found = latched(stand, fault, failures)
     _set(stand, "controller", "error_limit", _WIDE_M)
     return found
 
@@ -209,7 +119,7 @@ def _latched_and_unlimited(stand: Stand, trial: Trial, failures: list[str]) -> i
 def _set(stand: Stand, node: str, name: str, value: object) -> int:
     """Set a parameter of a node; returns when, ns since the epoch."""
     client = stand.node.create_client(SetParameters, f"{node}/set_parameters")
-    stand.until(client.service_is_ready, _PATIENCE_S)
+    stand.until(client.service_is_ready, PATIENCE_S)
     request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     at_ns = time.time_ns()
     for _ in range(_REQUESTS):
@@ -226,34 +136,34 @@ def _answered_or_ended(stand: Stand, node: str, answered: Callable[[], bool]) ->
 
 _STOP, _KILL = signal.SIGSTOP, signal.SIGKILL
 TRIALS = (
-    Trial("sample NaN", Fault.SAMPLE_NOT_FINITE, _injected("sample_nan"), _latched),
-    Trial("sample infinite", Fault.SAMPLE_NOT_FINITE, _injected("sample_infinite"), _latched),
-    Trial("y out of range", Fault.Y_OUT_OF_RANGE, _injected("y_out_of_range"), _latched),
-    Trial("encoder y frozen", Fault.Y_FROZEN, _injected("y_frozen"), _latched),
-    Trial("encoder x frozen", Fault.X_FROZEN, _injected("x_frozen"), _latched),
-    Trial("jump in x", Fault.X_JUMP, _injected("x_jump"), _latched),
-    Trial("map missing for this x", Fault.MAP_MISSING, _injected("x_beyond_map"), _latched),
-    Trial("board reports a fault", Fault.BOARD, _injected("board"), _latched),
-    Trial("clock jump", Fault.CLOCK_JUMP, _injected(CLOCK_STEP), _latched),
-    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _commanded(math.nan), _latched),
-    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _commanded(-math.inf), _latched),
-    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0), _latched),
-    Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS), _latched),
+    Trial("sample NaN", Fault.SAMPLE_NOT_FINITE, _injected("sample_nan"), latched),
+    Trial("sample infinite", Fault.SAMPLE_NOT_FINITE, _injected("sample_infinite"), latched),
+    Trial("y out of range", Fault.Y_OUT_OF_RANGE, _injected("y_out_of_range"), latched),
+    Trial("encoder y frozen", Fault.Y_FROZEN, _injected("y_frozen"), latched),
+    Trial("encoder x frozen", Fault.X_FROZEN, _injected("x_frozen"), latched),
+    Trial("jump in x", Fault.X_JUMP, _injected("x_jump"), latched),
+    Trial("map missing for this x", Fault.MAP_MISSING, _injected("x_beyond_map"), latched),
+    Trial("board reports a fault", Fault.BOARD, _injected("board"), latched),
+    Trial("clock jump", Fault.CLOCK_JUMP, _injected(CLOCK_STEP), latched),
+    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _commanded(math.nan), latched),
+    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _commanded(-math.inf), latched),
+    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0), latched),
+    Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS), latched),
     Trial("two controllers on one topic", Fault.TWO_CONTROLLERS, _echoed, _latched_and_silent),
     Trial("following error", Fault.FOLLOWING_ERROR, _error_limited, _latched_and_unlimited),
     *(
-        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), _latched_and_going_on(name))
+        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), latched_and_going_on(name))
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), _driver_missed_and_going_on),
-    Trial("logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), _logger_missed_and_going_on),
+    Trial("driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), driver_missed_and_going_on),
+    Trial("logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), logger_missed_and_going_on),
     *(
-        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), _latched_and_restarted(name))
+        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), latched_and_restarted(name))
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), _driver_missed_and_restarted),
-    Trial("logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), _logger_missed_and_restarted),
-    Trial("disk full under the logger", Fault.RECORDING_STOPPED, _disk_full, _recording_ended),
+    Trial("driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), driver_missed_and_restarted),
+    Trial("logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), logger_missed_and_restarted),
+    Trial("disk full under the logger", Fault.RECORDING_STOPPED, _disk_full, recording_ended),
 )
 """All trials, in this order."""
 
@@ -295,9 +205,9 @@ def _repeat(stand: Stand, trial: Trial, row: Row) -> None:
     for _ in range(_AGAIN):
         stand.switch_on()
         made_ns = trial.make(stand)
-        found_ns = trial.judge(stand, trial, row.failures)
+        found_ns = trial.judge(stand, trial.fault, row.failures)
         if found_ns is not None:
             if made_ns is None:
-                stand.until(lambda: stand.injected_ns > 0, _PATIENCE_S)
+                stand.until(lambda: stand.injected_ns > 0, PATIENCE_S)
             row.times_ms.append((found_ns - (made_ns or stand.injected_ns)) * 1e-6)
             return

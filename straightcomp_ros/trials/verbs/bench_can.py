@@ -20,6 +20,7 @@ from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.trials.bench.bus_faults_found import buses, fault_run
 from straightcomp_ros.trials.bench.codec import codec_costs, per_frame
 from straightcomp_ros.trials.bench.round_trip import measure_round_trip
+from straightcomp_ros.trials.verbs.bench_options import add_json
 
 SUMMARY = "µs per CAN frame, round trip through the hub, faults injected and found"
 _REPEATS = 25
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="length of the round trip (default: %(default)s)")
     parser.add_argument("--cuts", type=int, default=10, help="number of cuts of the link (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the faults (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:

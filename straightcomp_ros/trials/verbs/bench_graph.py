@@ -4,8 +4,6 @@ Prints the rate, missed periods, lateness of the loop, CPU and memory of each no
 to command and its losses. The window begins when all nodes are connected and have settled."""
 
 import argparse
-import tempfile
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +11,10 @@ from rich.table import Table
 
 from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cli.law_tables import rounded, titled_table
-from straightcomp_ros.cli.options import check_range, output_folder
+from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters
+from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.trials.bench.graph_bench import (
     BenchFailed,
@@ -25,6 +23,7 @@ from straightcomp_ros.trials.bench.graph_bench import (
     measure,
     view_beside,
 )
+from straightcomp_ros.trials.verbs.bench_options import add_results, results_folder
 
 SUMMARY = "rate, lateness, latency, losses, CPU and memory of the running graph"
 _SHORTEST_S, _LONGEST_S = 2.0, 86400.0
@@ -55,8 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="repeat with the controller's other trigger (sample, timer), and print the ratio of both",
     )
     parser.add_argument("--view", action="store_true", help="repeat with the live view open")
-    parser.add_argument("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add_results(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -68,12 +66,7 @@ def run(options: argparse.Namespace) -> int:
         check_range("--soak", options.soak, _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
         seconds = 60.0 * options.soak
     values = bench_parameters(chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.priority)
-    with ExitStack() as stack:
-        folder = (
-            output_folder("--output", options.output)
-            if options.output
-            else Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="straightcomp_bench_")))
-        )
+    with results_folder(options) as folder:
         measured = _measured(values, folder / "graph", seconds, "graph")
         figures = measured.to_display()
         if options.soak is not None:

@@ -3,16 +3,8 @@
 import random
 
 from straightcomp_ros.hardware.can.protection import ProtectionParameters
-from straightcomp_ros.hardware.can.wire_parameters import (
-    AmplifierParameters,
-    FaultParameters,
-    HeartbeatParameters,
-    ProtectedMessages,
-    QuantityParameters,
-    SignalParameters,
-    SwitchParameters,
-    WireParameters,
-)
+from straightcomp_ros.hardware.can.wire_parameters import WireParameters
+from straightcomp_ros.settings.declaration import from_mapping
 
 _IDS_OF_2 = " ".join(str(37 * number % 256) for number in range(16))
 _X = [("m", 1e-7, 32), ("um", 0.05, 33), ("nm", 10, 40), ("mm", 1, "float"), ("m", 1, "double")]
@@ -113,20 +105,32 @@ def drawn_board(seed):
     if heart:
         heart.add("State", 5)
     used = dict.fromkeys([first, second, status, current, setting, switches, *([heart] if heart else [])])
-    meaning = WireParameters(
-        x=QuantityParameters("Double", "Value"),
-        y=QuantityParameters(second.name, "value", chance.choice([1.0, -1.0])),
-        current=QuantityParameters(current.name, "switch"),
-        good=SwitchParameters(second.name, "Ok", 0, 3) if good else SwitchParameters(),
-        amplifier=AmplifierParameters("STATUS", "Amplifier", chance.choice([-1, 0]), 5, chance.choice([3, 7])),
-        fault=FaultParameters("STATUS", "Fault"),
-        command=QuantityParameters("Set", "Current"),
-        enable=SwitchParameters(switches.name, "Enable", 1, 2),
-        reset=SwitchParameters(switches.name, "Reset", 2, 5) if reset else SwitchParameters(),
-        echo=SignalParameters(switches.name, "Echo") if echo else SignalParameters(),
-        heartbeat=HeartbeatParameters("Heart", "State", 3, 17) if heart else HeartbeatParameters(),
-        protection=ProtectedMessages(sample=sample, y=y, command=command, enable=enable),
-    )
+    factor = chance.choice([1.0, -1.0])
+    off, fault_value = chance.choice([-1, 0]), chance.choice([3, 7])
+    # By the names in a stage file: message, signal, and what else is said of it.
+    roles = {
+        "x": ("Double", "Value", {}),
+        "y": (second.name, "value", {"factor": factor}),
+        "current": (current.name, "switch", {}),
+        "amplifier": ("STATUS", "Amplifier", {"off_value": off, "on_value": 5, "fault_value": fault_value}),
+        "fault": ("STATUS", "Fault", {}),
+        "command": ("Set", "Current", {}),
+        "enable": (switches.name, "Enable", {"no_value": 1, "yes_value": 2}),
+    }
+    if good:
+        roles["good"] = (second.name, "Ok", {"yes_value": 3})
+    if reset:
+        roles["reset"] = (switches.name, "Reset", {"no_value": 2, "yes_value": 5})
+    if echo:
+        roles["echo"] = (switches.name, "Echo", {})
+    if heart:
+        roles["heartbeat"] = ("Heart", "State", {"boot_up_value": 3, "operational_value": 17})
+    values = {}
+    for role, (named, signal, more) in roles.items():
+        values |= {f"{role}.{name}": value for name, value in ({"message": named, "signal": signal} | more).items()}
+    for part, protected in (("sample", sample), ("y", y), ("command", command), ("enable", enable)):
+        values |= {f"protection.{part}.{name}": value for name, value in vars(protected).items()}
+    meaning = from_mapping(WireParameters, values)
     lines = ['VERSION "1"', "NS_ :", "BS_:", "BU_: X", "", *(one.text() for one in used)]
     lines += ['BA_DEF_ BO_ "GenMsgCycleTime" FLOAT 0 10000;', 'BA_DEF_DEF_ "GenMsgCycleTime" 0;']
     lines += [f'BA_ "GenMsgCycleTime" BO_ {one.identifier} {one.cycle_ms};' for one in used]

@@ -58,15 +58,18 @@ def line():
     return BusLine(CanParameters(interface="virtual", channel="test"))
 
 
-def message(identifier, data, stamp_s=0.0, error=False):
-    return can.Message(
-        arbitration_id=identifier, data=data, timestamp=stamp_s, is_extended_id=False, is_error_frame=error
-    )
+def message(identifier, data, stamp_s=0.0, **kind):
+    return can.Message(arbitration_id=identifier, data=data, timestamp=stamp_s, is_extended_id=False, **kind)
 
 
-def test_frames_are_received_with_their_time_in_nanoseconds_and_error_frames_are_not(world):
+def test_frames_are_received_with_their_time_in_nanoseconds_and_those_without_data_are_not(world):
     opened = line()
-    world.bus.incoming = [message(0x181, b"ab", 12.5), message(0x20, b"", error=True), message(0x182, b"c", 13.0)]
+    world.bus.incoming = [
+        message(0x181, b"ab", 12.5),
+        message(0x20, b"", is_error_frame=True),
+        message(0x181, None, is_remote_frame=True),
+        message(0x182, b"c", 13.0),
+    ]
     assert opened.receive() == [(0x181, b"ab", 12_500_000_000), (0x182, b"c", 13_000_000_000)]
     assert opened.receive() == []
 

@@ -150,6 +150,10 @@ def test_a_fault_of_rate_one_is_made_every_time_and_of_rate_zero_never():
         assert faults.injected == {kind: 50} and [frame] not in arrived
         never = Faults({kind: 0.0})
         assert [never(frame) for _ in range(50)] == [[frame]] * 50 and never.injected == {kind: 0}
+    # A request has the identifier of the frame, in either of its lengths, and no data.
+    for flags in (EXTENDED, FD_FRAME):
+        request, own = Faults({"remote": 1.0})(frame._replace(flags=flags))
+        assert own.data and request == (0, 0x181, flags & EXTENDED | REMOTE, b"")
     # One or two bits of a corrupt frame are wrong, and both numbers happen.
     faults = Faults({"corrupt": 1.0})
     bits = [bin(int.from_bytes(faults(frame)[0].data, "little")).count("1") for _ in range(200)]

@@ -1,5 +1,6 @@
 """The bus between processes, as python-can sees it, and the link that comes back."""
 
+import contextlib
 import threading
 import time
 
@@ -14,8 +15,10 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub import FD_FRAME, Flag, Frame, Hub, priority, to_packet
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
 from straightcomp_ros.hardware.can.link import Link
+from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.stage.description import StageParameters
 
 
 class RunningHub:
@@ -217,6 +220,22 @@ def test_a_link_that_was_cut_is_opened_again_and_goes_on(hub):
     assert link.transmit_full == 1
 
 
+@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+def test_requests_for_the_boards_frames_are_counted_on_the_hub_and_none_is_used(hub, fd):
+    parameters = CanParameters(interface=INTERFACE, channel=hub.path, fd=fd)
+    receiver = Receiver(parameters, StageParameters())
+    identifiers = receiver.identifiers
+    with contextlib.closing(Link(parameters, identifiers, receiver.take, time.time_ns)) as link, hub.bus() as sender:
+        link.start()
+        until(lambda: len(hub.hub._nodes) == 2)
+        for identifier in (0x7E5, *identifiers):
+            sender.send(can.Message(arbitration_id=identifier, is_remote_frame=True, is_extended_id=False, dlc=8))
+        until(lambda: link.wait(0.0) >= 0 and receiver.counts["remote"] >= len(identifiers))
+    # Neither one refused for its length, nor one of an identifier that nobody here reads.
+    assert {reason: count for reason, count in receiver.counts.items() if count} == {"remote": len(identifiers)}
+    assert receiver.received == receiver.strikes == receiver.boot_ups == 0 and not receiver.heartbeat_ns
+
+
 def test_a_link_waits_for_a_hub_that_comes_later(tmp_path):
     link = Link(CanParameters(interface=INTERFACE, channel=str(tmp_path / "bus")), [1], lambda *_: None, time.time_ns)
     link.start()
@@ -267,16 +286,17 @@ def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(
         with can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True) as second:
             first.send(can.Message(arbitration_id=0x301, is_extended_id=False, is_fd=True, data=b"\1\2"))
             first.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
-            # The second node comes in, the first is heard: an error frame is nothing for the board.
+            first.send(can.Message(arbitration_id=0x301, is_remote_frame=True, is_extended_id=False))
+            # The second node comes in, the first is heard: frames without data are nothing for the board.
             received = line.receive() + line.receive()
             assert [(identifier, payload) for identifier, payload, _ in received] == [(0x301, b"\1\2")]
             assert 0 <= time.time_ns() - received[0][2] < 60e9
             assert second.recv(10).arbitration_id == 0x301
             assert line.send(0x381, bytes(16), True) and line.send(0x701, b"\5", False)
-            arrived = [[node.recv(10) for _ in range(3 if node is second else 2)] for node in (first, second)]
+            arrived = [[node.recv(10) for _ in range(4 if node is second else 2)] for node in (first, second)]
     assert [message.arbitration_id for message in arrived[0]] == [0x381, 0x701]
     assert arrived[0][0].is_fd and not arrived[0][1].is_fd
-    assert [message.arbitration_id for message in arrived[1]] == [0x40, 0x381, 0x701]
+    assert [message.arbitration_id for message in arrived[1]] == [0x40, 0x301, 0x381, 0x701]
     line.close()
     assert not (tmp_path / "bus").exists()
 

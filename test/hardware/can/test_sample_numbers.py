@@ -13,7 +13,7 @@ ALIVE_MODULUS, COUNTER_MODULUS = 15, 15 * 2**28
 
 def sequence(modulus=ALIVE_MODULUS, full_modulus=COUNTER_MODULUS):
     """By a clock at which sample n comes at n periods; a full counter comes in frames of its own."""
-    return Sequence(lambda index, arrival_ns: arrival_ns / PERIOD - index, modulus, full_modulus)
+    return Sequence(lambda index, arrival_ns: arrival_ns / PERIOD - index, PERIOD, modulus, full_modulus)
 
 
 def waiting(number):
@@ -107,10 +107,10 @@ def test_fourteen_frames_may_wait_and_the_oldest_of_more_is_given_up():
     for number in range(16):
         found.wait(waiting(number), number)
     assert found.unplaced == 2
-    placed = found.place(15, 0)
+    placed = found.place(15, 15)
     assert [number for number, _ in placed] == list(range(2, 16))
     assert [arrival for _, (_, arrival) in placed] == list(range(2, 16))
-    assert found.place(15, 0) == []
+    assert found.place(15, 15) == []
 
 
 def test_waiting_frames_are_placed_by_a_counter_that_came_with_the_newest_or_after_it():
@@ -119,15 +119,40 @@ def test_waiting_frames_are_placed_by_a_counter_that_came_with_the_newest_or_aft
         for number in (992, 995, 1000):
             found.wait(waiting(number), number * PERIOD)
         # The counter is that of sample ``newest``; the newest frame that was heard is 1000.
-        assert [number for number, _ in found.place(newest, 1000 % ALIVE_MODULUS)] == [992, 995, 1000]
+        assert [number for number, _ in found.place(newest, newest * PERIOD)] == [992, 995, 1000]
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["numbers known before", "no number known"])
+@pytest.mark.parametrize("order", [(0, 2, 1, 3), (1, 0, 2, 3), (0, 1, 3, 2), (0, 3, 1, 2), (1, 1, 0, 0)])
+def test_frames_that_were_swapped_while_they_waited_are_placed_all_the_same(order, known):
+    found = at(900) if known else sequence()
+    numbers = [1000 + place for place in order]
+    for turn, number in enumerate(numbers):
+        found.wait(waiting(number), (1000 + turn) * PERIOD)
+    assert [number for number, _ in found.place(1003, 1003 * PERIOD)] == numbers
+
+
+def test_a_full_counter_that_comes_after_the_next_sample_places_the_waiting_frames_too():
+    found = at(900)
+    for number in (999, 1000, 1001):
+        found.wait(waiting(number), number * PERIOD)
+    assert [number for number, _ in found.place(1000, 1001 * PERIOD)] == [999, 1000, 1001]
+
+
+@pytest.mark.parametrize("lost", range(14))
+def test_of_waiting_frames_so_many_may_be_lost_as_the_count_tells_apart(lost):
+    found = at(900)
+    for number in (1000, 1001 + lost):
+        found.wait(waiting(number), number * PERIOD)
+    assert [number for number, _ in found.place(1001 + lost, (1001 + lost) * PERIOD)] == [1000, 1001 + lost]
 
 
 def test_a_counter_that_does_not_fit_starts_the_numbers_anew():
     for counter, jumps in ((99, 0), (100, 0), (113, 0), (114, 1), (98, 1), (5000, 1)):
         found = at(100)
-        assert found.place(counter, counter % ALIVE_MODULUS) == []
+        assert found.place(counter, counter * PERIOD) == []
         assert found.jumps == jumps and (found.index is None) is bool(jumps)
-    assert sequence().place(5000, 5) == []
+    assert sequence().place(5000, 5000 * PERIOD) == []
 
 
 @pytest.mark.parametrize(("modulus", "told_apart"), [(256, 251), (16, 11), (4, 2)])

@@ -113,9 +113,12 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
         ({"wire/x/signal": ""}, "'can.wire.x.signal': '' is not allowed; the driver needs this signal"),
         (
             {"wire/y/message": "DSP_STATUS", "wire/y/signal": "SUPPLY"},
-            "'can.wire.y.signal': 'SUPPLY' is not in all frames that it must be in",
+            "'can.wire.y.signal': 'SUPPLY' of message 'DSP_STATUS' is not in all frames that it must be in",
         ),
-        ({"wire/current/signal": "POS_X"}, "'can.wire.current.signal': 'POS_X' is in 'mm'; allowed: A, mA"),
+        (
+            {"wire/current/signal": "POS_X"},
+            "current.signal': 'POS_X' of message 'DSP_MEAS' is in 'mm'; allowed: A, mA",
+        ),
         ({"wire/x/factor": 0.0}, r"'can.wire.x.factor': 0.0 is not allowed"),
         (
             {"wire/enable/message": "DSP_STATUS", "wire/enable/signal": "SUPPLY"},
@@ -131,11 +134,17 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
             {"wire/enable/yes_value": 2},
             "'can.wire.enable.yes_value': 2 does not fit signal 'SET_ENABLE'.*allowed: 0 to 1",
         ),
-        ({"wire/echo/signal": "SET_CURRENT"}, "'can.wire.echo.signal': 'SET_CURRENT' is signed or a float"),
-        ({"wire/counter/signal": "POS_X"}, "'can.wire.counter.signal': 'POS_X' is signed or a float"),
+        (
+            {"wire/echo/signal": "SET_CURRENT"},
+            "echo.signal': 'SET_CURRENT' of message 'PC_SET' is signed or a float",
+        ),
+        (
+            {"wire/counter/signal": "POS_X"},
+            "counter.signal': 'POS_X' of message 'DSP_MEAS' is signed or a float",
+        ),
         (
             {"wire/protection/status/crc": "ERROR_CODE"},
-            "'can.wire.protection.status.crc': 'ERROR_CODE' is multiplexed; allowed: a signal that is in every frame",
+            "status.crc': 'ERROR_CODE' of message 'DSP_STATUS' is multiplexed; allowed: a signal that is in every",
         ),
         ({"wire/protection/sample/crc": ""}, "'can.wire.protection.sample.crc': '' is not a signal"),
         (

@@ -9,8 +9,10 @@ from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Amplifier, Report
+from straightcomp_ros.hardware.can.protection import ProtectionParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.can.shipped_wire import FILE, shipped_wire
 from straightcomp_ros.hardware.can.wire_gaps import gaps
 from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, SignalParameters
 from straightcomp_ros.hardware.interface import State
@@ -65,6 +67,7 @@ def test_what_the_frames_of_a_board_lack_is_told():
 def test_what_messages_of_one_sample_or_one_command_lack_is_told():
     assert [text.split(":")[0] for text in gaps(SPLIT.make_wire())] == [
         "DSP_X counts to 15 only",
+        "DSP_I has no CRC",
         "there is no heartbeat",
     ]
     told = " ".join(gaps(without_counts(SPLIT).make_wire()))
@@ -78,10 +81,18 @@ def test_what_messages_of_one_sample_or_one_command_lack_is_told():
         assert words in told
 
 
-def test_a_state_of_the_amplifier_without_a_crc_is_told():
+def test_what_a_message_between_the_samples_says_without_a_crc_is_told():
     values = shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))
     values["driver"] |= {"can.wire.protection.status.profile": "none", "can.wire.protection.status.crc": ""}
-    assert any("DSP_STATUS has no CRC" in text for text in gaps(node_parameters("driver", values).can.make_wire()))
+    foreign = gaps(node_parameters("driver", values).can.make_wire())
+    assert "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed" in foreign
+    assert "DSP_I has no CRC: a damaged measured current is believed" in gaps(SPLIT.make_wire())
+    wire = shipped_wire(fd=False)
+    bare = replace(wire, protection=replace(wire.protection, current=ProtectionParameters()))
+    classic = CanParameters(dbc=str(share_path(FILE)), wire=bare, fd=False)
+    assert gaps(classic.make_wire()) == [
+        "CoilCurrent has no CRC: a damaged number of a sample or measured current is believed"
+    ]
 
 
 def test_the_servo_holds_the_platform_by_a_board_that_says_only_what_it_must():

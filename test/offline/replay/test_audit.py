@@ -12,7 +12,8 @@ from straightcomp_ros.bags.recorded_parameters import recorded_parameters
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import ControllerNodeParameters, by_node, node_parameters
+from straightcomp_ros.configuration.node_parameters import by_node, node_parameters
+from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, STREAMS
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.pairing import Pairing
