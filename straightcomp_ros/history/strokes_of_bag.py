@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.assessment import at_current_limit
-from straightcomp_ros.analysis.bounds import bounds_of
+from straightcomp_ros.analysis.bounds import bounds_of, recorded_drive
 from straightcomp_ros.analysis.course import Course, course_of
 from straightcomp_ros.analysis.error_detail import stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us, samples_taken
@@ -24,7 +24,6 @@ from straightcomp_ros.history.stroke_bins import Bins, bins_over
 from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.identification.current_path import current_path
 from straightcomp_ros.identification.stretch import Recording
-from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.residual import least_squares_residual
 from straightcomp_ros.timing.node_timing import Report
 
@@ -148,7 +147,7 @@ class _Run:
             return None
         period_ns = round(float(np.median(steps)) * 1e9)
         recording = Recording(period_ns, part.x, part.y, coils, part.current, part.time.size)
-        path = current_path(recording, StageParameters().drive)
+        path = current_path(recording, recorded_drive(self.evaluation.parameters.get("driver", {})))
         return path.rate / (2.0 * math.pi) if path.rate_found else None
 
     def _guide_change(self, part: StrokeRecord, stroke: Stroke, bins: Bins) -> list[float | None] | None:
