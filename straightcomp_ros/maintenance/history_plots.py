@@ -10,7 +10,7 @@ from straightcomp_ros.analysis.html_document import BLACK, BLUE, GREEN, GREY, VE
 from straightcomp_ros.maintenance.advice import Advice, all_figures
 from straightcomp_ros.maintenance.day_levels import PROFILES, DayLevels
 from straightcomp_ros.maintenance.guide_shift import guide_shifts
-from straightcomp_ros.maintenance.level_change import SLACK, LevelChange, chart_of
+from straightcomp_ros.maintenance.level_change import SLACK, LevelChange, baseline_of
 from straightcomp_ros.maintenance.watched_figures import BY_NAME, GUIDE
 
 Array = NDArray[np.float64]
@@ -32,9 +32,9 @@ def history_plot(levels: DayLevels, values: Array, name: str, change: LevelChang
     days = [levels.date(place).isoformat() for place in range(len(levels.day))]
     figure.add_scatter(x=days, y=values, mode="markers", marker={"size": 3, "color": GREY}, name="day")
     figure.add_scatter(x=days, y=_weekly(values), mode="lines", line={"color": BLUE, "width": 1.5}, name="week")
-    chart = chart_of(values, watched)
-    if chart is not None:
-        low, high = chart.centre - SLACK * chart.sigma, chart.centre + SLACK * chart.sigma
+    baseline = baseline_of(values, watched)
+    if baseline is not None:
+        low, high = baseline.centre - SLACK * baseline.sigma, baseline.centre + SLACK * baseline.sigma
         figure.add_hrect(low, high, fillcolor=GREEN, opacity=0.12, line_width=0)
     if change is not None:
         for place, colour, dash in ((change.begin, BLACK, "dot"), (change.found, VERMILION, "solid")):
