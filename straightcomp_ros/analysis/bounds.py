@@ -45,13 +45,14 @@ def bounds_of(parameters: Mapping[str, Mapping[str, Any]], straightness: Straigh
     driver = parameters.get("driver", {"hardware": "unknown"})
     if driver.get("hardware", "simulated") == "simulated" or driver.get("can.simulated_stage", False):
         stop = float(driver.get("stage.platform.stop", shipped.platform.stop))
-        bounds = bounds._replace(stop=stop, current=min(bounds.current, _drive(driver).largest_current))
+        bounds = bounds._replace(stop=stop, current=min(bounds.current, recorded_drive(driver).largest_current))
     if straightness is None:
         return bounds
     runout = parameters.get("feedforward", {}).get("stage.guide.runout", shipped.guide.runout)
     return bounds.within(straightness, float(runout))
 
 
-def _drive(driver: Mapping[str, Any]) -> DriveParameters:
+def recorded_drive(driver: Mapping[str, Any]) -> DriveParameters:
+    """D/A converter and amplifier from the driver's parameters by dotted name; defaults for what they do not name."""
     given = {name: driver.get(f"stage.drive.{name}", value) for name, value in asdict(DriveParameters()).items()}
     return DriveParameters(int(given.pop("dac_bits")), *map(float, given.values()))

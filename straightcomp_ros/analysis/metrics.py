@@ -155,8 +155,6 @@ def stroke_figures(
     error = (record.r - record.y)[part]
     known = record.best_known(reference)
     x, guide, after = known.x[part], known.guide[part], (known.guide + known.y)[part]
-    # As in residual_over().
-    weights = np.abs(np.gradient(x, record.time[part]))
     of_truth = None if truth is None else truth[part]
     return StrokeFigures(
         direction=stroke.direction,
@@ -167,11 +165,19 @@ def stroke_figures(
         encoder_rms=_rms(error),
         true_pp=None if of_truth is None else peak_to_peak(of_truth),
         true_rms=None if of_truth is None else _rms(of_truth),
-        before_least_squares=peak_to_peak(least_squares_residual(x, guide, weights)),
+        before_least_squares=peak_to_peak(residual_of_stroke(record.time[part], x, guide)),
         before_end_points=peak_to_peak(end_point_residual(x, guide)),
-        after_least_squares=peak_to_peak(least_squares_residual(x, after, weights)),
+        after_least_squares=peak_to_peak(residual_of_stroke(record.time[part], x, after)),
         after_end_points=peak_to_peak(end_point_residual(x, after)),
     )
+
+
+def residual_of_stroke(
+    time: NDArray[np.float64], x: NDArray[np.float64], deviation: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """``deviation`` (n,) over ``x`` (n,) in m of one movement beside its least squares line, weighed by the speed as in
+    :func:`residual_over`."""
+    return least_squares_residual(x, deviation, np.abs(np.gradient(x, time)))
 
 
 def true_error(record: StrokeRecord, straightness: ReferenceMap) -> NDArray[np.float64] | None:

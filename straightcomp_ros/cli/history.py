@@ -5,4 +5,4 @@ directory.
 """
 
 SUMMARY = "the figures of many bags in one store, and questions to it"
-TOOLS = ("add", "query", "advise", "report", "map")
+TOOLS = ("add", "query", "compact", "advise", "report", "map")

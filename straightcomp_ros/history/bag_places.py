@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -150,8 +150,10 @@ def _listed(files: Any, path: str, local: bool) -> tuple[list[str], list[_Entry]
                 if one.is_dir(follow_symlinks=False):
                     folders.append(one.name)
                 elif one.is_file():
-                    told = one.stat()
-                    entries.append(_Entry(one.name, told.st_size, _changed(told)))
+                    # One that was removed since the folder was listed says nothing of the others.
+                    with suppress(FileNotFoundError):
+                        told = one.stat()
+                        entries.append(_Entry(one.name, told.st_size, _changed(told)))
     else:
         for info in files.ls(path, detail=True):
             name = PurePosixPath(info["name"]).name

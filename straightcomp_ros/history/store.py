@@ -1,26 +1,30 @@
 """A store: folders of Parquet files that any number of processes may add to at once.
 
     strokes/stage=NAME/month=YYYY-MM/CHECKSUM.parquet    the strokes of the bag with this checksum
+    strokes/stage=NAME/month=YYYY-MM/compacted.parquet   the strokes of all bags that were compacted
     bags/HASH.parquet                                    one row: the bag at the place whose hash this is
 
-A file is a function of its bag alone, and appears whole under its name. Processes that add the same bag write the same
-bytes, so no lock is needed, and a process that is killed leaves nothing that the next one does not write again. The
-strokes are written before the row that says so.
+A file of a bag is a function of the bag alone, and appears whole under its name. Processes that add the same bag write
+the same bytes, and a process that is killed leaves nothing that the next one does not write again. The strokes are
+written before the row that says so. A lock keeps compacting and writing apart on a local disk.
 """
 
 from __future__ import annotations
 
 import os
 import secrets
+import shutil
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
 
-from straightcomp_ros.history import HistoryError, StorageError
+from straightcomp_ros.history import HistoryError, StorageError, month_folder
 from straightcomp_ros.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.history.bag_row import BagRow
 from straightcomp_ros.history.evaluated_bag import EvaluatedBag, parquet
+from straightcomp_ros.history.month_folder import KEYS
 from straightcomp_ros.history.recorded_facts import checksum_of
 from straightcomp_ros.history.row_columns import arrow, schema_of
 from straightcomp_ros.history.stroke_row import PARTITIONS, StrokeRow
@@ -73,7 +77,7 @@ class Store:
         row = bag.row
         if bag.strokes is not None:
             folders = (f"{name}={quote(str(getattr(row, name)), safe='')}" for name in PARTITIONS)
-            self._write("/".join((self.root, STROKES, *folders, f"{row.checksum}.parquet")), bag.strokes)
+            self._write_strokes("/".join((self.root, STROKES, *folders)), str(row.checksum), bag.strokes)
         self._write(self._bag_file(row.location), parquet(BagRow, [row]))
 
     def stages(self) -> list[str]:
@@ -95,10 +99,10 @@ class Store:
             known = ", ".join(self.stages()) or "none"
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
         data = pyarrow.dataset.dataset(folder, schema_of(StrokeRow), format="parquet", filesystem=self.files)
-        keys = ["start", "checksum", "stroke"]
+        keys = [key for key, _ in KEYS]
         wanted = data.schema.names if columns is None else columns
         table = data.to_table(columns=[*wanted, *(key for key in keys if key not in wanted)])
-        return table.sort_by([(key, "ascending") for key in keys]).select(wanted)
+        return table.sort_by(KEYS).select(wanted)
 
     def clear_abandoned(self) -> None:
         """Remove what killed processes have left half-written."""
@@ -107,9 +111,32 @@ class Store:
         for part in Path(self.root, _PARTS).glob("*"):
             try:
                 if time.time() - part.stat().st_mtime > _ABANDONED_S:
-                    part.unlink()
+                    shutil.rmtree(part) if part.is_dir() else part.unlink()
             except FileNotFoundError:
                 continue  # another process was faster
+
+    def compact(self) -> Iterator[tuple[str, int]]:
+        """Make one file of the strokes of each stage and month; gives each month's folder, and how many files became
+        one, 0 where one was all. Nothing is lost or doubled at any moment, whatever is killed.
+
+        Raises:
+            HistoryError: the store is not on a disk of this machine, or a file is damaged.
+            OSError: it cannot be written.
+        """
+        from pyarrow import ArrowException
+
+        if not self.local:
+            raise HistoryError(f"store {self.url}: cannot be compacted; allowed: a folder of this machine")
+        self.clear_abandoned()
+        root = Path(self.root)
+        for month in sorted(root.glob(f"{STROKES}/stage=*/month=*")):
+            part = self._part()
+            try:
+                with month_folder.alone(root):
+                    merged = month_folder.compact(month, part)
+            except ArrowException as error:
+                raise HistoryError(f"store {self.url}: {month}: {error}") from error
+            yield str(month.relative_to(root / STROKES)), merged
 
     def _bag_file(self, location: str) -> str:
         return f"{self.root}/{BAGS}/{checksum_of([location.encode()])}.parquet"
@@ -123,7 +150,19 @@ class Store:
             except FileNotFoundError as error:
                 raise StorageError(f"store {self.url} cannot be written: {error}") from error
             return
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(Path(path), data, self._part())
+
+    def _write_strokes(self, month: str, checksum: str, data: bytes) -> None:
+        if not self.local:
+            self._write(f"{month}/{checksum}.parquet", data)
+            return
+        Path(month).mkdir(parents=True, exist_ok=True)
+        with month_folder.alone(Path(self.root)):
+            month_folder.write_bag(Path(month), checksum, data, self._part())
+
+    def _part(self) -> Path:
+        """Where to write what is to appear whole."""
         parts = Path(self.root, _PARTS)
-        for folder in (parts, Path(path).parent):
-            folder.mkdir(parents=True, exist_ok=True)
-        write_whole(Path(path), data, parts / f"{os.getpid()}-{secrets.token_hex(8)}")
+        parts.mkdir(parents=True, exist_ok=True)
+        return parts / f"{os.getpid()}-{secrets.token_hex(8)}"

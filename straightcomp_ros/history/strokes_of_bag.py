@@ -12,20 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.assessment import at_current_limit
-from straightcomp_ros.analysis.bounds import bounds_of
+from straightcomp_ros.analysis.bounds import bounds_of, recorded_drive
 from straightcomp_ros.analysis.course import Course, course_of
 from straightcomp_ros.analysis.error_detail import stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us, samples_taken
 from straightcomp_ros.analysis.force_balance import force_balance
-from straightcomp_ros.analysis.metrics import stroke_figures, true_error
+from straightcomp_ros.analysis.metrics import residual_of_stroke, stroke_figures, true_error
 from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord, check_finite, find_motion
 from straightcomp_ros.analysis.run_verdict import verdict_of
 from straightcomp_ros.history.stroke_bins import Bins, bins_over
 from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.identification.current_path import current_path
 from straightcomp_ros.identification.stretch import Recording
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.residual import least_squares_residual
 from straightcomp_ros.timing.node_timing import Report
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
@@ -86,6 +84,8 @@ class _Run:
         """The row of a stroke; faults until ``until_ns`` are its own."""
         evaluation, recorded = self.evaluation, self.recorded
         part = part_of(evaluation.record, stroke.start, stroke.stop)
+        known = part.best_known(self.reference)
+        workpiece = residual_of_stroke(part.time, known.x, known.guide + known.y)
         whole = Stroke(0, part.time.size, stroke.direction)
         figures = stroke_figures(part, self.reference, true_error(part, self.reference), whole).to_display()
         del figures["start_s"]
@@ -125,7 +125,7 @@ class _Run:
             reason=verdict.reason,
             bins_from_mm=bins.from_mm,
             error_bins_um=bins.means((part.r - part.y) * 1e6),
-            residual_bins_um=bins.means(_residual(part, self.reference) * 1e6),
+            residual_bins_um=bins.means(workpiece * 1e6),
             current_bins_A=bins.means(part.current),
             guide_change_um=self._guide_change(part, stroke, bins),
             parameters_checksum=recorded.parameters_checksum,
@@ -148,7 +148,7 @@ class _Run:
             return None
         period_ns = round(float(np.median(steps)) * 1e9)
         recording = Recording(period_ns, part.x, part.y, coils, part.current, part.time.size)
-        path = current_path(recording, StageParameters().drive)
+        path = current_path(recording, recorded_drive(self.evaluation.parameters.get("driver", {})))
         return path.rate / (2.0 * math.pi) if path.rate_found else None
 
     def _guide_change(self, part: StrokeRecord, stroke: Stroke, bins: Bins) -> list[float | None] | None:
@@ -164,13 +164,6 @@ def part_of(record: StrokeRecord, start: int, stop: int) -> StrokeRecord:
     """The samples ``start`` to ``stop`` (exclusive) of a record; their times stay those of the record."""
     columns: dict[str, Any] = {name: values[start:stop] for name, values in record.columns().items()}
     return replace(record, **columns)
-
-
-def _residual(part: StrokeRecord, reference: RecordedReference) -> NDArray[np.float64]:
-    known = part.best_known(reference)
-    # As in stroke_figures().
-    weights = np.abs(np.gradient(known.x, part.time))
-    return least_squares_residual(known.x, known.guide + known.y, weights)
 
 
 def _integral(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:

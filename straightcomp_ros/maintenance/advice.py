@@ -7,7 +7,8 @@ week in software, parameters or map is told as the likelier cause, since wear do
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from straightcomp_ros.maintenance.day_levels import DayLevels
 from straightcomp_ros.maintenance.guide_shift import Place, guide_shifts, moved_place
-from straightcomp_ros.maintenance.level_change import LevelChange, change_of
+from straightcomp_ros.maintenance.level_change import LevelChange, changes_of_figure
 from straightcomp_ros.maintenance.watched_figures import (
     AMPLIFIER,
     BY_NAME,
@@ -75,47 +76,56 @@ class Advice:
         return self.changes[0].lasting
 
 
-def changes_of(levels: DayLevels) -> dict[str, LevelChange]:
-    """The changes of all watched figures by name, in the order of :data:`WATCHED`."""
+def changes_of(levels: DayLevels) -> list[LevelChange]:
+    """All changes of all watched figures, in the order of :data:`WATCHED`."""
     known = all_figures(levels)
-    found = ((one.name, change_of(known[one.name], one)) for one in WATCHED)
-    return {name: change for name, change in found if change is not None}
+    return [change for one in WATCHED for change in changes_of_figure(known[one.name], one)]
 
 
 def all_figures(levels: DayLevels) -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
-    """The levels of all watched figures, (n,) each, that of the guide among them.
-
-    A new map is a new zero of the guide's change: only days with the last one count.
-    """
-    profiles = levels.profiles["guide_change_um"]
-    shifts = guide_shifts(np.where(_with_last_map(levels)[:, None], profiles, np.nan), levels.x)
+    """The levels of all watched figures, (n,) each, that of the guide among them."""
+    shifts = guide_shifts(levels.profiles["guide_change_um"], levels.x)
     size = np.full(len(levels.day), np.nan)
     measured = np.isfinite(shifts).any(axis=1)
     size[measured] = np.nanmax(shifts[measured], axis=1) - np.nanmin(shifts[measured], axis=1)
     return {GUIDE: size, **levels.figures}
 
 
-def _with_last_map(levels: DayLevels) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    others = [place for place, name in enumerate(levels.map) if name != levels.map[-1]]
-    mask = np.ones(len(levels.day), np.bool_)
-    mask[: others[-1] + 1 if others else 0] = False
-    return mask
-
-
 def advice_of(levels: DayLevels) -> list[Advice]:
     """The advice from a stage's history, what is due at the head, then the newest; empty for a sound one."""
-    changes = changes_of(levels)
-    found = []
-    for own in _causes(changes):
-        update = _update_at(levels, changes[own].begin)
-        found.append((own, update))
-    explained: dict[str, list[LevelChange]] = {own: [] for own, _ in found}
+    advice = [one for group in _together(changes_of(levels)) for one in _matters(levels, group)]
+    return sorted(advice, key=lambda one: (one.due, one.found), reverse=True)
+
+
+def _together(changes: Sequence[LevelChange]) -> list[dict[str, LevelChange]]:
+    """Changes by figure in groups that may have a cause in common: those that last, which nothing that went back may
+    explain, and of the others those that overlap."""
+    groups = [{change.figure: change for change in changes if change.lasting}]
+    over: list[LevelChange] = []
+    for change in sorted((one for one in changes if not one.lasting), key=lambda one: one.found):
+        if not over or change.found >= max(_end(one) for one in over):
+            groups.append({})
+            over = []
+        groups[-1].setdefault(change.figure, change)
+        over.append(change)
+    return [group for group in groups if group]
+
+
+def _end(change: LevelChange) -> float:
+    return math.inf if change.ended is None else change.ended
+
+
+def _matters(levels: DayLevels, changes: Mapping[str, LevelChange]) -> list[Advice]:
+    """One for each cause; what a cause does not stand for is told with the nearest one."""
+    explained: dict[str, list[LevelChange]] = {own: [] for own in _causes(changes)}
     for name, change in changes.items():
-        if name not in explained and explained:
+        if name not in explained:
             nearest = min(explained, key=lambda own: (_kin(own, name), abs(changes[own].begin - change.begin)))
             explained[nearest].append(change)
-    advice = [_advice(levels, changes[own], update, explained[own]) for own, update in found]
-    return sorted(advice, key=lambda one: (one.due, one.found), reverse=True)
+    return [
+        _advice(levels, changes[own], _update_at(levels, changes[own].begin), others)
+        for own, others in explained.items()
+    ]
 
 
 def _causes(changes: Mapping[str, LevelChange]) -> list[str]:

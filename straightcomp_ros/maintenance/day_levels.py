@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 EPOCH = date(1970, 1, 1)
-PROFILES = ("guide_change_um", "error_bins_um")
+_GUIDE = "guide_change_um"
+PROFILES = (_GUIDE, "error_bins_um")
 """Columns of the store over x that are watched or shown."""
 FIGURES = tuple(one.name for one in WATCHED if one.name != GUIDE)
 COLUMNS = (
@@ -46,7 +47,8 @@ class DayLevels:
         strokes: (n,) how many.
         figures: by name, (n,) median of the day; NaN where no stroke tells it.
         x: (m,) m, middles of the bins.
-        profiles: by name of :data:`PROFILES`, (n, m) median of the day in µm; NaN where not known.
+        profiles: by name of :data:`PROFILES`, (n, m) median of the day in µm; NaN where not known. That of the guide is
+            known of the strokes with the last map alone: another map is another zero.
         software, map, parameters: (n,) of the last stroke of the day, empty where unknown.
     """
 
@@ -108,6 +110,7 @@ def levels_of(
     slices = [slice(int(a), int(a + n)) for a, n in zip(first, counts, strict=True)]
     last = (first + counts - 1).tolist()
     software, guide_map, parameters = (tuple(one[place] for place in last) for one in words)
+    profiles = {**profiles, _GUIDE: _with_last_map(profiles[_GUIDE], words[1])}
     return DayLevels(
         day=days,
         strokes=counts.astype(np.int64),
@@ -123,6 +126,17 @@ def levels_of(
         map=guide_map,
         parameters=parameters,
     )
+
+
+def _with_last_map(profiles: Array, maps: Sequence[str]) -> Array:
+    """Profiles (N, m) of the guide, NaN up to the last stroke whose map is not that of the last one with a profile."""
+    seen = np.flatnonzero(np.isfinite(profiles).any(axis=1)).tolist()
+    others = [place for place in seen if maps[place] != maps[seen[-1]]]
+    if not others:
+        return profiles
+    kept = profiles.copy()
+    kept[: others[-1] + 1] = np.nan
+    return kept
 
 
 def _level(values: Array, forward: NDArray[np.bool_]) -> Any:

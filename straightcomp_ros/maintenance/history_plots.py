@@ -1,6 +1,10 @@
-"""Plots of a stage's months: a figure from day to day, a profile over x then and now, and over x and time."""
+"""Plots of a stage's months: a figure from day to day, a profile over x then and now, and over x and time; faults."""
 
 from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from datetime import datetime
 
 import numpy as np
 import plotly.graph_objects as go
@@ -10,19 +14,21 @@ from straightcomp_ros.analysis.html_document import BLACK, BLUE, GREEN, GREY, VE
 from straightcomp_ros.maintenance.advice import Advice, all_figures
 from straightcomp_ros.maintenance.day_levels import PROFILES, DayLevels
 from straightcomp_ros.maintenance.guide_shift import guide_shifts
-from straightcomp_ros.maintenance.level_change import SLACK, LevelChange, chart_of
+from straightcomp_ros.maintenance.level_change import SLACK, LevelChange, baseline_of
 from straightcomp_ros.maintenance.watched_figures import BY_NAME, GUIDE
 
 Array = NDArray[np.float64]
 _WEEK = 7
 _SMALL, _HEIGHT = 230, 360
+_FAULT = 34
+"""Height in pixels of a line of marks."""
 _FAINT_NM = 20.0
 """Values that are less than this are pale: noise must not look like a matter."""
 _GUIDE, _ERROR = PROFILES
 
 
-def history_plot(levels: DayLevels, values: Array, name: str, change: LevelChange | None) -> go.Figure:
-    """A figure (n,) from day to day, its baseline, and its change if it has one."""
+def history_plot(levels: DayLevels, values: Array, name: str, changes: Sequence[LevelChange]) -> go.Figure:
+    """A figure (n,) from day to day, its baseline, and its changes."""
     watched = BY_NAME[name]
     title = f"{watched.words} / {watched.unit}" if watched.unit else watched.words
     figure = line_figure("", "")
@@ -32,11 +38,11 @@ def history_plot(levels: DayLevels, values: Array, name: str, change: LevelChang
     days = [levels.date(place).isoformat() for place in range(len(levels.day))]
     figure.add_scatter(x=days, y=values, mode="markers", marker={"size": 3, "color": GREY}, name="day")
     figure.add_scatter(x=days, y=_weekly(values), mode="lines", line={"color": BLUE, "width": 1.5}, name="week")
-    chart = chart_of(values, watched)
-    if chart is not None:
-        low, high = chart.centre - SLACK * chart.sigma, chart.centre + SLACK * chart.sigma
+    baseline = baseline_of(values, watched)
+    if baseline is not None:
+        low, high = baseline.centre - SLACK * baseline.sigma, baseline.centre + SLACK * baseline.sigma
         figure.add_hrect(low, high, fillcolor=GREEN, opacity=0.12, line_width=0)
-    if change is not None:
+    for change in changes:
         for place, colour, dash in ((change.begin, BLACK, "dot"), (change.found, VERMILION, "solid")):
             figure.add_vline(days[place], line={"color": colour, "width": 1.2, "dash": dash})
     return figure
@@ -46,7 +52,7 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
     """What speaks for the cause: the figure's history, or the guide's profiles."""
     first = advice.changes[0]
     if first.figure != GUIDE:
-        figure = history_plot(levels, all_figures(levels)[first.figure], first.figure, first)
+        figure = history_plot(levels, all_figures(levels)[first.figure], first.figure, [first])
         figure.update_layout(height=_HEIGHT - 60)
         figure.add_annotation(**_corner("green: baseline; dotted: began; red: alarm"))
         return figure
@@ -80,6 +86,28 @@ def error_map(levels: DayLevels) -> go.Figure | None:
 def guide_map_over_time(levels: DayLevels) -> go.Figure | None:
     """The guide's change over x and time, by weeks; None without a sensor."""
     return _over_time(levels, guide_shifts(levels.profiles[_GUIDE], levels.x) * 1e3)
+
+
+def faults_over_time(starts: Sequence[datetime], faults: Sequence[Sequence[str]]) -> go.Figure | None:
+    """A mark for each stroke with a fault, over its start, in a line for each kind, the most frequent one on top; None
+    without one. The axis is that of all strokes, so that a quiet month is seen to be quiet."""
+    count = Counter(label for labels in faults for label in labels)
+    if not count:
+        return None
+    figure = line_figure("", "")
+    figure.update_layout(height=_FAULT * len(count) + 110, showlegend=False, margin={"l": 10, "b": 40})
+    for label, times in reversed(count.most_common()):
+        at = [start.isoformat() for start, labels in zip(starts, faults, strict=True) if label in labels]
+        figure.add_scatter(
+            x=at,
+            y=[f"{label}: {times}"] * len(at),
+            mode="markers",
+            marker={"symbol": "line-ns-open", "size": 15, "color": VERMILION, "line": {"width": 1.5}},
+            hovertemplate=f"%{{x}}: {label}<extra></extra>",
+        )
+    figure.update_xaxes(type="date", range=[starts[0].isoformat(), starts[-1].isoformat()])
+    figure.update_yaxes(automargin=True, range=[-0.6, len(count) - 0.4])
+    return figure
 
 
 def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:

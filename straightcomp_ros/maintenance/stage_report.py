@@ -13,7 +13,13 @@ from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.maintenance import day_levels
 from straightcomp_ros.maintenance.advice import Advice, advice_of, all_figures
 from straightcomp_ros.maintenance.day_levels import DayLevels
-from straightcomp_ros.maintenance.history_plots import error_map, evidence, guide_map_over_time, history_plot
+from straightcomp_ros.maintenance.history_plots import (
+    error_map,
+    evidence,
+    faults_over_time,
+    guide_map_over_time,
+    history_plot,
+)
 from straightcomp_ros.maintenance.level_change import BASELINE, LevelChange
 from straightcomp_ros.maintenance.trend import trend_of
 from straightcomp_ros.maintenance.watched_figures import BY_NAME, WATCHED
@@ -36,9 +42,9 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     advice = advice_of(levels)
     begin, end = levels.date(0), levels.date(-1)
     count = f"{strokes.num_rows} strokes on {len(levels.day)} days, {begin} to {end}"
-    changes = {change.figure: change for one in advice for change in one.changes}
+    changes = {name: [change for one in advice for change in one.changes if change.figure == name] for name in figures}
     plots = [
-        html_plot(history_plot(levels, values, name, changes.get(name)), bar=False)
+        html_plot(history_plot(levels, values, name, changes[name]), bar=False)
         for name, values in figures.items()
         if np.count_nonzero(np.isfinite(values)) > 1
     ]
@@ -50,6 +56,7 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
         "<section><h2>Trends of the last quarter</h2>",
         html_table(_trends(levels, figures, changes)),
         "<p class=note>Median of all slopes between weeks (Theil and Sen) with its 95 % interval.</p></section>",
+        _faults(strokes),
         *_bags(strokes),
     ]
     return html_document(f"{stage}, {begin} to {end}", "".join(parts))
@@ -92,7 +99,12 @@ def _over_x(levels: DayLevels) -> str:
     )
 
 
-def _trends(levels: DayLevels, figures: Any, changes: dict[str, LevelChange]) -> list[dict[str, Any]]:
+def _faults(strokes: pyarrow.Table) -> str:
+    figure = faults_over_time(strokes["start"].to_pylist(), strokes["faults"].to_pylist())
+    return "" if figure is None else f"<section class=plot><h2>Faults over time</h2>{html_plot(figure)}</section>"
+
+
+def _trends(levels: DayLevels, figures: Any, changes: dict[str, list[LevelChange]]) -> list[dict[str, Any]]:
     rows = []
     recent = levels.day > levels.day[-1] - _TREND_DAYS
     for watched in WATCHED:
@@ -110,7 +122,7 @@ def _trends(levels: DayLevels, figures: Any, changes: dict[str, LevelChange]) ->
                 "to": trend.high,
                 "% a month": None if percent is None else trend.slope * percent,
                 "trend": ("rises" if trend.slope > 0.0 else "falls") if trend.certain else "none that is certain",
-                "alarm": "yes" if watched.name in changes else "",
+                "alarm": "yes" if any(change.lasting for change in changes[watched.name]) else "",
             }
         )
     return rows
@@ -123,7 +135,7 @@ def _bags(strokes: pyarrow.Table) -> list[str]:
     bad = [row for row in rows if row["verdict"] != IN_ORDER]
     largest = sorted(rows, key=lambda row: -row["encoder_pp_um"])[:_SHOWN]
     lists = (
-        ("Faults", faulty[::-1], lambda row: ", ".join(row["faults"])),
+        ("Strokes with faults", faulty[::-1], lambda row: ", ".join(row["faults"])),
         ("Strokes that were not in order", bad[::-1], lambda row: f"{row['verdict']}: {row['reason']}"),
         ("Bags to look at: the largest errors", largest, lambda row: row["verdict"]),
     )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.maintenance.advice import advice_of
+from straightcomp_ros.maintenance.day_levels import levels_of
 from straightcomp_ros.trials.bench.known_wear import WEARS
 from straightcomp_ros.trials.bench.worn_stage import BAGS_A_DAY, levels_of_months, months
 
@@ -57,11 +58,36 @@ def test_a_guide_that_bows_or_a_straight_edge_put_down_anew_is_no_change(make_le
     assert advice_of(make_levels(guide=np.outer(STEP, 3.0 * x + 0.5 * x * x))) == []
 
 
-def test_a_new_map_is_a_new_zero_of_the_guide(make_levels):
-    levels = make_levels(guide=np.outer(0.5 * STEP, bump(600, 700)))
-    renewed = [*["a"] * BEGIN, *["c"] * (DAYS - BEGIN)]
-    object.__setattr__(levels, "map", tuple(renewed))
+def of_two_strokes_a_day(make_levels, guide, maps):
+    """Months whose days have a stroke forward, then one backward, with these profiles (2 n, m) and maps."""
+    sound = make_levels()
+    twice = {name: np.repeat(values, 2) for name, values in sound.figures.items()}
+    forward = np.tile([True, False], DAYS)
+    noise = 0.005 * np.random.default_rng(4).standard_normal(guide.shape)
+    profiles = {"guide_change_um": guide + noise, "error_bins_um": np.zeros(guide.shape)}
+    constant = ["1"] * len(maps)
+    return levels_of(np.repeat(sound.day, 2), forward, twice, sound.x, profiles, [constant, maps, constant])
+
+
+def test_strokes_with_another_map_are_no_part_of_the_guide_s_history(make_levels):
+    # From the second stroke of that day on.
+    renewed = 2 * BEGIN + 1
+    guide = np.outer(0.5 * (np.arange(2 * DAYS) >= renewed), bump(600, 700))
+    maps = [*["a"] * renewed, *["c"] * (2 * DAYS - renewed)]
+    levels = of_two_strokes_a_day(make_levels, guide, maps)
+    profiles = levels.profiles["guide_change_um"]
+    assert not np.isfinite(profiles[:BEGIN]).any() and np.isfinite(profiles[BEGIN:]).all()
+    assert profiles[BEGIN].max() == pytest.approx(0.5, abs=0.05), "a mean of both maps"
     assert advice_of(levels) == []
+
+
+def test_a_stroke_without_map_and_sensor_leaves_the_guide_s_history_as_it_is(make_levels):
+    guide = np.outer(0.5 * np.repeat(STEP, 2), bump(600, 700))
+    guide[-3] = np.nan
+    maps = ["a"] * (2 * DAYS)
+    maps[-3] = ""
+    (found,) = advice_of(of_two_strokes_a_day(make_levels, guide, maps))
+    assert found.cause == "bolt"
 
 
 def test_what_changed_with_an_update_names_it(make_levels):
@@ -85,6 +111,17 @@ def test_two_causes_are_two_matters(make_levels):
 def test_advice_lapses_when_the_figure_is_back(make_levels):
     (found,) = advice_of(make_levels(friction_A=1.0 + 0.3 * STEP * (np.arange(DAYS) < 90)))
     assert not found.due
+
+
+def test_what_went_back_does_not_hide_what_lasts(make_levels):
+    """Lost samples of a week long ago are no explanation of a latency of today."""
+    days = np.arange(DAYS)
+    levels = make_levels(latency_p50_us=1.0 + 0.3 * (days >= 80), encoder_rms_um=1.0 + 0.3 * (days >= 100))
+    levels.figures["lost_samples"][40:50] = 500.0
+    due, lapsed = advice_of(levels)
+    assert due.due and due.changes[0].figure == "latency_p50_us"
+    assert [change.figure for change in due.changes[1:]] == ["encoder_rms_um"]
+    assert not lapsed.due and [change.figure for change in lapsed.changes] == ["lost_samples"]
 
 
 @pytest.mark.parametrize("wear", WEARS, ids=lambda wear: wear.name)

@@ -3,11 +3,18 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.maintenance.level_change import BASELINE, change_of
+from straightcomp_ros.maintenance.level_change import BASELINE, baseline_of, changes_of_figure
 from straightcomp_ros.maintenance.watched_figures import Watched
 
 RISING, BOTH = Watched("error", "error", "µm"), Watched("friction", "friction", "A", falling=True)
 DAYS, BEGIN = 200, 100
+
+
+def change_of(values, watched):
+    """The only change; None without one."""
+    changes = changes_of_figure(values, watched)
+    assert len(changes) <= 1
+    return changes[0] if changes else None
 
 
 def levels(seed=0, days=DAYS):
@@ -66,3 +73,39 @@ def test_a_figure_that_did_not_scatter_in_its_baseline_may_tremble():
     assert change_of(still, BOTH) is None
     still[BEGIN:] += 50.0
     assert change_of(still, BOTH) is not None
+
+
+def test_each_change_has_an_alarm_and_none_hides_another():
+    days = np.arange(DAYS)
+    spell = 8.0 * ((days >= 60) & (days < 80))
+    first, second = changes_of_figure(levels() + spell + 8.0 * (days >= BEGIN), BOTH)
+    assert first.begin == 60 and not first.lasting and 80 <= first.ended <= 90
+    assert first.after == pytest.approx(18.0, abs=1.0)
+    assert second.begin == BEGIN and second.lasting
+    other_way = changes_of_figure(levels() + spell - 8.0 * (days >= BEGIN), BOTH)
+    assert [one.after > one.before for one in other_way] == [True, False]
+
+
+def test_an_alarm_knows_nothing_of_later_days():
+    values = levels() + 8.0 * ((np.arange(DAYS) >= 60) & (np.arange(DAYS) < 80))
+    (whole,) = changes_of_figure(values, BOTH)
+    assert changes_of_figure(values[: whole.found], BOTH) == []
+    (then,) = changes_of_figure(values[: whole.found + 1], BOTH)
+    assert then.found == whole.found and then.lasting
+    (before,) = changes_of_figure(values[: whole.ended], BOTH)
+    assert before.lasting and not whole.lasting
+
+
+def test_days_that_are_alike_leave_more_room():
+    """With weather, four weeks scatter less than a year does: a chart that takes them as they are is too narrow."""
+
+    def sigma(kept, seed):
+        random = np.random.default_rng(seed)
+        weather = np.zeros(BASELINE + 50)
+        for day in range(1, weather.size):
+            weather[day] = kept * weather[day - 1] + np.sqrt(1.0 - kept**2) * random.standard_normal()
+        baseline = baseline_of(10.0 + weather[50:], BOTH)
+        return baseline.sigma / max(float(weather[50:].std()), 0.01)
+
+    alike, independent = (np.mean([sigma(kept, seed) for seed in range(30)]) for kept in (0.8, 0.0))
+    assert alike > 1.2 and independent < 1.1

@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 
+import pyarrow
 import pytest
 
-from straightcomp_ros.history.row_columns import table_of
+from straightcomp_ros.history.recorded_facts import checksum_of
+from straightcomp_ros.history.row_columns import schema_of, table_of
 from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.maintenance import MaintenanceError
 from straightcomp_ros.maintenance.map_proposal import proposed_map
 from straightcomp_ros.straightness.guide_map import find_survey
+from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import read_survey
 from straightcomp_ros.trials.bench import followed_map
 
@@ -40,3 +43,14 @@ def test_strokes_with_another_map_are_refused(pool):
     old = find_survey("config/survey_synthetic.csv")
     with pytest.raises(MaintenanceError, match=r"0 strokes forward .* 20 with another map"):
         proposed_map(rows(pool, map_checksum="another"), old, 7.0)
+
+
+def test_only_strokes_with_that_map_make_the_proposal(pool):
+    """The zero of the guide's change is the map's: strokes with another one say nothing beside these."""
+    old = find_survey("config/survey_synthetic.csv")
+    ours, others = rows(pool, map_checksum=checksum_of([old.read_bytes()])).to_pylist(), rows(pool).to_pylist()
+    for row in others:
+        row["guide_change_um"] = [5.0 * (place > 40) for place in range(len(row["guide_change_um"]))]
+    mixed = pyarrow.Table.from_pylist([*ours, *others], schema_of(StrokeRow))
+    proposal = proposed_map(mixed, old, 7.0)
+    assert proposal.strokes == len(ours) and peak_to_peak(proposal.change) < 0.1e-6

@@ -51,14 +51,17 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(figures)
         return 0
-    table = titled_table("Wear", "wear", "found", "after\n[days]", "named\nat once", "other\nadvice")
+    table = titled_table("Wear", "wear", "found", "after\n[days]", "other\nalarms")
     for name, one in figures["wears"].items():
         days = "{} ({} to {})".format(*(rounded(one[f"days_{key}"]) for key in ("median", "least", "most")))
-        found, named, others = (f"{one[key]}/{one['years']}" for key in ("found", "named_at_once", "other_advice"))
-        table.add_row(name, found, days if one["found"] else "–", named, others)
+        found, others = (f"{one[key]}/{one['years']}" for key in ("found", "other_alarms"))
+        table.add_row(name, found, days if one["found"] else "–", others)
     console.print(table)
-    false = f"false advice on a sound stage: {figures['false_a_year']:.2f} a year"
-    console.print(f"{false} ({figures['years_with_false']} of {figures['sound_years']} years had any)")
+    false = f"false alarms on a sound stage: {figures['false_a_year']:.2f} a year"
+    years = (
+        f"{figures['false_alarms']} in {figures['sound_years']} years, {figures['years_with_false']} of which had any"
+    )
+    console.print(f"{false} ({years})")
     followed = figures["map"]
     table = titled_table(
         f"Straightness after the guide moved by {followed['moved_um']:g} µm", "map", "p-p [µm]", "range"

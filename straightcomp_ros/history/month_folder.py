@@ -1,0 +1,116 @@
+"""The folder of a stage's month on a local disk: a file for each bag, and one for all bags that were compacted.
+
+Compacting exchanges the folder for a new one in one step of the file system: whoever reads, and whoever kills, finds
+all strokes once, in the old files or in the new one. Writers wait for that moment by a lock, which the kernel takes
+from a process that is killed. A bag that is evaluated again after that changes its rows in the compacted file.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from straightcomp_ros.history.row_columns import schema_of
+from straightcomp_ros.history.stroke_row import StrokeRow
+from straightcomp_ros.settings.whole_file import write_whole
+
+if TYPE_CHECKING:
+    import pyarrow
+
+COMPACTED = "compacted.parquet"
+KEYS = [(name, "ascending") for name in ("start", "checksum", "stroke")]
+"""Order of the strokes of a stage."""
+_LOCK = ".lock"
+_THIS_FOLDER = -100
+_EXCHANGE = 2
+"""AT_FDCWD and RENAME_EXCHANGE of Linux."""
+
+
+@contextmanager
+def alone(root: Path) -> Iterator[None]:
+    """Wait until no other process writes strokes to the store in ``root``, which is there, and keep them waiting."""
+    with (root / _LOCK).open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def write_bag(month: Path, checksum: str, data: bytes, part: Path) -> None:
+    """Write the strokes of a bag, a Parquet file, through ``part``. Only with :func:`alone`."""
+    import pyarrow
+    import pyarrow.compute as compute
+    import pyarrow.parquet as parquet
+
+    compacted = month / COMPACTED
+    if compacted.exists() and _has(compacted, checksum):
+        there = _table([compacted])
+        ours = compute.equal(there["checksum"], checksum)
+        new = parquet.read_table(pyarrow.BufferReader(data), schema=there.schema)
+        if there.filter(ours).equals(new):
+            return
+        kept = there.filter(compute.invert(ours))
+        write_whole(compacted, _file_of(pyarrow.concat_tables([kept, new])), part)
+    else:
+        write_whole(month / f"{checksum}.parquet", data, part)
+
+
+def compact(month: Path, part: Path) -> int:
+    """Make one file of all files of a month; returns how many there were, 0 where one is all. Only with :func:`alone`.
+
+    Args:
+        month: the folder.
+        part: of a new folder on the same file system; what a killed process leaves there is to be removed.
+
+    Raises:
+        OSError: a file cannot be read or written, or the file system cannot exchange folders.
+        pyarrow.ArrowException: a file is damaged.
+    """
+    files = sorted(month.glob("*.parquet"))
+    if [file.name for file in files] == [COMPACTED] or not files:
+        return 0
+    part.mkdir()
+    try:
+        (part / COMPACTED).write_bytes(_file_of(_table(files)))
+        for other in month.iterdir():
+            if other not in files:
+                os.link(other, part / other.name)
+        _exchange(month, part)
+    finally:
+        # The old files, or a new one that did not come to be.
+        shutil.rmtree(part, ignore_errors=True)
+    return len(files)
+
+
+def _has(file: Path, checksum: str) -> bool:
+    import pyarrow.parquet
+
+    found = pyarrow.parquet.read_table(file, columns=["checksum"], filters=[("checksum", "=", checksum)])
+    return bool(found.num_rows)
+
+
+def _table(files: list[Path]) -> pyarrow.Table:
+    import pyarrow.dataset
+
+    return pyarrow.dataset.dataset([str(file) for file in files], schema_of(StrokeRow), format="parquet").to_table()
+
+
+def _file_of(strokes: pyarrow.Table) -> bytes:
+    import pyarrow.parquet
+
+    out = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(strokes.sort_by(KEYS), out, compression="zstd", store_schema=False)
+    return out.getvalue().to_pybytes()  # type: ignore[no-any-return]
+
+
+def _exchange(one: Path, other: Path) -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.renameat2(_THIS_FOLDER, os.fsencode(one), _THIS_FOLDER, os.fsencode(other), _EXCHANGE):
+        code = ctypes.get_errno()
+        known = {errno.EINVAL: "its file system cannot exchange two folders"}
+        raise OSError(code, known.get(code, os.strerror(code)), str(one))
