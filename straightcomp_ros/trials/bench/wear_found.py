@@ -64,6 +64,7 @@ def measure(
         "false_alarms": sum(false),
         "false_a_year": sum(false) / sound,
         "years_with_false": sum(map(bool, false)),
+        "most_false_in_a_year": max(false),
         "wears": rows,
     }
 
