@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from straightcomp_ros.history.recorded_facts import checksum_of
 from straightcomp_ros.history.row_columns import schema_of
 from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.settings.whole_file import write_whole
@@ -24,7 +25,9 @@ from straightcomp_ros.settings.whole_file import write_whole
 if TYPE_CHECKING:
     import pyarrow
 
-COMPACTED = "compacted.parquet"
+_COMPACTED = "compacted-{}.parquet"
+"""With the checksum of its content: whoever listed the folder before an exchange finds no file of that name, instead of
+another one that has strokes twice that he has read already."""
 KEYS = [(name, "ascending") for name in ("start", "checksum", "stroke")]
 """Order of the strokes of a stage."""
 _LOCK = ".lock"
@@ -47,8 +50,8 @@ def write_bag(month: Path, checksum: str, data: bytes, part: Path) -> None:
     import pyarrow.compute as compute
     import pyarrow.parquet as parquet
 
-    compacted = month / COMPACTED
-    if compacted.exists() and _has(compacted, checksum):
+    compacted = next(month.glob(_COMPACTED.format("*")), None)
+    if compacted is not None and _has(compacted, checksum):
         there = _table([compacted])
         ours = compute.equal(there["checksum"], checksum)
         new = parquet.read_table(pyarrow.BufferReader(data), schema=there.schema)
@@ -72,11 +75,16 @@ def compact(month: Path, part: Path) -> int:
         pyarrow.ArrowException: a file is damaged.
     """
     files = sorted(month.glob("*.parquet"))
-    if [file.name for file in files] == [COMPACTED] or not files:
+    if not files or (len(files) == 1 and files[0].match(_COMPACTED.format("*"))):
         return 0
     part.mkdir()
     try:
-        (part / COMPACTED).write_bytes(_file_of(_table(files)))
+        data = _file_of(_table(files))
+        with (part / _COMPACTED.format(checksum_of([data]))).open("wb") as file:
+            file.write(data)
+            file.flush()
+            # The old files go next: a power failure must not leave neither.
+            os.fsync(file.fileno())
         for other in month.iterdir():
             if other not in files:
                 os.link(other, part / other.name)

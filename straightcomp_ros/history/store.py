@@ -1,7 +1,7 @@
 """A store: folders of Parquet files that any number of processes may add to at once.
 
     strokes/stage=NAME/month=YYYY-MM/CHECKSUM.parquet    the strokes of the bag with this checksum
-    strokes/stage=NAME/month=YYYY-MM/compacted.parquet   the strokes of all bags that were compacted
+    strokes/stage=NAME/month=YYYY-MM/compacted-HASH.parquet    those of all bags that were compacted
     bags/HASH.parquet                                    one row: the bag at the place whose hash this is
 
 A file of a bag is a function of the bag alone, and appears whole under its name. Processes that add the same bag write
@@ -16,8 +16,9 @@ import secrets
 import shutil
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from straightcomp_ros.history import HistoryError, StorageError, month_folder
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 STROKES, BAGS = "strokes", "bags"
 _PARTS = ".parts"
+_TRIES = 3
+"""Compacting exchanges a month once: two in the same read are rare."""
 _ABANDONED_S = 60.0
 """Age of a file in ``.parts`` from which whoever wrote it has been killed: writing takes milliseconds."""
 
@@ -92,17 +95,15 @@ class Store:
         """The strokes of a stage, sorted by ``start``, ``checksum`` and ``stroke``: all columns of
         :class:`straightcomp_ros.history.stroke_row.StrokeRow`, or those named. Raises HistoryError for a stage that the
         store does not have."""
-        import pyarrow.dataset
-
         folder = f"{self.root}/{STROKES}/stage={quote(stage, safe='')}"
         if not self.files.isdir(folder):
             known = ", ".join(self.stages()) or "none"
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
-        data = pyarrow.dataset.dataset(folder, schema_of(StrokeRow), format="parquet", filesystem=self.files)
-        keys = [key for key, _ in KEYS]
-        wanted = data.schema.names if columns is None else columns
-        table = data.to_table(columns=[*wanted, *(key for key in keys if key not in wanted)])
-        return table.sort_by(KEYS).select(wanted)
+        # A month that is compacted after it was listed is to be listed again.
+        for _ in range(_TRIES):
+            with suppress(FileNotFoundError):
+                return _sorted_strokes(self.files, folder, columns)
+        return _sorted_strokes(self.files, folder, columns)
 
     def clear_abandoned(self) -> None:
         """Remove what killed processes have left half-written."""
@@ -166,3 +167,13 @@ class Store:
         parts = Path(self.root, _PARTS)
         parts.mkdir(parents=True, exist_ok=True)
         return parts / f"{os.getpid()}-{secrets.token_hex(8)}"
+
+
+def _sorted_strokes(files: Any, folder: str, columns: list[str] | None) -> pyarrow.Table:
+    import pyarrow.dataset
+
+    data = pyarrow.dataset.dataset(folder, schema_of(StrokeRow), format="parquet", filesystem=files)
+    keys = [key for key, _ in KEYS]
+    wanted = data.schema.names if columns is None else columns
+    table = data.to_table(columns=[*wanted, *(key for key in keys if key not in wanted)])
+    return table.sort_by(KEYS).select(wanted)

@@ -8,6 +8,7 @@ import sys
 import time
 
 import pandas
+import pyarrow.dataset
 import pytest
 from stores import COUNT, added, files_of
 
@@ -41,7 +42,7 @@ def verb(store, *words):
 def test_each_month_becomes_one_file_with_the_same_strokes(store, alone, capsys):
     assert main(["history", "compact", str(store), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"store": str(store), "months": 2, "files": COUNT}
-    assert [name.rpartition("/")[2] for name in names(store)] == ["compacted.parquet"] * 2
+    assert [name.rpartition("/")[2].partition("-")[0] for name in names(store)] == ["compacted"] * 2
     assert strokes(store) == strokes(alone[0])
     before, after = (Store(str(one)).strokes("stage_1") for one in (alone[0], store))
     assert after.equals(before)
@@ -82,6 +83,31 @@ def test_bags_that_come_later_join_the_compacted_ones(months, alone, tmp_path):
     assert strokes(store) == strokes(alone[0])
 
 
+def test_a_reader_that_listed_the_files_before_reads_each_stroke_once(store, alone, monkeypatch):
+    dataset = pyarrow.dataset.dataset
+
+    def listed(*arguments, **options):
+        found = dataset(*arguments, **options)
+        monkeypatch.undo()
+        list(Store(str(store)).compact())
+        return found
+
+    monkeypatch.setattr(pyarrow.dataset, "dataset", listed)
+    assert Store(str(store)).strokes("stage_0").equals(Store(str(alone[0])).strokes("stage_0"))
+
+
+def test_no_file_that_was_listed_before_is_another_one_after(months, tmp_path):
+    """Who has read a bag's file, and then opens the compacted one, must not find that bag's strokes there too."""
+    store = tmp_path / "store"
+    added(store, months / "stage_0" / "run_0")
+    list(Store(str(store)).compact())
+    added(store, months / "stage_0")
+    listed = sorted((store / "strokes" / "stage=stage_0").rglob("*.parquet"))
+    assert len(listed) > 1
+    list(Store(str(store)).compact())
+    assert not [file for file in listed if file.exists()]
+
+
 @pytest.mark.parametrize("moment", ["before", "after"])
 def test_a_process_that_is_killed_beside_the_exchange_leaves_each_stroke_once(store, alone, moment):
     """The moments at which the store could be wrong: the new folder is there, but not in its place, and the reverse."""
@@ -109,7 +135,7 @@ list(Store({str(store)!r}).compact())
 def test_what_a_killed_process_left_is_removed_later(store, monkeypatch):
     left = store / ".parts" / "1-a"
     left.mkdir()
-    (left / "compacted.parquet").write_bytes(b"half")
+    (left / "compacted-0.parquet").write_bytes(b"half")
     now = time.time()
     monkeypatch.setattr(time, "time", lambda: now + 3600.0)
     Store(str(store)).clear_abandoned()

@@ -23,6 +23,14 @@ def test_a_cause_that_was_told_and_then_corrected_counts(make_levels):
     assert [alarm.cause for alarm in alarms_of(levels)] == ["unknown", "friction_up"]
 
 
+def test_a_cause_that_comes_to_be_told_while_no_figure_s_alarm_begins_or_ends_counts(make_levels):
+    """Stiffness first follows friction, then it has changed so much that it is a matter of its own."""
+    stiffness = 1.0 + 0.1 * (DAYS >= 40) + 0.4 * (DAYS >= 80)
+    first, second = alarms_of(make_levels(friction_A=1.0 + 0.5 * (DAYS >= 40), stiffness_A_per_m=stiffness))
+    assert first == Alarm("friction_up", 40)
+    assert second.cause == "stiffness" and second.place >= 80
+
+
 def test_a_stage_that_only_scatters_raises_none(make_levels):
     assert alarms_of(make_levels()) == []
 

@@ -64,6 +64,7 @@ def measure(
         "false_alarms": sum(false),
         "false_a_year": sum(false) / sound,
         "years_with_false": sum(map(bool, false)),
+        "most_false_in_a_year": max(false),
         "wears": rows,
     }
 
@@ -71,11 +72,12 @@ def measure(
 def alarms_of(levels: DayLevels) -> list[Alarm]:
     """The alarms that these months raised, in the order of time."""
     changes = changes_of(levels)
-    # On the days between, the same figures stand beside their baselines.
-    days = sorted({day for change in changes for day in (change.found, change.ended) if day is not None})
     alarms, due = [], set[str]()
-    for day in days:
-        before, due = due, {one.cause for one in advice_of(levels.until(day + 1)) if one.due}
+    # Which figure stands for the cause depends on how much each has changed so far: that may change on any day.
+    for day in range(min((change.found for change in changes), default=len(levels.day)), len(levels.day)):
+        standing = any(change.found <= day and (change.ended is None or day < change.ended) for change in changes)
+        before = due
+        due = {one.cause for one in advice_of(levels.until(day + 1)) if one.due} if standing else set()
         alarms += [Alarm(cause, day) for cause in sorted(due - before)]
     return alarms
 

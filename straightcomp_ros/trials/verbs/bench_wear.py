@@ -59,7 +59,8 @@ def run(options: argparse.Namespace) -> int:
     console.print(table)
     false = f"false alarms on a sound stage: {figures['false_a_year']:.2f} a year"
     years = (
-        f"{figures['false_alarms']} in {figures['sound_years']} years, {figures['years_with_false']} of which had any"
+        f"{figures['false_alarms']} in {figures['sound_years']} years, {figures['years_with_false']} of which had any, "
+        f"at most {figures['most_false_in_a_year']} in one"
     )
     console.print(f"{false} ({years})")
     followed = figures["map"]
