@@ -7,7 +7,8 @@ prediction errors agree with their standard deviation. The last moves of the sol
 failed, from it, bound the remaining bias and enter the confidence intervals.
 
 The search begins at the description and where sliding alone leads (`sliding_start.py`), and goes on from the likelier
-of the two solutions: one start alone may end in a valley that explains the record and is wrong.
+of the two solutions, or from the other one if that is a dead end: one start alone may end in a valley that explains the
+record and is wrong.
 """
 
 from collections.abc import Callable
@@ -171,15 +172,12 @@ def fit(
     begins = [unknowns.start]
     if (slid := sliding_start(recording, unknowns)) is not None:
         begins.append(slid)
-    levels = [min((search.solve(begin, MISSED[0]) for begin in begins), key=lambda level: level.surprise)]
-    failed: list[Level] = []
-    for number, missed in enumerate(MISSED[1:], 1):
-        progress(number / len(MISSED))
-        level = search.solve(levels[-1].vector, missed)
-        if level.rms > max(EXPLAINED, levels[-1].rms):
-            failed.append(level)
-            break
-        levels.append(level)
+    solutions = sorted((search.solve(begin, MISSED[0]) for begin in begins), key=lambda level: level.surprise)
+    levels, failed = _followed(search, solutions[0], progress)
+    if len(levels) == 1 and len(solutions) > 1:
+        others, failed_there = _followed(search, solutions[1], progress)
+        if len(others) > 1:
+            levels, failed = others, failed_there
     progress(1.0)
     last = levels[-1]
     if last.rms > _LOST:
@@ -203,6 +201,18 @@ def fit(
         rms_error_m=float(np.sqrt(np.mean(errors**2))),
         evaluations=search.evaluations,
     )
+
+
+def _followed(search: Search, first: Level, progress: Callable[[float], None]) -> tuple[list[Level], list[Level]]:
+    """The solutions with less and less process noise from ``first`` on, and the one that failed, if one did."""
+    levels = [first]
+    for number, missed in enumerate(MISSED[1:], 1):
+        progress(number / len(MISSED))
+        level = search.solve(levels[-1].vector, missed)
+        if level.rms > max(EXPLAINED, levels[-1].rms):
+            return levels, [level]
+        levels.append(level)
+    return levels, []
 
 
 def _covariance(jacobian: Array, residuals: Array, block: int) -> Array:

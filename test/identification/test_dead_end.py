@@ -1,0 +1,48 @@
+"""A search that cannot go on from the likelier of its two first solutions goes on from the other one."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.identification import fit as fitting
+
+DESCRIBED, SLID = 0.0, 1.0
+
+
+class ScriptedSearch:
+    """Solutions stay where they began, with the surprise and errors that a test says."""
+
+    def __init__(self, recording, path, unknowns, resolution):
+        self.gains, self.evaluations = np.ones((300, 4)), 0
+
+    def solve(self, start, missed):
+        place = float(start[0])
+        first = missed == fitting.MISSED[0]
+        errors = 0.7 if first or place not in self.dead_ends else 1.9
+        return fitting.Level(start, np.ones((200, 1)), np.full(200, errors), missed, self.surprises[place])
+
+    def take_gains(self, vector, missed):
+        pass
+
+    def residuals(self, vector):
+        return np.full(200, 0.7)
+
+
+@pytest.mark.parametrize(
+    ("dead_ends", "surprises", "found", "levels"),
+    [
+        ({DESCRIBED}, {DESCRIBED: -2.0, SLID: -1.0}, SLID, 4),
+        ({DESCRIBED, SLID}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 1),
+        (set(), {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 4),
+        (set(), {DESCRIBED: -1.0, SLID: -2.0}, SLID, 4),
+    ],
+)
+def test_the_likelier_solution_is_followed_unless_it_is_a_dead_end(monkeypatch, dead_ends, surprises, found, levels):
+    monkeypatch.setattr(ScriptedSearch, "dead_ends", dead_ends, raising=False)
+    monkeypatch.setattr(ScriptedSearch, "surprises", surprises, raising=False)
+    monkeypatch.setattr(fitting, "Search", ScriptedSearch)
+    monkeypatch.setattr(fitting, "sliding_start", lambda recording, unknowns: np.array([SLID]))
+    recording, unknowns = SimpleNamespace(period_ns=500_000), SimpleNamespace(start=np.array([DESCRIBED]), free=(0,))
+    solution = fitting.fit(recording, None, unknowns, 1e-7)
+    assert solution.vector == [found] and solution.missed == fitting.MISSED[levels - 1]
