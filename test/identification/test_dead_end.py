@@ -8,25 +8,26 @@ import pytest
 from straightcomp_ros.identification import fit as fitting
 
 DESCRIBED, SLID = 0.0, 1.0
+SAMPLES = 4000
 
 
 class ScriptedSearch:
     """Solutions stay where they began, with the surprise and errors that a test says."""
 
     def __init__(self, recording, path, unknowns, resolution):
-        self.gains, self.evaluations = np.ones((300, 4)), 0
+        self.gains, self.evaluations = np.ones((fitting.BURN_IN + SAMPLES, 4)), 0
 
     def solve(self, start, missed):
         place = float(start[0])
         first = missed == fitting.MISSED[0]
         errors = 0.7 if first or place not in self.dead_ends else 1.9
-        return fitting.Level(start, np.ones((200, 1)), np.full(200, errors), missed, self.surprises[place])
+        return fitting.Level(start, np.ones((SAMPLES, 1)), np.full(SAMPLES, errors), missed, self.surprises[place])
 
     def take_gains(self, vector, missed):
         pass
 
     def residuals(self, vector):
-        return np.full(200, 0.7)
+        return np.full(SAMPLES, 0.7)
 
 
 @pytest.mark.parametrize(
