@@ -91,7 +91,8 @@ class SafetyPanel:
         node.create_service(SetBool, "~/enable", self._on_enable)
         node.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
         node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
-        CommissioningWatch(node, self._on_client_gone)
+        self._client = CommissioningWatch(node, self._on_client_gone)
+        self._on_for_client = False
         self.report()
 
     def report(self) -> None:
@@ -115,6 +116,7 @@ class SafetyPanel:
             if not refusal:
                 self._anew()
                 refusal = self._safety.enable()
+                self._on_for_client = bool(self._client.doing)
             response.success, response.message = not refusal, refusal or "amplifier on"
             self._node.get_logger().info(f"enable: {response.message}")
         self.report()
@@ -130,7 +132,8 @@ class SafetyPanel:
         return response
 
     def _on_client_gone(self) -> None:
-        if self._safety.condition is Condition.ON:
+        # A client that was refused since somebody else uses the machine leaves it as it is.
+        if self._safety.condition is Condition.ON and self._on_for_client:
             self._safety.trip(Fault.CLIENT_GONE, "nobody commissions the machine any more", now_ns())
             self.report()
 

@@ -134,8 +134,9 @@ def test_a_stroke_under_the_control_law(request, cable, fd, file, program):
         assert driver.hardware.state is State.ON and driver.hardware.fault == ""
         # Without a law the magnets drive the platform to its stops, 2.4 mm apart.
         assert np.ptp(errors) < 0.1e-3
-        # There and back, without a gap. How many samples that takes is this computer's, which may do other work.
-        assert places.max() > 0.99 and np.abs(np.diff(places)).max() < 0.1 and len(errors) >= 0.98 * len(places)
+        # There and back, with samples from each quarter. How many there are is this computer's.
+        assert places.max() > 0.99 and np.histogram(places, 4, (0.0, 1.0))[0].all()
+        assert len(errors) >= 0.98 * len(places)
 
 
 @FD
