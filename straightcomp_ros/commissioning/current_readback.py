@@ -4,10 +4,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import lfilter
 
 from straightcomp_ros.commissioning.machine import Array, Series
+from straightcomp_ros.identification.outliers import huber_weights
 from straightcomp_ros.model.converters import DriveParameters
 
 _LONGEST = 8
@@ -17,7 +18,12 @@ _DELAYS = (0.1, 0.5, 0.9)
 _BANDWIDTHS = np.geomspace(0.005, 2.0, 13)
 """Relative to the sampling rate, likewise."""
 _STARTS = 2
-_TOLERANCE = 1e-15
+_EXACT = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+_LOWEST, _HIGHEST = math.log(1e-4), math.log(100.0)
+"""Logarithms of the amplifier's rate times the period."""
+_ROUNDS, _SETTLED = 30, 1e-7
+_LEAST = 1e-4
+"""Standard deviation of the residuals relative to that of the current, below which they count as none."""
 _UNEXPLAINED = 0.9
 """Share of the current from which no amplifier fits."""
 
@@ -53,30 +59,41 @@ def current_readback(series: Series, drive: DriveParameters, period: float) -> C
     known = np.isfinite(current)
     asked, current = asked[known], current[known]
 
+    trust = np.ones(asked.size)
+
     def fitted(numbers: Array) -> tuple[Array, Array]:
         """(gain, offset), and residuals (n,) in A."""
         terms = np.stack([_answer(asked, math.exp(numbers[0]), float(numbers[1])), np.ones(asked.size)], axis=1)
-        weights, *_ = np.linalg.lstsq(terms, current, rcond=None)
-        return np.asarray(weights), np.asarray(current - terms @ weights)
+        root = np.sqrt(trust)
+        factors, *_ = np.linalg.lstsq(terms * root[:, None], current * root, rcond=None)
+        return np.asarray(factors), np.asarray(current - terms @ factors)
 
     def residuals(numbers: Array) -> Array:
-        return fitted(numbers)[1]
+        return np.asarray(np.sqrt(trust) * fitted(numbers)[1])
 
     scale = max(1e-12, float(current.std()))
-    exact = {"xtol": _TOLERANCE, "ftol": _TOLERANCE, "gtol": _TOLERANCE}
-    low, high = math.log(1e-4), math.log(100.0)
+
+    def searched(start: Array, whole: int) -> OptimizeResult:
+        """The best delay from ``whole`` samples to one more."""
+        # At a whole one the current is not smooth in the delay, and a search does not pass.
+        bounds = ([_LOWEST, whole], [_HIGHEST, whole + 1.0])
+        return least_squares(
+            lambda numbers: residuals(numbers) / scale, np.clip(start, *bounds), bounds=bounds, **_EXACT
+        )
+
     found = []
-    # Each whole sample by itself: at a whole one the current is not smooth in the delay, and a search does not pass.
     for whole in range(_LONGEST):
         starts = [np.array([math.log(2.0 * math.pi * band), whole + part]) for band in _BANDWIDTHS for part in _DELAYS]
         starts.sort(key=lambda start: float(np.sum(residuals(start) ** 2)))
-        found += [
-            least_squares(
-                lambda numbers: residuals(numbers) / scale, start, bounds=([low, whole], [high, whole + 1.0]), **exact
-            )
-            for start in starts[:_STARTS]
-        ]
+        found += [searched(start, whole) for start in starts[:_STARTS]]
     best: Array = min(found, key=lambda one: float(one.cost)).x
+    # Late commands have moved it, perhaps beyond a whole sample.
+    for _ in range(_ROUNDS):
+        trust, before = huber_weights(fitted(best)[1], _LEAST * scale), best
+        wholes = {min(_LONGEST - 1, max(0, math.floor(before[1] + side))) for side in (-0.5, 0.5)}
+        best = min((searched(before, whole) for whole in wholes), key=lambda one: float(one.cost)).x
+        if np.abs(best - before).max() < _SETTLED:
+            break
     (gain, offset), left = fitted(best)
     missed = float(left.std()) / max(1e-12, float(np.diff(current).std()))
     if float(left.std()) > _UNEXPLAINED * scale or gain == 0.0:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.identification.outliers import robust_regression
 from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.model.converters import DriveParameters
 
@@ -29,6 +30,10 @@ _ACTED = 0.02
 _PERCENTILES = (5.0, 50.0, 95.0)
 _LATEST = 3
 """Delays of a command that are looked for: less than so many samples."""
+_USUAL = 0.99
+"""Share of the samples that an accepted fit must explain; commands that are late now and then are in the others."""
+_EXACT = 1e-4
+"""Standard deviation of the residuals relative to the current's steps, below which they count as none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,16 +94,19 @@ def _regression(current: Array, asked: Array, period: float) -> tuple[float, flo
     """Residual as a fraction of the current's steps, inf if no amplifier fits; rate and its standard deviation, rad/s;
     whole samples of delay."""
     steps, last = float(np.diff(current).std()), len(current) - 1
+    if not steps > 0.0:
+        return math.inf, 0.0, 0.0, 0
     commands = [asked[_LATEST - age : last - age] for age in range(_LATEST + 1)]
     terms = np.stack([current[_LATEST:last], *commands], axis=1)
-    weights, *_ = np.linalg.lstsq(terms, current[_LATEST + 1 :], rcond=None)
+    weights, spread = robust_regression(terms, current[_LATEST + 1 :], _EXACT * steps)
     kept = float(weights[0])
-    if not (steps > 0.0 and 0.0 < kept < 1.0 and abs(float(weights.sum()) - 1.0) < 0.05):
+    if not (0.0 < kept < 1.0 and abs(float(weights.sum()) - 1.0) < 0.05):
         return math.inf, 0.0, 0.0, 0
     # The youngest command that has acted within the period: of those before it, something is left.
     whole = int(np.argmax(np.cumsum(weights[1:]) > _ACTED * (1.0 - kept)))
-    left = float((current[_LATEST + 1 :] - terms @ weights).std())
-    deviation = left * math.sqrt(float(np.linalg.pinv(terms.T @ terms)[0, 0])) / (kept * period)
+    deviation = spread * math.sqrt(float(np.linalg.pinv(terms.T @ terms)[0, 0])) / (kept * period)
+    missed = np.sort(np.abs(current[_LATEST + 1 :] - terms @ weights))[: round(_USUAL * len(terms))]
+    left = float(np.sqrt(np.mean(missed**2)))
     return left / steps, -math.log(kept) / period, deviation, whole
 
 

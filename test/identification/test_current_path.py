@@ -53,6 +53,16 @@ def test_commands_that_arrive_after_the_next_sample_are_found_as_exactly(samples
     assert path.delay_spread == pytest.approx((path.delay, path.delay), abs=1e-7)
 
 
+@pytest.mark.parametrize("hertz", [250.0, 350.0, 1000.0])
+def test_commands_that_come_late_now_and_then_do_not_change_the_bandwidth(hertz: float) -> None:
+    delays = np.full(20_000, PERIOD)
+    delays[np.random.default_rng(5).choice(delays.size, 40, replace=False)] = 1.9 * PERIOD
+    path = current_path(recorded(delays, rate=2.0 * math.pi * hertz), DRIVE)
+    assert path.rate_found
+    assert path.rate == pytest.approx(2.0 * math.pi * hertz, rel=1e-3)
+    assert path.delay == pytest.approx(PERIOD, abs=1e-7)
+
+
 def test_the_deviation_of_the_bandwidth_is_that_of_many_noisy_records() -> None:
     clean, noise = recorded(np.full(4000, 6e-4)), np.random.default_rng(4)
     found = []
