@@ -16,12 +16,14 @@ from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
 from straightcomp_ros.commissioning import STEP_NAMES
+from straightcomp_ros.configuration.parameter_sets import CommissioningNodeParameters
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 
 SUMMARY = "measure, tune and verify a stage, step by step"
 _LARGEST = 100_000
 _MOST_STROKES = 1000
+_DEFAULTS = CommissioningNodeParameters()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,8 +38,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="STEP",
         help=f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}",
     )
-    add("--evaluations", type=int, default=400, metavar="N", help="candidates of the design (default: %(default)s)")
-    add("--machines", type=int, default=200, metavar="N", help="uncertain machines of its check (default: %(default)s)")
+    add(
+        "--evaluations",
+        type=int,
+        default=_DEFAULTS.evaluations,
+        metavar="N",
+        help="candidates of the design (default: %(default)s)",
+    )
+    add(
+        "--machines",
+        type=int,
+        default=_DEFAULTS.machines,
+        metavar="N",
+        help="uncertain machines of its check (default: %(default)s)",
+    )
     add(
         "--learn",
         type=int,

@@ -254,7 +254,7 @@ class CommissioningNodeParameters:
     """Parameters of the node `commissioning`."""
 
     output: str = parameter("", "Folder of the record, the bags and the results; must be given")
-    evaluations: int = parameter(400, "Candidates of the design", "[1, 100000]")
-    machines: int = parameter(200, "Uncertain machines of the design's check", "[1, 100000]")
+    evaluations: int = parameter(200, "Candidates of the design", "[1, 100000]")
+    machines: int = parameter(100, "Uncertain machines of the design's check", "[1, 100000]")
     learn: int = parameter(0, "Strokes from which the controller learns before the acceptance; 0 for none", "[0, 1000]")
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")

@@ -7,8 +7,8 @@ prediction errors agree with their standard deviation. The last moves of the sol
 failed, from it, bound the remaining bias and enter the confidence intervals.
 
 The search begins at the description and where sliding alone leads (`sliding_start.py`), and goes on from the likelier
-of the two solutions, or from the other one if that is a dead end: one start alone may end in a valley that explains the
-record and is wrong.
+of the two solutions. If that does not hold with the least process noise, it goes on from the other one too, and the one
+that holds with less is taken: one start alone may end in a valley that explains the record and is wrong.
 """
 
 from collections.abc import Callable
@@ -173,13 +173,12 @@ def fit(
     if (slid := sliding_start(recording, unknowns)) is not None:
         begins.append(slid)
     solutions = sorted((search.solve(begin, MISSED[0]) for begin in begins), key=lambda level: level.surprise)
-    levels, failed = _followed(search, solutions[0], progress)
-    if len(levels) == 1 and len(solutions) > 1:
-        others, failed_there = _followed(search, solutions[1], progress)
-        if len(others) > 1:
-            levels, failed = others, failed_there
+    last, neighbours = _followed(search, solutions[0], unknowns.start, progress)
+    if last.missed > MISSED[-1] and len(solutions) > 1:
+        other, neighbours_there = _followed(search, solutions[1], unknowns.start, progress)
+        if other.missed < last.missed:
+            last, neighbours = other, neighbours_there
     progress(1.0)
-    last = levels[-1]
     if last.rms > _LOST:
         raise IdentificationError(
             f"the model does not explain the record: prediction errors are {last.rms:.1f} times what they should be; "
@@ -187,8 +186,6 @@ def fit(
             "resolution, bias current and pole area there"
         )
     free = list(unknowns.free)
-    before = levels[-2].vector if len(levels) > 1 else unknowns.start
-    neighbours = [before, *(level.vector for level in failed)]
     search.take_gains(last.vector, last.missed)
     errors = search.residuals(last.vector) / search.gains[BURN_IN:, 3]
     block = max(1, round(_BLOCK / (recording.period_ns * 1e-9)))
@@ -203,16 +200,23 @@ def fit(
     )
 
 
-def _followed(search: Search, first: Level, progress: Callable[[float], None]) -> tuple[list[Level], list[Level]]:
-    """The solutions with less and less process noise from ``first`` on, and the one that failed, if one did."""
-    levels = [first]
+def _followed(
+    search: Search, first: Level, described: Array, progress: Callable[[float], None]
+) -> tuple[Level, list[Array]]:
+    """The solution with the least process noise that holds, from ``first`` on; and its neighbours: the solution that
+    its search began with (for ``first`` the description's), and the next one if that failed."""
+    last, begin = first, first.vector
+    neighbours = [described]
     for number, missed in enumerate(MISSED[1:], 1):
         progress(number / len(MISSED))
-        level = search.solve(levels[-1].vector, missed)
-        if level.rms > max(EXPLAINED, levels[-1].rms):
-            return levels, [level]
-        levels.append(level)
-    return levels, []
+        level = search.solve(begin, missed)
+        if level.rms <= max(EXPLAINED, last.rms):
+            last, neighbours = level, [begin]
+        elif len(neighbours) == 1:
+            neighbours.append(level.vector)
+        # One that hardly failed may be nearer to the next one than the last that held.
+        begin = level.vector if level.rms < _LOST else last.vector
+    return last, neighbours
 
 
 def _covariance(jacobian: Array, residuals: Array, block: int) -> Array:

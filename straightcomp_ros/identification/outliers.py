@@ -34,7 +34,7 @@ def robust_regression(terms: Array, wanted: Array, least: float) -> tuple[Array,
     found: Array = np.zeros(terms.shape[1])
     for _ in range(_ROUNDS):
         root, before = np.sqrt(weights), found
-        found, *_ = np.linalg.lstsq(terms * root[:, None], wanted * root, rcond=None)
+        found = np.asarray(np.linalg.lstsq(terms * root[:, None], wanted * root, rcond=None)[0])
         residuals = wanted - terms @ found
         weights = huber_weights(residuals, least)
         if np.abs(found - before).max() < _SETTLED:

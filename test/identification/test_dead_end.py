@@ -19,8 +19,7 @@ class ScriptedSearch:
 
     def solve(self, start, missed):
         place = float(start[0])
-        first = missed == fitting.MISSED[0]
-        errors = 0.7 if first or place not in self.dead_ends else 1.9
+        errors = 0.7 if missed not in self.fails.get(place, ()) else 1.9
         return fitting.Level(start, np.ones((SAMPLES, 1)), np.full(SAMPLES, errors), missed, self.surprises[place])
 
     def take_gains(self, vector, missed):
@@ -30,17 +29,26 @@ class ScriptedSearch:
         return np.full(SAMPLES, 0.7)
 
 
+NONE_HOLDS = fitting.MISSED[1:]
+THIRD_FAILS, LAST_FAILS = fitting.MISSED[2:3], fitting.MISSED[3:]
+
+
 @pytest.mark.parametrize(
-    ("dead_ends", "surprises", "found", "levels"),
+    ("fails", "surprises", "found", "levels"),
     [
-        ({DESCRIBED}, {DESCRIBED: -2.0, SLID: -1.0}, SLID, 4),
-        ({DESCRIBED, SLID}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 1),
-        (set(), {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 4),
-        (set(), {DESCRIBED: -1.0, SLID: -2.0}, SLID, 4),
+        ({DESCRIBED: NONE_HOLDS}, {DESCRIBED: -2.0, SLID: -1.0}, SLID, 4),
+        ({DESCRIBED: NONE_HOLDS, SLID: NONE_HOLDS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 1),
+        ({DESCRIBED: LAST_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, SLID, 4),
+        ({DESCRIBED: LAST_FAILS, SLID: LAST_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 3),
+        ({DESCRIBED: THIRD_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 4),
+        ({}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 4),
+        ({}, {DESCRIBED: -1.0, SLID: -2.0}, SLID, 4),
     ],
 )
-def test_the_likelier_solution_is_followed_unless_it_is_a_dead_end(monkeypatch, dead_ends, surprises, found, levels):
-    monkeypatch.setattr(ScriptedSearch, "dead_ends", dead_ends, raising=False)
+def test_the_likelier_solution_is_followed_unless_the_other_one_leads_further(
+    monkeypatch, fails, surprises, found, levels
+):
+    monkeypatch.setattr(ScriptedSearch, "fails", fails, raising=False)
     monkeypatch.setattr(ScriptedSearch, "surprises", surprises, raising=False)
     monkeypatch.setattr(fitting, "Search", ScriptedSearch)
     monkeypatch.setattr(fitting, "sliding_start", lambda recording, unknowns: np.array([SLID]))
