@@ -49,7 +49,7 @@ def identification(work: Work) -> Outcome:
         True,
         f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS; {untold(found)[0]}",
         figures,
-        stage=_described(found, stage),
+        stage=facts_found(found, stage),
     )
 
 
@@ -103,15 +103,16 @@ def strangeness(found: Estimate, described: StageParameters) -> str:
     return next((text.format(*numbers) for *numbers, text in checks if not numbers[1] <= numbers[0] <= numbers[2]), "")
 
 
-def _described(found: Estimate, stage: StageParameters) -> dict[str, Any]:
-    """Facts as found, and how well they are known now."""
+def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
+    """Facts of the description as found, by dotted name, and how well they are known now."""
     estimated = found.parameters
     # What the record hardly tells keeps its description.
     facts: dict[str, Any] = {
         name: one.value for name, one in estimated.items() if name not in DERIVED and not (one.known or one.poor)
     }
-    static, coulomb = (facts.get(f"friction.{name}", getattr(stage.friction, name)) for name in ("static", "coulomb"))
-    # A description of F_S may be below the F_C that was found.
+    # Friction that differs from its description differs as a whole: F_S/F_C is described better than F_S.
+    described, coulomb = stage.friction, facts.get("friction.coulomb", stage.friction.coulomb)
+    static = facts.get("friction.static", described.static / described.coulomb * coulomb)
     facts["friction.static"] = max(static, coulomb)
     if found.path.rate_found:
         facts |= {"drive.bandwidth": found.path.rate / (2.0 * math.pi), "drive.delay": found.path.delay * stage.rate}

@@ -1,12 +1,14 @@
 """What is not as described is named at the identification; a machine that is allowed gets its facts, and no more."""
 
+import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import broken
 import pytest
 from roughly_known import TRUTH, values_of, work_on
 
-from straightcomp_ros.commissioning.identified_machine import identification, strangeness
+from straightcomp_ros.commissioning.identified_machine import facts_found, identification, strangeness
 from straightcomp_ros.commissioning.outcome import Outcome
 from straightcomp_ros.commissioning.simulated_machine import sound
 from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated
@@ -46,6 +48,16 @@ def estimate(**factors: float) -> Estimate:
 def test_what_lies_beyond_the_uncertainty_is_named_and_nothing_else(factors: dict[str, float], words: str) -> None:
     strange = strangeness(estimate(**factors), STAGE)
     assert (words in strange) if words else strange == ""
+
+
+def test_static_friction_that_the_record_hardly_tells_keeps_its_described_ratio_to_coulomb_friction() -> None:
+    found = estimate(coulomb=2.5)
+    static = found.parameters["friction.static"]
+    found.parameters["friction.static"] = dataclasses.replace(static, low=0.5 * static.value, high=2.0 * static.value)
+    found = dataclasses.replace(found, path=SimpleNamespace(rate_found=False))  # type: ignore[arg-type]
+    facts = facts_found(found, STAGE)
+    assert facts["friction.coulomb"] == pytest.approx(2.5 * STAGE.friction.coulomb)
+    assert facts["friction.static"] == pytest.approx(2.5 * STAGE.friction.static)
 
 
 def run(machine: dict[str, float], folder: Path, wiring=sound, **stage: float) -> Outcome:
