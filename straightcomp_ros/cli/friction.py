@@ -75,6 +75,7 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
         "amplifier_bandwidth_deviation_Hz": estimate.path.rate_deviation / (2.0 * math.pi),
         "delay_us": estimate.path.delay * 1e6,
         "delay_spread_us": [delay * 1e6 for delay in estimate.path.delay_spread],
+        "centre_um": estimate.centre.to_display() if estimate.centre else None,
         "parameters": {
             name: {
                 "value": found.value,
@@ -113,6 +114,8 @@ def _print(estimate: Estimate) -> None:
         f"{len(estimate.recording.y)} of {estimate.recording.total} samples; one-step prediction error "
         f"{estimate.fit.rms_error_m * 1e6:.3f} µm RMS; {amplifier}"
     )
+    if estimate.centre:
+        notes.print(f"{estimate.centre}", highlight=False)
     for sentence in untold(estimate):
         notes.print(sentence, highlight=False)
     for name, words in estimate.advice.items():

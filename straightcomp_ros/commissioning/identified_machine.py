@@ -47,7 +47,8 @@ def identification(work: Work) -> Outcome:
         return Outcome(False, strange, figures)
     return Outcome(
         True,
-        f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS; {untold(found)[0]}",
+        f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS"
+        f"{f'; {found.centre}' if found.centre else ''}; what it cannot tell: {' '.join(untold(found))}",
         figures,
         stage=facts_found(found, stage),
     )
@@ -61,7 +62,10 @@ def _figures(found: Estimate) -> dict[str, Any]:
     return {
         "prediction_error_nm": found.fit.rms_error_m * 1e9,
         "amplifier_bandwidth_Hz": found.path.rate / (2.0 * math.pi),
+        "amplifier_bandwidth_deviation_Hz": found.path.rate_deviation / (2.0 * math.pi),
         "delay_us": found.path.delay * 1e6,
+        "delay_spread_us": [delay * 1e6 for delay in found.path.delay_spread],
+        "centre_um": found.centre.to_display() if found.centre else None,
         "parameters": parameters,
         "untold": untold(found),
     }
@@ -120,14 +124,25 @@ def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:
 
 
 def _uncertainty(found: Estimate, before: UncertaintyParameters) -> dict[str, float]:
-    """How well the machine is known now: never worse than before, and by the intervals of the estimate."""
-    width = {name: one.high / one.value for name, one in found.parameters.items()}
+    """How well the machine is known now: never worse than before, and by the intervals of the estimate.
+
+    What the record hardly tells keeps its description, and how well that is known.
+    """
+    turns, gap, coulomb = (
+        found.parameters[name] for name in ("actuator.turns", "actuator.air_gap", "friction.coulomb")
+    )
+    # The mass is held, so that the forces have its uncertainty too: without them it is as open as it was.
+    told = {"mass": turns, "force": turns, "air_gap": gap, "friction": coulomb}
     intervals = {
-        "force": width["actuator.turns"] ** 2 - 1.0,
-        "air_gap": width["actuator.air_gap"] - 1.0,
-        "friction": width["friction.coulomb"],
+        "force": (turns.high / turns.value) ** 2 - 1.0,
+        "air_gap": gap.high / gap.value - 1.0,
+        "friction": coulomb.high / coulomb.value,
     }
-    now = {name: max(least, intervals.get(name, 0.0)) for name, least in _STAYS_OPEN.items()}
+    now = {
+        name: max(least, intervals.get(name, 0.0))
+        for name, least in _STAYS_OPEN.items()
+        if name not in told or not told[name].poor
+    }
     return {
         **{f"uncertainty.{name}": min(getattr(before, name), value) for name, value in now.items()},
         "uncertainty.shortest_delay": 1.0 - _DELAY_STAYS,

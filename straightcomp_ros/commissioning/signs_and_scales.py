@@ -30,6 +30,10 @@ _TRAVEL, _TRAVEL_COUNTS = 3e-6, 6.0
 _PULLED = 0.3
 """Part of the first breakaway current below which it was not the current that moved the platform."""
 _GAIN_WITHIN = 0.05
+_SILENT = 0.05
+"""Gain of a readback that does not answer."""
+_OFFSET = 0.03
+"""Largest offset of a readback, relative to the bias current."""
 _BEYOND = 1.1
 """Factor beyond its range at which a fact is called wrong."""
 
@@ -64,9 +68,11 @@ def signs_and_scales(work: Work) -> Outcome:
     wrong = _force_fault(currents, moved, stage)
     if wrong:
         return Outcome(False, wrong, figures)
+    pushed_back = moved[1] < 0.0
     sentence = (
         f"readback {readback.gain:.4g} times the command, amplifier {readback.bandwidth:.0f} Hz, delay "
-        f"{readback.delay:.2f} samples; friction gives way at {1e3 * currents[0]:.3g} and {1e3 * currents[1]:.3g} mA; "
+        f"{readback.delay:.2f} samples; friction gives way at {1e3 * currents[0]:.3g}"
+        f"{f' and {1e3 * currents[1]:.3g} mA' if pushed_back else ' mA, and the magnets pull the platform on'}; "
         f"the platform moved at most {farthest * 1e6:.0f} µm"
     )
     found = {"drive.bandwidth": readback.bandwidth, "drive.delay": readback.delay}
@@ -104,6 +110,11 @@ def _highest(stage: StageParameters) -> float:
 
 def _readback_fault(found: CurrentReadback, stage: StageParameters) -> str:
     ranges, drive = stage.uncertainty, stage.drive
+    if abs(found.gain) < _SILENT:
+        return (
+            f"the measured current does not answer: it stays at {found.gain:.2g} times the commanded one; look at the "
+            "readback, and whether the amplifier has its supply"
+        )
     if found.gain < 0.0:
         return "the measured current runs against the command: the readback is wired backwards"
     if math.isnan(found.bandwidth) or found.unexplained > 0.5:
@@ -112,6 +123,12 @@ def _readback_fault(found: CurrentReadback, stage: StageParameters) -> str:
         return (
             f"the readback shows {found.gain:.3g} times the commanded current; allowed: 1 ± {_GAIN_WITHIN:g}; look at "
             "the readback's scale and 'stage.drive.gain'"
+        )
+    if abs(found.offset) > _OFFSET * stage.actuator.bias_current:
+        return (
+            f"the readback shows {found.offset * 1e3:.3g} mA without a command; allowed: "
+            f"±{_OFFSET * stage.actuator.bias_current * 1e3:.3g} mA; look at the zero of the readback, and at the bias "
+            "currents of both coils"
         )
     factor = found.bandwidth / drive.bandwidth
     if not 1.0 / (_BEYOND * ranges.amplifier) <= factor <= _BEYOND * ranges.amplifier:

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from straightcomp_ros.identification.block_covariance import BLOCK
 from straightcomp_ros.identification.current_path import CurrentPath, current_path
 from straightcomp_ros.identification.fit import Fit, fit
+from straightcomp_ros.identification.sliding_start import Centre, centre
 from straightcomp_ros.identification.stretch import Recording, read_recording
 from straightcomp_ros.identification.unknowns import FORCE_SCALE, NAMES, RATIO, Unknowns, unknowns
 from straightcomp_ros.settings.declaration import declarations
@@ -84,12 +86,15 @@ class Estimate:
         recording: the used stretch of the bag.
         path: the coil current between the samples.
         fit: figures of the search.
+        centre: where the magnets balance, in the encoder's y; None where the record does not tell. If it is certainly
+            not zero, ``recording`` has y from there on.
     """
 
     parameters: dict[str, Estimated]
     recording: Recording
     path: CurrentPath
     fit: Fit
+    centre: Centre | None = None
 
     @property
     def advice(self) -> dict[str, str]:
@@ -117,11 +122,15 @@ def estimate_from_bag(
     """
     searched = unknowns(start, known)
     recording = read_recording(bag)
+    middle = centre(recording)
+    if middle is not None and middle.certain:
+        # The model has its magnets around zero.
+        recording = replace(recording, y=recording.y - middle.value)
     path = current_path(recording, start.drive)
     found = fit(recording, path, searched, start.encoder.y_resolution, progress)
     rounded = _ROUNDED * start.encoder.y_resolution / float(recording.y.std())
-    parameters = _parameters(found, searched, rounded, blocks=max(2, int(recording.duration / 0.25)))
-    return Estimate(parameters, recording, path, found)
+    parameters = _parameters(found, searched, rounded, blocks=max(2, int(recording.duration / BLOCK)))
+    return Estimate(parameters, recording, path, found, middle)
 
 
 def _parameters(found: Fit, searched: Unknowns, rounded: float, blocks: int) -> dict[str, Estimated]:

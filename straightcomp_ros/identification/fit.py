@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from straightcomp_ros.identification import IdentificationError
+from straightcomp_ros.identification.block_covariance import BLOCK, block_covariance
 from straightcomp_ros.identification.current_path import CurrentPath
 from straightcomp_ros.identification.predictor import Record, filter_gains, prediction_errors
 from straightcomp_ros.identification.sliding_start import sliding_start
@@ -33,8 +34,6 @@ EXPLAINED = 1.03
 """RMS of the prediction errors, in their standard deviations, up to which the assumption holds."""
 _LOST = 1.5
 """The same, from which the search has failed."""
-_BLOCK = 0.25
-"""Length in s of the blocks that count as independent: quantisation errors are correlated over some 0.1 s."""
 PRIOR = np.log(10.0)
 """Standard deviation, in logarithms, of a weak prior around the start, for what the record does not determine."""
 BURN_IN = 100
@@ -188,10 +187,10 @@ def fit(
     free = list(unknowns.free)
     search.take_gains(last.vector, last.missed)
     errors = search.residuals(last.vector) / search.gains[BURN_IN:, 3]
-    block = max(1, round(_BLOCK / (recording.period_ns * 1e-9)))
+    block = max(1, round(BLOCK / (recording.period_ns * 1e-9)))
     return Fit(
         vector=last.vector,
-        covariance=_covariance(last.jacobian, last.residuals, block),
+        covariance=block_covariance(last.jacobian, last.residuals, block, float(PRIOR)),
         pulls=np.array([(last.vector - other)[free] for other in neighbours]),
         missed=last.missed,
         rms_error=last.rms,
@@ -217,17 +216,3 @@ def _followed(
         # One that hardly failed may be nearer to the next one than the last that held.
         begin = level.vector if level.rms < _LOST else last.vector
     return last, neighbours
-
-
-def _covariance(jacobian: Array, residuals: Array, block: int) -> Array:
-    """(free, free): (JᵀJ)⁻¹ (Σ s sᵀ) (JᵀJ)⁻¹ with s = Jᵀr of each block, so that errors may be alike within a block.
-
-    What the record does not determine gets the variance of the prior.
-    """
-    information = jacobian.T @ jacobian
-    inverse = np.linalg.inv(information + np.eye(len(information)) / PRIOR**2)
-    count = len(residuals) // block
-    used = slice(0, count * block)
-    scores = (jacobian[used] * residuals[used, None]).reshape(count, block, -1).sum(axis=1)
-    spread = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - len(information))
-    return np.asarray(spread + inverse @ inverse / PRIOR**2)

@@ -5,16 +5,19 @@
 All signals pass the same polynomial filter (Savitzky and Golay, Analytical Chemistry 36(8), 1964), so that it distorts
 none against another, and samples near a reversal are left out, where the bristles matter. The ratio K̄_i/K̄_y = y0/I0
 gives the air gap, whatever the mass. The search begins here too, since from a description that is far off it may end in
-a wrong valley.
+a wrong valley. The constant tells the centre, where the magnets balance: y_c = −c M/K̄_y.
 """
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import savgol_filter
 
+from straightcomp_ros.identification.block_covariance import BLOCK, block_covariance
 from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.identification.unknowns import NAMES, Unknowns
 from straightcomp_ros.model.actuator import MU_0
@@ -28,8 +31,50 @@ _SLIDING = 2e-4
 """m/s; ten times the Stribeck velocity of the shipped stage."""
 _LEAST = 500
 """Samples of sliding."""
+_TWO_SIDED, _CERTAIN = 2.0, 5.0
+"""Standard deviations of a 95 % interval, of some tens of blocks, and of what is beyond doubt."""
 _LEAST_VISCOUS = 0.1
 """N·s/m; where there is hardly any, it may come out negative, which has no logarithm."""
+
+
+@dataclass(frozen=True)
+class Centre:
+    """Where the magnets balance without a control current, and its standard deviation, m."""
+
+    value: float
+    deviation: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is certainly not the encoder's zero."""
+        return abs(self.value) > _CERTAIN * self.deviation
+
+    def to_display(self) -> dict[str, float]:
+        """In µm, with its 95 % interval."""
+        half = _TWO_SIDED * self.deviation
+        bounds = {"value": self.value, "low": self.value - half, "high": self.value + half}
+        return {name: one * 1e6 for name, one in bounds.items()}
+
+    def __str__(self) -> str:
+        shown = self.to_display()
+        return (
+            f"the magnets balance at y = {shown['value']:.3g} µm (95 %: {shown['low']:.3g} to {shown['high']:.3g} µm)"
+        )
+
+
+def centre(recording: Recording) -> Centre | None:
+    """The centre of the magnets; None where the record has too little sliding, or no stiffness that could tell it.
+
+    A readback with an offset looks the same: the centre is that of the measured current.
+    """
+    found = _sliding(recording)
+    if found is None or found.slopes[1] <= 0.0:
+        return None
+    _, stiffness, _, _, constant = found.slopes.tolist()
+    value = -constant / stiffness
+    # Of y_c = −c/b to first order in both.
+    by_slopes = np.array([0.0, -value / stiffness, 0.0, 0.0, -1.0 / stiffness])
+    return Centre(value, math.sqrt(float(by_slopes @ found.covariance @ by_slopes)))
 
 
 def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
@@ -37,8 +82,8 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
 
     None where the record has too little sliding, or a stiffness or friction comes out negative.
     """
-    slopes = _slopes(recording)
-    if slopes is None or slopes[:3].min() <= 0.0:
+    found = _sliding(recording)
+    if found is None or (slopes := found.slopes)[:3].min() <= 0.0:
         return None
     current_gain, position_gain, coulomb, viscous = slopes[:4].tolist()
     values = dict(zip(NAMES, np.exp(unknowns.start).tolist(), strict=True))
@@ -59,8 +104,15 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
     return np.asarray(np.clip(vector, unknowns.low, unknowns.high))
 
 
-def _slopes(recording: Recording) -> Array | None:
-    """K̄_i/M, K̄_y/M, F_C/M, σ2/M and c in SI units, None if there is too little sliding."""
+class _Sliding(NamedTuple):
+    """K̄_i/M, K̄_y/M, F_C/M, σ2/M and c in SI units (5,), and their covariance (5, 5)."""
+
+    slopes: Array
+    covariance: Array
+
+
+def _sliding(recording: Recording) -> _Sliding | None:
+    """What sliding tells; None if there is too little."""
     period = recording.period_ns * 1e-9
     window = max(_ORDER + 2, 2 * round(0.5 * _WINDOW / period) + 1)
 
@@ -74,6 +126,8 @@ def _slopes(recording: Recording) -> Array | None:
     sliding[:window] = sliding[-window:] = False
     if np.count_nonzero(sliding) < _LEAST:
         return None
-    terms = (filtered(recording.current), filtered(recording.y), -direction, -velocity, np.ones_like(velocity))
-    slopes, *_ = np.linalg.lstsq(np.stack(terms, axis=1)[sliding], filtered(recording.y, 2)[sliding], rcond=None)
-    return np.asarray(slopes)
+    signals = (filtered(recording.current), filtered(recording.y), -direction, -velocity, np.ones_like(velocity))
+    terms, wanted = np.stack(signals, axis=1)[sliding], filtered(recording.y, 2)[sliding]
+    slopes, *_ = np.linalg.lstsq(terms, wanted, rcond=None)
+    block = max(1, round(BLOCK / period))
+    return _Sliding(np.asarray(slopes), block_covariance(terms, wanted - terms @ slopes, block))

@@ -30,6 +30,14 @@ def readback_of_half_the_scale(hardware: SimulatedHardware) -> Rewired:
     return Rewired(hardware, lambda sample: sample._replace(current=0.5 * sample.current))
 
 
+def readback_dead(hardware: SimulatedHardware) -> Rewired:
+    return Rewired(hardware, lambda sample: sample._replace(current=0.0 * sample.current))
+
+
+def readback_with_an_offset(hardware: SimulatedHardware) -> Rewired:
+    return Rewired(hardware, lambda sample: sample._replace(current=sample.current + 0.1))
+
+
 def encoder_backwards(hardware: SimulatedHardware) -> Rewired:
     return Rewired(hardware, lambda sample: sample._replace(y=-sample.y))
 

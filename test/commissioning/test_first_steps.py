@@ -30,10 +30,19 @@ def test_a_machine_that_the_description_allows_passes(machine: dict[str, float],
     [
         (broken.readback_backwards, "readback is wired backwards"),
         (broken.readback_of_half_the_scale, "readback shows 0.5 times the commanded current"),
+        (broken.readback_dead, "the measured current does not answer"),
+        (broken.readback_with_an_offset, "the readback shows 100 mA without a command"),
         (broken.encoder_backwards, "a positive current moves the platform toward negative y"),
         (broken.encoder_dead, "do not move the platform"),
     ],
-    ids=["readback backwards", "readback of half the scale", "encoder backwards", "encoder dead"],
+    ids=[
+        "readback backwards",
+        "readback of half the scale",
+        "readback dead",
+        "readback with an offset",
+        "encoder backwards",
+        "encoder dead",
+    ],
 )
 def test_wrong_wiring_is_named_before_the_loop_is_closed(wiring, words: str, tmp_path: Path) -> None:
     work = work_on(values_of(), tmp_path, wiring)

@@ -60,6 +60,16 @@ def test_static_friction_that_the_record_hardly_tells_keeps_its_described_ratio_
     assert facts["friction.static"] == pytest.approx(2.5 * STAGE.friction.static)
 
 
+def test_what_the_record_hardly_tells_stays_as_uncertain_as_it_was_described() -> None:
+    found = estimate(turns=1.1)
+    turns = found.parameters["actuator.turns"]
+    found.parameters["actuator.turns"] = dataclasses.replace(turns, low=0.7 * turns.value, high=1.4 * turns.value)
+    found = dataclasses.replace(found, path=SimpleNamespace(rate_found=False))  # type: ignore[arg-type]
+    facts = facts_found(found, STAGE)
+    assert not {"actuator.turns", "uncertainty.mass", "uncertainty.force"} & set(facts)
+    assert facts["uncertainty.air_gap"] < STAGE.uncertainty.air_gap
+
+
 def run(machine: dict[str, float], folder: Path, wiring=sound, **stage: float) -> Outcome:
     values = values_of(machine, **stage)
     values["controller"] |= SAFE

@@ -1,11 +1,13 @@
 """Plants that differ from the one at which the search starts, and a short run."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.configuration.node_parameters import by_node
+from straightcomp_ros.hardware.interface import Hardware
+from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation
 
 SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
@@ -53,9 +55,13 @@ def values(plant: Mapping[str, float], law: str = "linear", **stage: str) -> dic
     }
 
 
-def record(bag: Path, parameters: Mapping[str, Mapping[str, Any]]) -> Path:
-    """Simulate, and write the bag."""
-    simulation = Simulation(parameters)
+def record(
+    bag: Path,
+    parameters: Mapping[str, Mapping[str, Any]],
+    wiring: Callable[[SimulatedHardware], Hardware] = lambda hardware: hardware,
+) -> Path:
+    """Simulate, and write the bag; ``wiring`` puts something between the machine and its driver."""
+    simulation = Simulation(parameters, wiring=wiring)
     with SimulatedRun(bag, by_node(parameters), simulation.delay) as run:
         simulation.run(observe=run.add)
     return bag

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from plants import FAR, SOFT, STIFF, record, values
 
+from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.identification.current_path import CurrentPath
 from straightcomp_ros.identification.estimate import (
     DERIVED,
@@ -18,7 +19,7 @@ from straightcomp_ros.identification.estimate import (
     estimate_from_bag,
     parameter_file,
 )
-from straightcomp_ros.identification.sliding_start import sliding_start
+from straightcomp_ros.identification.sliding_start import centre, sliding_start
 from straightcomp_ros.identification.stretch import read_recording
 from straightcomp_ros.identification.unknowns import NAMES, unknowns
 from straightcomp_ros.identification.untold import untold
@@ -26,6 +27,7 @@ from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.settings.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.trials.faults.faulty_machine import FaultyHardware
 
 START = StageParameters()
 WITHIN = {
@@ -144,3 +146,28 @@ def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
     assert sum("told apart" in sentence for sentence in sentences) == 1
     assert "friction.viscous is only known to lie between 0.5 and 2 N·s/m." in sentences
     assert len(sentences) == 4
+
+
+class Shifted(FaultyHardware):
+    """A machine whose encoder of y has its zero beside the magnets' centre."""
+
+    SHIFT = 25e-6
+
+    def __init__(self, inner: SimulatedHardware) -> None:
+        super().__init__(inner, lambda kind, at_ns: None)
+
+    def read(self, now_ns):
+        return [(sample._replace(y=sample.y + self.SHIFT), truth) for sample, truth in super().read(now_ns)]
+
+
+def test_a_centre_of_the_magnets_beside_the_encoders_zero_is_found_and_harms_no_other_fact(
+    tmp_path: Path, excitation: str, stiff_bag: Path
+) -> None:
+    aligned = centre(read_recording(stiff_bag))
+    assert aligned is not None and not aligned.certain and abs(aligned.value) < 0.1e-6
+    bag = record(tmp_path / "bag", values(STIFF, guide_file=excitation), wiring=Shifted)
+    found = estimate_from_bag(bag, START, ["actuator.turns"])
+    assert found.centre is not None and found.centre.certain
+    assert found.centre.value == pytest.approx(Shifted.SHIFT, abs=0.1e-6)
+    for name in ("platform.mass", "actuator.air_gap", "friction.coulomb"):
+        assert found.parameters[name].value == pytest.approx(truth_of(STIFF)[name], rel=WITHIN[name]), name
