@@ -8,7 +8,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.signal import lfilter
 
 from straightcomp_ros.commissioning.machine import Array, Series
-from straightcomp_ros.identification.outliers import huber_weights
+from straightcomp_ros.identification.huber import huber_weights
 from straightcomp_ros.model.converters import DriveParameters
 
 _LONGEST = 8

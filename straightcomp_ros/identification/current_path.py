@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.identification.outliers import robust_regression
+from straightcomp_ros.identification.huber import robust_regression
 from straightcomp_ros.identification.stretch import Recording
 from straightcomp_ros.model.converters import DriveParameters
 
