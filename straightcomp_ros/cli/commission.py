@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.graph_option import RUNNING, add_graph_option, graph_access
+from straightcomp_ros.cli.graph_option import RUNNING, add_graph_option, graph_access, refuse_parameters_of_running
 from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
@@ -23,6 +23,7 @@ from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 SUMMARY = "measure, tune and verify a stage, step by step"
 _LARGEST = 100_000
 _MOST_STROKES = 1000
+_ACCEPTANCE = "acceptance"
 _DEFAULTS = CommissioningNodeParameters()
 
 
@@ -75,12 +76,14 @@ def run(options: argparse.Namespace) -> None:
         raise CommandFailed(
             f"STAGE: not with --graph {RUNNING}, whose nodes have a description; needed otherwise", exit_code=2
         )
+    refuse_parameters_of_running(options, "--set")
     values = stage_values(options) if options.file else {}
     # Wide meshes will do, for a check.
     check = (
         read_survey(options.check_survey, min_points=LEAST_POINTS, max_gap=WIDEST_GAP) if options.check_survey else None
     )
-    folder = output_folder("--output", options.output)
+    # Nodes that run may have been started in another folder.
+    folder = output_folder("--output", options.output).resolve()
     if options.graph:
         with graph_access(options, values, folder) as (machine, found, tell):
             _commission(options, folder, check, machine, found, tell)
@@ -89,6 +92,23 @@ def run(options: argparse.Namespace) -> None:
         from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 
         _commission(options, folder, check, SimulatedMachine(values), values, lambda doing: None)
+
+
+def _refuse_to_ignore(options: argparse.Namespace, acceptance: Any, check: Survey | None) -> None:
+    """Raise CommandFailed with exit code 2 if acceptance has passed without what is asked of it now.
+
+    A command that goes on after an interrupt has asked for the same before.
+    """
+    if acceptance is None or not acceptance.passed:
+        return
+    option = ""
+    if check is not None and acceptance.figures.get("survey_check") != check.source:
+        option = "--check-survey"
+    elif options.learn and not acceptance.gains:
+        option = "--learn"
+    if option:
+        remedy = f"--only {_ACCEPTANCE} repeats it"
+        raise CommandFailed(f"{option}: step '{_ACCEPTANCE}' has passed without it; {remedy}", exit_code=2)
 
 
 def _commission(
@@ -110,6 +130,8 @@ def _commission(
         learning_strokes=options.learn,
         check_survey=check,
     )
+    if not options.only:
+        _refuse_to_ignore(options, procedure.outcomes.get(_ACCEPTANCE), check)
     done: dict[str, Any] = {}
     failed = ""
     for step in [options.only] if options.only else procedure.remaining():

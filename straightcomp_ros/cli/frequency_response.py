@@ -12,9 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from straightcomp_ros.cli.graph_option import add_graph_option, graph_access
+from straightcomp_ros.cli.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.options import PICTURES, output_file
+from straightcomp_ros.cli.options import PICTURES, output_file, output_folder
 from straightcomp_ros.cli.output import console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
@@ -58,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
+    refuse_parameters_of_running(options, "--stage", "--law", "--params-file", "--set")
     values = chosen_parameters(options)
     plot = output_file("--output", options.output, PICTURES) if options.output else None
     excitation = from_mapping(MultisineParameters, {one.name: getattr(options, one.name) for one in _excitation()})
@@ -81,9 +82,16 @@ def run(options: argparse.Namespace) -> None:
 def _measure_running(
     options: argparse.Namespace, values: Values, excitation: MultisineParameters
 ) -> tuple[ComparedResponse, Values]:
-    """The response of a graph's loop, and its parameters; the bag is kept beside the plot, if there is one."""
+    """The response of a graph's loop, and its parameters.
+
+    The bag is kept beside the plot, if there is one, in a folder of its own: others there may have bags and parameters.
+    """
     with ExitStack() as stack:
-        folder = Path(options.output).parent if options.output else Path(stack.enter_context(TemporaryDirectory()))
+        if options.output:
+            plot = Path(options.output)
+            folder = output_folder("--output", str(plot.with_name(f"{plot.stem}_graph"))).resolve()
+        else:
+            folder = Path(stack.enter_context(TemporaryDirectory()))
         access = stack.enter_context(graph_access(options, values, folder))
         access.tell("frequency response")
         return access.machine.response(access.values, excitation, moving=options.moving), access.values

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 from xml.etree import ElementTree
 
-from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.cli.output import CommandFailed, Terminated
 from straightcomp_ros.settings.share import share_path
 
 _TRIALS = {"bench": "trials.verbs.bench", "faults": "trials.verbs.inject_faults", "soak": "trials.verbs.soak"}
@@ -31,6 +31,8 @@ _WRONG_USE = {"HardwareError", "HistoryError", "LimitsError", "ParameterError", 
 """Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141
 """Exit code that a shell gives a program that SIGPIPE ended."""
+_TERMINATED = 143
+"""The same of SIGTERM."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except CommandFailed as failure:
         return _ended(options, str(failure), failure.exit_code)
+    except Terminated:
+        return _ended(options, "terminated", _TERMINATED)
     except KeyboardInterrupt:
         return _ended(options, "interrupted", 130)
     except BrokenPipeError:

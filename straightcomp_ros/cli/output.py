@@ -30,6 +30,10 @@ class CommandFailed(Exception):
         self.exit_code = exit_code
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came; what ends the command does so as after Ctrl-C."""
+
+
 def require_ros() -> None:
     """Raise CommandFailed with exit code 2 where rclpy is missing."""
     from straightcomp_ros.cell.launcher import ros_available

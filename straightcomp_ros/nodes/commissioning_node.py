@@ -42,7 +42,7 @@ class CommissioningNode(Runnable):
         self.node, self.done, self.realtime, self.loop = node, Future(), parameters.realtime, None
         if not parameters.output:
             raise ParameterError("parameter 'output' is empty; allowed: a folder for the record and the bags")
-        self._folder = Path(parameters.output)
+        self._folder = Path(parameters.output).resolve()
         self._folder.mkdir(parents=True, exist_ok=True)
         self._process: subprocess.Popen[bytes] | None = None
         self._doing, self._answers = "", 0

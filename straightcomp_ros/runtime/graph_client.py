@@ -24,9 +24,9 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.contract import COMMISSIONING_CLIENT, SAFETY_STATE, STAGE_TRAJECTORY
+from straightcomp_ros.contract import COMMISSIONING_CLIENT, HEARTBEAT, SAFETY_STATE, STAGE_TRAJECTORY
 from straightcomp_ros.model.motion import Waypoint
-from straightcomp_ros.runtime.commissioning_client import CommissioningSign
+from straightcomp_ros.runtime.commissioning_client import GONE_AFTER_S, CommissioningSign, CommissioningWatch
 from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.middleware import own_profile
@@ -37,6 +37,10 @@ from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 ANSWER_S = 20.0
 """Longest wait for an answer: a busy computer takes long to configure a node."""
 _START_S = 60.0
+_LISTEN_S = 1.0
+"""s in which this client hears of others."""
+_ENDED_S = _LISTEN_S + 2.0 * GONE_AFTER_S
+"""s after which nobody takes a client for alive that ended, or was killed, when this one began."""
 _POLL_S = 0.01
 _WATCH_S = 0.05
 _UP = ("unconfigured", "inactive", "active")
@@ -55,7 +59,7 @@ class GraphError(RuntimeError):
 class GraphClient:
     """Lifecycle, parameters, amplifier and motion of the graph; as a context manager it leaves ROS at its end.
 
-    While it lives, driver, cell and gateway know that somebody commissions the machine.
+    From :meth:`claim` on, as long as it lives, driver, cell and gateway know that somebody commissions the machine.
 
     Args:
         nodes: of the graph.
@@ -64,7 +68,6 @@ class GraphClient:
 
     Attributes:
         safety: the driver's newest safety state.
-        tell: says what is being done.
     """
 
     def __init__(self, nodes: Sequence[str], namespace: str = "", trouble: Callable[[], str] = lambda: "") -> None:
@@ -84,9 +87,8 @@ class GraphClient:
             self._clients[f"{one}/get_state"] = node.create_client(GetState, f"{one}/get_state")
         self._parameters = {one: AsyncParameterClient(node, one) for one in nodes}
         self._trajectory = node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
-        self.tell = CommissioningSign(node).tell
+        self._others = CommissioningWatch(node)
         self.heartbeats = Heartbeats(node, nodes)
-        self._remote = RemoteParameters(node, nodes)
         self._watch = GraphWatch(node, batches=False)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_timer(_WATCH_S, self._watch.fetch)
@@ -101,12 +103,41 @@ class GraphClient:
     def __exit__(self, *_: object) -> None:
         self._executor.shutdown(timeout_sec=1.0)
         self._thread.join(timeout=2.0)
+        # Otherwise its sign would stay until it is collected.
+        self._node.destroy_node()
         rclpy.try_shutdown()
 
+    def claim(self) -> Callable[[str], None]:
+        """Say that this client commissions the machine; returns what says what it does.
+
+        Raises:
+            GraphError: another client commissions it.
+        """
+        begin, others = time.monotonic(), self._others
+        while time.monotonic() < begin + _LISTEN_S or (others.doing and time.monotonic() < begin + _ENDED_S):
+            time.sleep(_POLL_S)
+        if others.doing:
+            raise GraphError(f"somebody else commissions the machine: {others.doing}")
+        # Only now: a sign of this client would count as another's.
+        return CommissioningSign(self._node).tell
+
     def values(self) -> dict[str, dict[str, Any]]:
-        """All parameters of the nodes, by node and dotted name, as they were when this client found them."""
-        self.wait(lambda: self._remote.complete, _START_S, "the nodes do not tell their parameters")
-        return {node: dict(section) for node, section in self._remote.values.items()}
+        """All parameters of the nodes as they are now, by node and dotted name."""
+        remote = RemoteParameters(self._node, list(self._parameters))
+        self.wait(lambda: remote.complete, _START_S, "the nodes do not tell their parameters")
+        return {node: dict(section) for node, section in remote.values.items()}
+
+    def processes(self) -> dict[str, str]:
+        """By node, an identifier of its process: a node that is started anew has another."""
+        topic, found = self._node.resolve_topic_name(HEARTBEAT), dict[str, str]()
+
+        def all_found() -> bool:
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            found.update({one.node_name: bytes(one.endpoint_gid).hex() for one in publishers})
+            return self._parameters.keys() <= found.keys()
+
+        self.wait(all_found, _START_S, f"not all nodes publish on {topic}")
+        return {node: found[node] for node in self._parameters}
 
     def wait(self, done: Callable[[], bool], within: float, otherwise: str) -> None:
         """Wait until ``done``; GraphError ``otherwise`` after ``within`` s, or when the graph cannot work any more."""

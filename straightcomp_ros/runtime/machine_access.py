@@ -17,6 +17,7 @@ from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environm
 from straightcomp_ros.commissioning import CommissioningError
 from straightcomp_ros.configuration.node_parameters import STAGE, Values, node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
+from straightcomp_ros.runtime.first_parameters import FirstParameters
 from straightcomp_ros.runtime.graph_client import GraphClient, GraphError
 from straightcomp_ros.runtime.running_machine import RunningMachine
 from straightcomp_ros.settings.declaration import belongs_to_ros
@@ -32,7 +33,7 @@ class Access(NamedTuple):
 
 @contextmanager
 def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] = lambda: "") -> Iterator[Access]:
-    """The machine of the graph that runs; at the end its nodes are inactive, with their first parameters.
+    """The machine of the graph that runs; it is released at the end.
 
     Args:
         folder: gets the bags.
@@ -44,13 +45,18 @@ def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] 
     """
     try:
         with GraphClient(RECORDED, namespace, trouble) as client:
-            values = described(client.values())
-            machine = RunningMachine(client, values, folder)
+            # Before the nodes are asked: another client would have its own parameters in them.
+            tell = client.claim()
+            first = FirstParameters(client.values(), client.processes())
+            values = described(first.values)
+            machine = RunningMachine(client, values, first.values["logger"], folder)
+            first.keep()
             try:
-                yield Access(machine, values, client.tell)
+                yield Access(machine, values, tell)
             finally:
                 # Whatever happened, the amplifier is off already.
                 machine.release()
+                first.forget()
     except GraphError as error:
         raise CommissioningError(str(error)) from error
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,11 @@ from straightcomp_ros.commissioning.machine import Series
 from straightcomp_ros.commissioning.recorded_series import excited, recorded_series
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
 from straightcomp_ros.control.laws import OPEN_LOOP
-from straightcomp_ros.frequency_response import FrequencyResponseError
+from straightcomp_ros.frequency_response import ExcitationEnded
 from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
 from straightcomp_ros.frequency_response.recorded_measurement import response_from_bag
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
-from straightcomp_ros.model.motion import Waypoint, cycles, trapezoid
+from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back, trapezoid
 from straightcomp_ros.runtime.graph_client import ANSWER_S, GraphClient
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import WatchParameters
@@ -32,6 +31,7 @@ _AT_ONCE = ("excitation.", "error_limit")
 _AT_START = ("autostart", "realtime.")
 """Those that are fixed when a process starts."""
 _TRAVEL = "watch.travel"
+_RECORDING = ("output", "record_at_start")
 _START_S = 60.0
 _CREEP_S = 0.1
 """s in which the magnets show whether they pull the platform away by themselves."""
@@ -46,20 +46,23 @@ _ARRIVED = 1e-5
 class RunningMachine:
     """Drives the nodes of a graph by their services; what it records is in ``folder``.
 
-    The driver keeps its parameters; controller and feedforward get those of each call, and their first ones again at
-    the end. All are left inactive.
+    The driver keeps its parameters; controller, feedforward and logger get those of each call, and their first ones
+    again at the end, see :meth:`release`.
 
     Args:
         client: of the graph.
-        values: with which the nodes were found, by node and dotted name.
+        values: with which the nodes of the loop were found, by node and dotted name.
+        logger: parameters with which the logger was found, by dotted name.
         folder: gets a bag for each action.
 
     Raises:
         CommissioningError: somebody else uses the machine.
     """
 
-    def __init__(self, client: GraphClient, values: Values, folder: Path) -> None:
+    def __init__(self, client: GraphClient, values: Values, logger: Mapping[str, Any], folder: Path) -> None:
         self._client, self._values, self._folder = client, values, folder
+        self._logger = {name: logger[name] for name in _RECORDING}
+        self._travel = values.get("driver", {}).get(_TRAVEL, WatchParameters().travel)
         self._given: dict[str, dict[str, Any]] = {}
         if client.safety.amplifier_on:
             raise CommissioningError("the amplifier is on: somebody else uses the machine; stop that first")
@@ -78,7 +81,6 @@ class RunningMachine:
         values = self._in_open_loop(excitation)
         self._prepare(values)
         bag = self._bag(excitation.signal)
-        travel = self._values.get("driver", {}).get(_TRAVEL, WatchParameters().travel)
         try:
             # In the driver: it switches off within a sample, and from the switch-on on.
             self._client.give("driver", {_TRAVEL: excitation.travel})
@@ -87,7 +89,7 @@ class RunningMachine:
                 self._client.require("controller/excite", SetBool.Request(data=True))
                 self._sleep(excitation.duration + _SETTLE_S)
         finally:
-            self._client.give("driver", {_TRAVEL: travel})
+            self._client.give("driver", {_TRAVEL: self._travel})
         stage = node_parameters("controller", values).stage
         return excited(recorded_series(bag), excitation.travel, stage.rate)
 
@@ -97,11 +99,11 @@ class RunningMachine:
         motion = node_parameters("cell", values).stage.motion
         self._approach(motion.start, motion.speed, motion.acceleration)
         shutil.rmtree(bag, ignore_errors=True)
-        waypoints = cycles(motion, count)
         with self._recorded(bag), self._switched_on():
             self._sleep(_SETTLE_S)
-            self._client.move(waypoints)
-            self._sleep(waypoints[-1].time_ns * 1e-9 + _SETTLE_S)
+            for _ in range(count):
+                self._cycle(motion)
+            self._sleep(_SETTLE_S)
         self._rest()
 
     def response(self, values: Values, excitation: MultisineParameters, *, moving: bool = False) -> ComparedResponse:
@@ -119,19 +121,23 @@ class RunningMachine:
         try:
             with self._recorded(bag), self._switched_on():
                 self._sleep(2.0 * _SETTLE_S)
-                if moving:
-                    self._client.move(cycles(motion, math.ceil(duration * 1e9 / cycles(motion, 1)[-1].time_ns)))
                 self._client.require("controller/excite", SetBool.Request(data=True))
-                self._sleep(duration)
+                end = time.monotonic() + duration
+                while moving and time.monotonic() < end:
+                    self._cycle(motion)
+                self._sleep(max(0.0, end - time.monotonic()))
         except LeftTravel as error:
-            raise FrequencyResponseError(str(error)) from error
+            raise ExcitationEnded(str(error)) from error
         self._rest()
         return response_from_bag(bag, excitation, nodes.control, nodes.stage)
 
     def release(self) -> None:
-        """Leave the nodes inactive, with the parameters with which they were found."""
+        """Leave the loop inactive and the logger unconfigured, all with the parameters with which they were found."""
         self._prepare(self._values)
         self._rest()
+        # It begins its next bag when it is configured.
+        self._client.bring("logger", "unconfigured")
+        self._client.give("logger", self._logger)
 
     def _rest(self) -> None:
         """Make the loop inactive: what is computed next needs the processor."""
@@ -151,6 +157,8 @@ class RunningMachine:
         """Bring the loop to work with these parameters, the amplifier off."""
         self._give("feedforward", values)
         self._give("controller", {**values, "controller": {**values.get("controller", {}), **controller}})
+        # A client that was killed may have left another.
+        self._client.give("driver", {_TRAVEL: self._travel})
         self._client.bring("driver", "active")
         self._client.wait(lambda: self._client.samples_come, _START_S, "no samples come from the driver")
 
@@ -184,12 +192,24 @@ class RunningMachine:
             f"the stage did not come to its start at {start:g} m",
         )
 
+    def _cycle(self, motion: MotionParameters) -> None:
+        """Make one cycle. Each is a trajectory of its own: after an interrupt no further one begins."""
+        client, waypoints = self._client, forward_and_back(motion)
+        client.move(waypoints)
+        self._sleep(waypoints[-1].time_ns * 1e-9)
+        client.wait(
+            lambda: abs(client.x - motion.start) <= _ARRIVED,
+            _LATE_S,
+            f"the stage did not come back to its start at {motion.start:g} m",
+        )
+
     @contextmanager
     def _recorded(self, bag: Path) -> Iterator[None]:
         """Record to ``bag`` with a logger that is configured for it, so that it attaches the present parameters."""
         client = self._client
         client.bring("logger", "unconfigured")
-        client.give("logger", {"output": str(bag), "record_at_start": True})
+        # The logger may run in another folder than this process.
+        client.give("logger", {"output": str(bag.resolve()), "record_at_start": True})
         client.bring("logger", "active")
         client.wait(lambda: not client.unrecorded(), _START_S, "the logger is not connected to all topics")
         try:
@@ -210,11 +230,12 @@ class RunningMachine:
             return bool(response.success)
 
         end = time.monotonic() + ANSWER_S
-        while not on():
-            if time.monotonic() > end:
-                raise CommissioningError(f"the amplifier cannot be switched on: {refusals[0]}")
-            time.sleep(_SETTLE_S)
+        # An interrupt may come after a request and before its answer.
         try:
+            while not on():
+                if time.monotonic() > end:
+                    raise CommissioningError(f"the amplifier cannot be switched on: {refusals[0]}")
+                time.sleep(_SETTLE_S)
             client.wait(
                 lambda: client.safety.amplifier_on or bool(client.safety.fault),
                 ANSWER_S,

@@ -9,7 +9,10 @@ from roughly_known import ROUGH
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.commissioning import STEP_NAMES
-from straightcomp_ros.commissioning.procedure import STEPS
+from straightcomp_ros.commissioning.outcome import Outcome
+from straightcomp_ros.commissioning.procedure import RECORD, STEPS, Procedure
+from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
 
 
 @pytest.fixture
@@ -41,6 +44,37 @@ def test_a_step_alone_is_done_and_a_later_one_is_refused(
     assert "connection: 60000 samples at 2000 Hz, none lost" in " ".join(capsys.readouterr().out.split())
     assert main(["commission", stage, "-o", folder, "--only", "design"]) == 1
     assert "rests on 'signs_and_scales', which has not passed" in capsys.readouterr().err
+
+
+def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(
+    stage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, check = str(tmp_path / "done"), tmp_path / "check.csv"
+    rows = [f"{run},{place},{0.01 * place + 0.1 * run}" for run in (1, 2) for place in range(0, 601, 100)]
+    check.write_text("\n".join(["run,x_mm,deviation_um", *rows]) + "\n")
+    # Passed without a survey, and without learning; nothing is left to do.
+    passed = {name: Outcome(True, "passed") for name in STEPS}
+    done_before(stage, Path(folder), passed)
+    for asked in (("--check-survey", str(check)), ("--learn", "3")):
+        assert main(["commission", stage, "-o", folder, *asked]) == 2
+        told = capsys.readouterr().err
+        assert f"{asked[0]}: step 'acceptance' has passed without it; --only acceptance repeats it" in told
+    # The command that was interrupted after its acceptance goes on.
+    figures = {"survey_check": str(check)}
+    learned = Outcome(True, "passed", figures, gains={"learning.learn": True})
+    done_before(stage, Path(folder), {**passed, "acceptance": learned})
+    assert main(["commission", stage, "-o", folder, "--check-survey", str(check), "--learn", "3"]) == 0
+    assert "all steps have been done" in capsys.readouterr().out
+
+
+def done_before(stage: str, folder: Path, outcomes: dict[str, Outcome]) -> None:
+    """Write the record of these steps."""
+    values = shipped_parameters(stage=stage)
+    folder.mkdir(exist_ok=True)
+    (folder / RECORD).unlink(missing_ok=True)
+    procedure = Procedure(SimulatedMachine(values), values, folder, evaluations=1, machines=1)
+    procedure.outcomes.update(outcomes)
+    procedure._write()
 
 
 def test_the_choices_of_only_are_the_steps() -> None:

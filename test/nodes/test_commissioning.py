@@ -10,13 +10,15 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.srv import GetState
+from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 from waiting import wait_for_line
 
 from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cell.launcher import verb_command
-from straightcomp_ros.contract import COMMISSIONING_STATE, SAFETY_STATE
+from straightcomp_ros.contract import COMMISSIONING_CLIENT, COMMISSIONING_STATE, SAFETY_STATE
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.safety.faults import Fault
 
@@ -44,6 +46,13 @@ class Asker:
         self.until(future.done)
         self.node.destroy_client(client)
         return future.result()
+
+    def state(self, node):
+        return self.ask(GetState, f"{node}/get_state").current_state.label
+
+    def parameter(self, node, name):
+        answer = self.ask(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
+        return parameter_value_to_python(answer.values[0])
 
 
 @pytest.fixture
@@ -79,6 +88,10 @@ def test_the_node_runs_steps_by_services_and_the_cell_is_refused_meanwhile(loop,
     assert "rests on 'connection'" in asker.told[-1].message
     assert asker.ask(Trigger, "commissioning/connection").success
     assert "connection is going on" in asker.ask(Trigger, "commissioning/run").message
+    # The process takes its time to start.
+    signs = []
+    asker.node.create_subscription(DiagnosticStatus, COMMISSIONING_CLIENT, signs.append, LATCHED)
+    asker.until(lambda: signs and signs[-1].message == "connection")
     cell = loop.start("cell", {**described(short_cycle, "cell"), "start_timeout": 20.0})
     assert cell.wait(timeout=60) == 1
     assert "cycle failed: the machine is being commissioned" in loop.log("cell").read_text()
@@ -95,20 +108,58 @@ def test_the_node_runs_steps_by_services_and_the_cell_is_refused_meanwhile(loop,
     assert not asker.ask(Trigger, "commissioning/stop").success
 
 
-def test_the_response_of_a_running_loop_is_measured_and_the_nodes_are_left_as_they_were(loop, short_cycle, asker):
-    words = ("--graph", "running", "--json", "--draws", "4", "--highest", "200")
-    told = subprocess.run(verb_command("frequency-response", *words), capture_output=True, text=True, timeout=120)
-    assert told.returncode == 0, told.stderr
-    found = json.loads(told.stdout)
-    assert found["law"] == "smc_observer" and 15.0 < found["margins"]["phase_deg"] < 60.0
+def left_as_found(asker, folder):
     for node in ("driver", "feedforward", "controller"):
-        assert asker.ask(GetState, f"{node}/get_state").current_state.label == "inactive"
+        assert asker.state(node) == "inactive"
+    assert asker.parameter("controller", "error_limit") == 0.1
+    # A cell can configure the logger.
+    assert asker.state("logger") == "unconfigured"
+    assert asker.parameter("logger", "output") == str(folder / "bag")
     # Its client left with the amplifier off.
     assert asker.ask(Trigger, "driver/reset_fault").message == "there was no fault"
 
 
+def test_the_response_of_a_running_loop_is_measured_and_the_nodes_are_left_as_they_were(loop, asker, tmp_path):
+    here = tmp_path / "here"
+    here.mkdir()
+    words = ("--graph", "running", "--json", "--draws", "4", "--highest", "200", "-o", "loop.png")
+    told = subprocess.run(
+        verb_command("frequency-response", *words), capture_output=True, text=True, timeout=120, cwd=here
+    )
+    assert told.returncode == 0, told.stderr
+    found = json.loads(told.stdout)
+    assert found["law"] == "smc_observer" and 15.0 < found["margins"]["phase_deg"] < 60.0
+    left_as_found(asker, tmp_path)
+    # Though the logger was started elsewhere.
+    assert (here / "loop.png").exists() and (here / "loop_graph" / "bags" / "frequency_response").is_dir()
+
+
+def test_a_client_that_is_told_to_end_leaves_the_nodes_as_they_were_and_another_is_refused_meanwhile(
+    loop, asker, tmp_path
+):
+    states = []
+    asker.node.create_subscription(
+        DiagnosticStatus, SAFETY_STATE, lambda message: states.append(SafetyState.of(message)), LATCHED
+    )
+    words = verb_command("frequency-response", "--graph", "running", "--draws", "40")
+    client = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    try:
+        asker.until(lambda: states and states[-1].amplifier_on)
+        other = subprocess.run(words, capture_output=True, text=True, timeout=120)
+        assert other.returncode == 1
+        assert "somebody else commissions the machine: frequency response" in " ".join(other.stderr.split())
+        assert states[-1].amplifier_on
+        client.send_signal(signal.SIGTERM)
+        assert client.wait(timeout=60) == 143
+        assert "terminated" in client.stderr.read()
+    finally:
+        client.kill()
+        client.wait()
+    left_as_found(asker, tmp_path)
+
+
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off(loop, asker, number):
+def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off(loop, asker, number, tmp_path):
     states = []
     asker.node.create_subscription(
         DiagnosticStatus, SAFETY_STATE, lambda message: states.append(SafetyState.of(message)), LATCHED
@@ -122,6 +173,16 @@ def test_a_client_that_is_killed_or_suspended_leaves_the_amplifier_off(loop, ask
         client.kill()
         client.wait()
     assert states[-1].code == Fault.CLIENT_GONE.code, states
+    assert asker.parameter("controller", "error_limit") != 0.1
+    # The next one does not take what was left for the machine's own.
+    told = subprocess.run(
+        verb_command("frequency-response", "--graph", "running", "--draws", "4"),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert told.returncode == 0, told.stderr
+    left_as_found(asker, tmp_path)
 
 
 def test_while_somebody_uses_the_machine_it_is_not_commissioned(graph, short_cycle, asker, tmp_path):

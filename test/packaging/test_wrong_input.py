@@ -78,6 +78,11 @@ CASES = [
     ("robustness --trials 1 --law linear --dask nowhere", "--dask: 'nowhere'; allowed: HOST:PORT"),
     ("completion csh", "'csh' (choose from"),
     ("doctor now", "unrecognized arguments: now"),
+    ("commission --graph running -o found --set stage.platform.mass=3", "--set: not with --graph running, whose nodes"),
+    ("frequency-response --graph running --law linear", "--law: not with --graph running, whose nodes"),
+    ("frequency-response --graph running --stage gantry.yaml", "--stage: not with --graph running"),
+    ("frequency-response --graph running --params-file gantry.yaml", "--params-file: not with --graph running"),
+    ("frequency-response --graph running --set stage.platform.mass=3", "--set: not with --graph running"),
 ]
 
 

@@ -1,0 +1,57 @@
+"""The parameters with which a client found the nodes, kept until the nodes have them again, even if it is killed.
+
+A client that is killed leaves its own parameters in the nodes: a travel of 3 µm in the driver, the law `open_loop` in
+the controller. The next client must not take these for the machine's.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.settings.whole_file import write_whole
+
+_FOLDER = Path(tempfile.gettempdir())
+
+
+class FirstParameters:
+    """A file for each node. It is named after the node's process: parameters of a node that was started anew are new.
+
+    Args:
+        found: parameters as the nodes tell them now, by node and dotted name.
+        processes: by node, what no other process has.
+        folder: of the files, the same for all clients of the user.
+
+    Attributes:
+        values: the first parameters, by node and dotted name: those that a client which was killed has kept, otherwise
+            those that were found.
+    """
+
+    def __init__(
+        self, found: Mapping[str, Mapping[str, Any]], processes: Mapping[str, str], folder: Path = _FOLDER
+    ) -> None:
+        user = os.getuid()
+        self._files = {
+            node: folder / f"straightcomp_{user}_{hashlib.sha256(process.encode()).hexdigest()[:24]}.json"
+            for node, process in processes.items()
+        }
+        self.values = {node: dict(section) for node, section in found.items()}
+        for node, file in self._files.items():
+            with suppress(FileNotFoundError, ValueError):
+                # Others may write to the folder too.
+                if file.stat().st_uid == user:
+                    self.values[node] |= json.loads(file.read_text(encoding="utf-8"))
+
+    def keep(self) -> None:
+        """Write the files; call it before any parameter is changed."""
+        for node, file in self._files.items():
+            write_whole(file, json.dumps(self.values[node], default=list))
+
+    def forget(self) -> None:
+        """Remove the files; call it when the nodes have their first parameters again."""
+        for file in self._files.values():
+            file.unlink(missing_ok=True)

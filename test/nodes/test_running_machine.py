@@ -1,0 +1,143 @@
+"""What a machine of running nodes asks of them: a client that fails, or is interrupted, leaves nothing behind."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from straightcomp_ros.commissioning import CommissioningError
+from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.frequency_response import ExcitationEnded
+from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.model.motion import MotionParameters, forward_and_back
+from straightcomp_ros.runtime import running_machine
+from straightcomp_ros.runtime.running_machine import RunningMachine
+from straightcomp_ros.runtime.safety_panel import SafetyState
+from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.state_machine import Condition
+
+LOGGER = {"output": "", "record_at_start": False, "compression": "zstd"}
+OFF, ON = SafetyState(), SafetyState(Condition.ON)
+STRAYED = SafetyState(Condition.FAULT, "following_error: 0.7 mm", Fault.FOLLOWING_ERROR.code)
+
+
+class Client:
+    """Nodes that do what they are asked at once; ``interrupt`` names what raises `KeyboardInterrupt` instead."""
+
+    samples_come = stage_listens = True
+
+    def __init__(self, interrupt: str = "", safety: SafetyState = OFF, moved: SafetyState = ON) -> None:
+        self.interrupt, self.safety, self.moved = interrupt, safety, moved
+        self.x = 0.0
+        self.given: dict[str, dict[str, object]] = {}
+        self.states: dict[str, str] = {}
+        self.asked: list[tuple[str, object]] = []
+        self.moves: list[object] = []
+
+    def unrecorded(self):
+        return ()
+
+    def wait(self, done, within, otherwise):
+        """Time is not waited for."""
+        done()
+
+    def bring(self, node, goal):
+        self.states[node] = goal
+
+    def give(self, node, values):
+        self.given.setdefault(node, {}).update(values)
+
+    def ask(self, service, request):
+        self.asked.append((service, getattr(request, "data", None)))
+        if service == "driver/enable":
+            self.safety = ON if request.data else OFF
+            if request.data and self.interrupt == "enable":
+                raise KeyboardInterrupt
+        return SimpleNamespace(success=True, message="")
+
+    def require(self, service, request):
+        self.ask(service, request)
+
+    def move(self, waypoints):
+        self.moves.append(waypoints)
+        if self.interrupt == "move":
+            raise KeyboardInterrupt
+        self.safety = self.moved
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch):
+    for name in ("_CREEP_S", "_SETTLE_S", "_AFTER_S"):
+        monkeypatch.setattr(running_machine, name, 0.0)
+
+
+def machine(client: Client, folder: Path) -> RunningMachine:
+    return RunningMachine(client, shipped_parameters(), LOGGER, folder)
+
+
+def off_at_the_end(client: Client) -> bool:
+    switched = [wanted for service, wanted in client.asked if service == "driver/enable"]
+    return bool(switched) and switched[-1] is False
+
+
+def test_the_logger_gets_a_folder_that_is_the_same_wherever_it_was_started(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    client = Client()
+    machine(client, Path("found")).stroke(shipped_parameters(), Path("found/bags/one"), 3e-4)
+    assert client.given["logger"]["output"] == str(tmp_path / "found" / "bags" / "one")
+
+
+def test_a_released_logger_has_its_first_parameters_and_can_be_configured_by_a_cell(tmp_path):
+    client = Client()
+    one = machine(client, tmp_path)
+    one.stroke(shipped_parameters(), tmp_path / "bag", 3e-4)
+    one.release()
+    assert client.given["logger"] == {"output": "", "record_at_start": False}
+    assert client.states == {"driver": "inactive", "feedforward": "inactive", "controller": "inactive"} | {
+        "logger": "unconfigured"
+    }
+
+
+def test_the_travel_that_a_killed_client_left_in_the_driver_is_taken_back_before_anything_moves(tmp_path):
+    client = Client(interrupt="move")
+    client.given["driver"] = {"watch.travel": 3e-6}
+    with pytest.raises(KeyboardInterrupt):
+        machine(client, tmp_path).stroke(shipped_parameters(), tmp_path / "bag", 3e-4)
+    assert client.given["driver"]["watch.travel"] == shipped_parameters()["driver"].get("watch.travel", 0.0)
+
+
+def test_an_interrupt_while_the_amplifier_is_being_switched_on_switches_it_off(tmp_path):
+    client = Client(interrupt="enable")
+    with pytest.raises(KeyboardInterrupt):
+        machine(client, tmp_path).play(ExcitationParameters(signal="shake"))
+    assert off_at_the_end(client)
+    assert client.given["driver"]["watch.travel"] != ExcitationParameters().travel
+
+
+def test_after_an_interrupt_no_further_stroke_begins(tmp_path):
+    client = Client(interrupt="move")
+    with pytest.raises(KeyboardInterrupt):
+        machine(client, tmp_path).stroke(shipped_parameters(), tmp_path / "bag", 3e-4, count=100)
+    (points,) = client.moves
+    assert list(points) == forward_and_back(MotionParameters()) and off_at_the_end(client)
+
+
+def test_strokes_of_learning_are_made_one_after_the_other_from_where_they_begin(tmp_path):
+    client = Client()
+    machine(client, tmp_path).stroke(shipped_parameters(), tmp_path / "bag", 3e-4, count=3)
+    assert len(client.moves) == 3
+    assert all(points[0].position == points[-1].position == client.x for points in client.moves)
+
+
+def test_a_platform_that_strays_in_a_frequency_response_ended_the_excitation(tmp_path):
+    client = Client(moved=STRAYED)
+    with pytest.raises(ExcitationEnded, match="following_error"):
+        machine(client, tmp_path).response(shipped_parameters(), MultisineParameters(draws=3), moving=True)
+    assert off_at_the_end(client)
+
+
+def test_a_machine_in_use_is_left_as_it_is(tmp_path):
+    client = Client(safety=ON)
+    with pytest.raises(CommissioningError, match="somebody else uses the machine"):
+        machine(client, tmp_path)
+    assert not client.asked and not client.given and not client.states
