@@ -263,7 +263,8 @@ class RunningMachine:
             reason = client.safety.fault or "another client switched it off"
             if client.safety.code == Fault.FOLLOWING_ERROR.code:
                 raise LeftTravel(
-                    f"{reason}; commands came late (straightcomp doctor says what delays this computer), or the machine "
-                    "is not as described: look at the count of the encoder of y, at the platform, and at the magnets"
+                    f"{reason}; commands came late (straightcomp doctor says what delays this computer), or the "
+                    "machine is not as described: look at the count of the encoder of y, at the platform, and at the "
+                    "magnets"
                 )
             raise CommissioningError(f"the amplifier went off: {reason}")
