@@ -8,8 +8,9 @@ import dataclasses
 
 import numpy as np
 
-from straightcomp_ros.commissioning.certificate import LEAST_GAIN, LEAST_PHASE, LOOP
+from straightcomp_ros.commissioning.certificate import LEAST_GAIN, LEAST_PHASE
 from straightcomp_ros.commissioning.outcome import Outcome, Work
+from straightcomp_ros.commissioning.step_files import LOOP
 from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
 from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
 from straightcomp_ros.frequency_response.response_margins import response_margins

@@ -6,7 +6,7 @@ from pathlib import Path
 from roughly_known import values_of, work_on
 
 from straightcomp_ros.commissioning.acceptance import acceptance
-from straightcomp_ros.commissioning.certificate import LEARNED
+from straightcomp_ros.commissioning.step_files import LEARNED
 
 
 def test_the_stroke_is_better_after_learning_and_the_correction_is_a_gain_of_the_step(tmp_path: Path) -> None:
