@@ -49,7 +49,12 @@ def acceptance(work: Work) -> Outcome:
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
     known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
     verdict = judged_run(known, straightness, by_node(values), straightness, run.stalls)
-    figures = {**evaluate(record, straightness).to_display(), **verdict._asdict()}
+    figures = {
+        **evaluate(record, straightness).to_display(),
+        **verdict._asdict(),
+        "lost_samples": run.lost_samples,
+        "lost_commands": run.lost_commands,
+    }
     if not verdict.in_order:
         return Outcome(False, f"the stroke is not in order: {verdict}", figures)
     # Only here: matplotlib takes longer to import than the stroke to evaluate.
