@@ -60,13 +60,13 @@ def certificate_page(told: Mapping[str, Any], pictures: Mapping[str, Path]) -> s
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[object]], code: bool = False) -> str:
-    """A table; numbers stand right. With ``code`` the last column is set as code."""
+    """A table; numbers, and what stands in their column, are set right. With ``code`` the last column is code."""
 
-    def cell(value: object, last: bool) -> str:
+    def cell(value: object, right: bool, last: bool) -> str:
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             return f"<td class=n>{value:.4g}</td>"
         text = escape(str(value))
-        return f"<td>{f'<code>{text}</code>' if code and last else text}</td>"
+        return f"<td{' class=n' if right else ''}>{f'<code>{text}</code>' if code and last else text}</td>"
 
     lines = [list(row) for row in rows]
     if not lines:
@@ -74,7 +74,8 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[object]], code: bool = F
     numbers = [isinstance(value, (int, float)) for value in lines[0]]
     heads = "".join(f"<th{' class=n' if n else ''}>{escape(one)}</th>" for one, n in zip(head, numbers, strict=True))
     body = "".join(
-        f"<tr>{''.join(cell(value, index == len(row) - 1) for index, value in enumerate(row))}</tr>" for row in lines
+        f"<tr>{''.join(cell(value, numbers[index], index == len(row) - 1) for index, value in enumerate(row))}</tr>"
+        for row in lines
     )
     return f"<table><tr>{heads}</tr>{body}</table>"
 

@@ -135,4 +135,4 @@ def test_the_page_has_every_figure_that_another_machine_would_differ_in(tmp_path
     # Half to twice the described amplifier of 500 Hz, and 0.6 to 1.4 samples of 500 µs.
     assert "250 to 1000" in page and "300 to 700" in page
     assert "0.02 µm RMS" in page, "the survey's own error"
-    assert "<td>100 ms</td><td>lost</td>" in page and "None" not in page
+    assert "<td>100 ms</td><td class=n>lost</td>" in page and "None" not in page
