@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.metrics import Metrics, residual_over, true_error
 from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion, group_means
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 if TYPE_CHECKING:
@@ -58,8 +60,15 @@ def plot_run(
     current.plot(time, record.current[window] * 1e3, color=BLACK, linewidth=0.6, label=label)
     _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
     path = Path(path)
-    figure.savefig(path)
+    save_whole(figure, path)
     return path
+
+
+def save_whole(figure: Figure, path: Path) -> None:
+    """Save ``figure`` as the picture ``path``, whole or not at all; raises as :func:`plot_map`."""
+    drawn = BytesIO()
+    figure.savefig(drawn, format=path.suffix[1:])
+    write_whole(path, drawn.getvalue())
 
 
 def plot_map(built: BuiltMap, path: Path) -> None:
@@ -98,7 +107,7 @@ def plot_map(built: BuiltMap, path: Path) -> None:
         axes.set_ylabel("deviation / µm")
         _show_grid(axes)
         axes.legend(fontsize=8, ncols=2)
-    figure.savefig(path)
+    save_whole(figure, path)
 
 
 def _straightness(

@@ -3,7 +3,8 @@
 Without --graph the machine is the simulated stage, in simulated time.
 
 Prints the margins as measured, beside those of the description in closed form, and says whether the description
-explains the plant: within 1 dB and 5°, or within the measurement's confidence, wherever the coherence is above 0.9.
+explains the plant: within 1 dB and 5°, or within the measurement's confidence, wherever the coherence is above 0.9. If
+it does not, the exit code is 1. The margins are those of the frequencies with a coherence above 0.9.
 """
 
 import argparse
@@ -15,7 +16,7 @@ from typing import Any
 from straightcomp_ros.cli.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.options import PICTURES, output_file, output_folder
-from straightcomp_ros.cli.output import console, notes, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
 from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
@@ -77,6 +78,8 @@ def run(options: argparse.Namespace) -> None:
         print_json({"stage": name, "moving": options.moving, **_figures(found)})
     else:
         _print(found, name)
+    if not found.explained:
+        raise CommandFailed(_verdict(found))
 
 
 def _measure_running(
@@ -98,10 +101,11 @@ def _measure_running(
 
 
 def _margins(found: ComparedResponse) -> tuple[ResponseMargins, ResponseMargins]:
-    frequencies = found.measured.frequencies
+    measured, lines = found.measured, found.measured.coherent
+    frequencies = measured.frequencies[lines]
     return (
-        response_margins(frequencies, found.measured.response.open_loop),
-        response_margins(frequencies, found.model.open_loop),
+        response_margins(frequencies, measured.response.open_loop[lines]),
+        response_margins(frequencies, found.model.open_loop[lines]),
     )
 
 
@@ -141,30 +145,27 @@ def _print(found: ComparedResponse, name: str) -> None:
     for key, words in _WORDS.items():
         table.add_row(words, *(_number(margins[key]) for margins in (of_measured, of_model)))
     console.print(table)
-    measured, (gain, phase) = found.measured, found.deviations
-    coherent = measured.coherent
-    if coherent.any():
-        largest = (abs(values[coherent]).max() for values in (gain, phase))
-        console.print(
-            "The description {} the plant: largest deviation {:.2f} dB and {:.1f}° at {} of {} frequencies with a "
-            "coherence above 0.9 (allowed: {:g} dB, {:g}°, or what is within the measurement's confidence)".format(
-                "explains" if found.explained else "does not explain",
-                *largest,
-                coherent.sum(),
-                coherent.size,
-                WITHIN_DB,
-                WITHIN_DEG,
-            ),
-            style="green" if found.explained else "red",
-            highlight=False,
-        )
-    else:
-        console.print("No frequency has a coherence above 0.9: take more current", style="red", highlight=False)
+    if found.explained:
+        console.print(_verdict(found), style="green", highlight=False)
+    measured = found.measured
     if found.clipped:
         notes.print(f"The current limit cut {found.clipped} samples of the excitation: take less current")
     notes.print(
         f"Friction is taken as the damping that it equals at {measured.speed * 1e3:.2f} mm/s RMS: "
         f"{found.damping:.0f} N·s/m"
+    )
+
+
+def _verdict(found: ComparedResponse) -> str:
+    """Whether the description explains the plant, in a sentence."""
+    coherent = found.measured.coherent
+    if not coherent.any():
+        return "no frequency has a coherence above 0.9: take more current"
+    gain, phase = (abs(values[coherent]).max() for values in found.deviations)
+    return (
+        f"the description {'explains' if found.explained else 'does not explain'} the plant: largest deviation "
+        f"{gain:.2f} dB and {phase:.1f}° at {coherent.sum()} of {coherent.size} frequencies with a coherence above 0.9 "
+        f"(allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°, or what is within the measurement's confidence)"
     )
 
 

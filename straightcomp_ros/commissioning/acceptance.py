@@ -7,6 +7,7 @@ The stroke tells how well the platform follows the map. Whether the map is that 
 """
 
 import dataclasses
+import shutil
 from typing import Any
 
 import yaml
@@ -15,8 +16,8 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.commissioning import LeftTravel
-from straightcomp_ros.commissioning.certificate import LEARNED, STROKE
 from straightcomp_ros.commissioning.outcome import Outcome, Work
+from straightcomp_ros.commissioning.step_files import LEARNED, LIMITS, STROKE
 from straightcomp_ros.commissioning.timing_budget import timing_budget
 from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.settings.whole_file import write_whole
@@ -33,6 +34,8 @@ def acceptance(work: Work) -> Outcome:
     """Make one cycle, after those for learning, judge it, and write `limits.yaml`."""
     bag = work.folder / "bags" / "acceptance"
     learning = _learning(work)
+    # The certificate names all bags: one of strokes that no longer count must not be among them.
+    shutil.rmtree(work.folder / "bags" / "learning", ignore_errors=True)
     values = {**work.values, "controller": {**work.values["controller"], **learning}}
     try:
         if learning:
@@ -46,7 +49,12 @@ def acceptance(work: Work) -> Outcome:
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
     known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
     verdict = judged_run(known, straightness, by_node(values), straightness, run.stalls)
-    figures = {**evaluate(record, straightness).to_display(), **verdict._asdict()}
+    figures = {
+        **evaluate(record, straightness).to_display(),
+        **verdict._asdict(),
+        "lost_samples": run.lost_samples,
+        "lost_commands": run.lost_commands,
+    }
     if not verdict.in_order:
         return Outcome(False, f"the stroke is not in order: {verdict}", figures)
     # Only here: matplotlib takes longer to import than the stroke to evaluate.
@@ -60,7 +68,7 @@ def acceptance(work: Work) -> Outcome:
     if checked and not checked["survey_agrees"]:
         return Outcome(False, told, figures)
     limits = {name: float(f"{_ALLOWANCE * figures[name]:.3g}") for name in _LIMITED}
-    write_whole(work.folder / "limits.yaml", yaml.safe_dump(limits, sort_keys=False))
+    write_whole(work.folder / LIMITS, yaml.safe_dump(limits, sort_keys=False))
     learned = f" after {work.learning_strokes} strokes of learning" if learning else ""
     found = f"{figures['encoder_pp_um']:.2f} µm p-p, {figures['encoder_rms_um']:.3f} µm RMS by the encoder{learned}"
     return Outcome(

@@ -40,9 +40,12 @@ def certificate_page(told: Mapping[str, Any], pictures: Mapping[str, Path]) -> s
             _table(("step", "finding"), ((name.replace("_", " "), one["sentence"]) for name, one in steps.items())),
         ),
         ("Figures and their limits", _checked(told["checks"])),
-        ("Where the error comes from", _budget(figures("design").get("budget", []))),
+        ("Limits for later strokes", _later(told["later_limits"])),
+        ("Where the error comes from", _budget(figures("design").get("budget", []), told["map_noise_um"])),
         ("What late commands cost", _timing(timing, figures("connection").get("latency_histogram", []))),
-        ("The machine as found", _machine(figures("identification").get("parameters", {}), told["described"])),
+        ("Samples and readback", _signals(figures("connection"), figures("signs_and_scales"))),
+        ("The machine as found", _machine(figures("identification").get("parameters", {}), told)),
+        ("What the data cannot tell", _listed(figures("identification").get("untold", []))),
         ("Margins", _margins(figures("frequency_response"))),
         *((caption, _picture(path, caption)) for caption, path in pictures.items() if path.is_file()),
         ("Files", _table(("file", "SHA-256"), ((name, f"{sum_}") for name, sum_ in told["sha256"].items()), code=True)),
@@ -57,13 +60,13 @@ def certificate_page(told: Mapping[str, Any], pictures: Mapping[str, Path]) -> s
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[object]], code: bool = False) -> str:
-    """A table; numbers stand right. With ``code`` the last column is set as code."""
+    """A table; numbers, and what stands in their column, are set right. With ``code`` the last column is code."""
 
-    def cell(value: object, last: bool) -> str:
+    def cell(value: object, right: bool, last: bool) -> str:
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             return f"<td class=n>{value:.4g}</td>"
         text = escape(str(value))
-        return f"<td>{f'<code>{text}</code>' if code and last else text}</td>"
+        return f"<td{' class=n' if right else ''}>{f'<code>{text}</code>' if code and last else text}</td>"
 
     lines = [list(row) for row in rows]
     if not lines:
@@ -71,7 +74,8 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[object]], code: bool = F
     numbers = [isinstance(value, (int, float)) for value in lines[0]]
     heads = "".join(f"<th{' class=n' if n else ''}>{escape(one)}</th>" for one, n in zip(head, numbers, strict=True))
     body = "".join(
-        f"<tr>{''.join(cell(value, index == len(row) - 1) for index, value in enumerate(row))}</tr>" for row in lines
+        f"<tr>{''.join(cell(value, numbers[index], index == len(row) - 1) for index, value in enumerate(row))}</tr>"
+        for row in lines
     )
     return f"<table><tr>{heads}</tr>{body}</table>"
 
@@ -86,8 +90,19 @@ def _checked(checks: Sequence[Mapping[str, Any]]) -> str:
     return f"<table>{head}{rows}</table>" if rows else ""
 
 
-def _budget(budget: Sequence[Mapping[str, Any]]) -> str:
-    note = "<p class=note>Simulated with the machine as found: what would be left if a cause were gone.</p>"
+def _later(limits: Sequence[Mapping[str, Any]]) -> str:
+    note = "<p class=note>In <code>limits.yaml</code>, for <code>straightcomp evaluate --limits</code>.</p>"
+    rows = ((one["name"], one["value"], one["limit"]) for one in limits)
+    table = _table(("figure", "this stroke", "later strokes: at most"), rows)
+    return note + table if table else ""
+
+
+def _budget(budget: Sequence[Mapping[str, Any]], map_noise_um: float) -> str:
+    note = (
+        "<p class=note>Simulated with the machine as found: what would be left if a cause were gone. The error of the "
+        f"survey adds to each: {map_noise_um:.3g} µm RMS at each of its points "
+        "(<code>stage.uncertainty.map_noise</code>). The platform follows it, and no encoder of this stage sees it.</p>"
+    )
     table = _table(("machine", *_UNITS.values()), ([one["cause"], *(one[key] for key in _UNITS)] for one in budget))
     return note + table if table else ""
 
@@ -104,14 +119,39 @@ def _timing(timing: Mapping[str, Any], histogram: Sequence[Sequence[float]]) -> 
     if "p99_costs_um" in timing:
         rows += [
             ("latencies as measured cost [µm p-p]", timing["as_measured_costs_um"]),
-            ("every command at the p99 would cost [µm p-p]", timing["p99_costs_um"]),
+            ("every command at the p99 would cost [µm p-p]", _or_lost(timing["p99_costs_um"])),
         ]
     rows += [
         ("longest stall of the host that is survived [ms]", timing["longest_stall_survived_ms"]),
         ("without commands the amplifier goes off after [ms]", timing["amplifier_off_after_ms"]),
     ]
-    stalls = _table(("stall of the host", "largest error [µm]"), timing["stall_error_um"].items())
+    errors = ((stall, _or_lost(error)) for stall, error in timing["stall_error_um"].items())
+    stalls = _table(("stall of the host", "largest error [µm]"), errors)
     return _table(("figure", "value"), rows) + "<br>" + stalls + "<br>" + _bars(histogram)
+
+
+def _or_lost(error: float | None) -> object:
+    """An error of a simulated stroke; JSON has no infinity, which says that the platform is lost."""
+    return "lost" if error is None else error
+
+
+def _signals(connection: Mapping[str, Any], readback: Mapping[str, Any]) -> str:
+    names = (
+        (connection, "rate_Hz", "samples per second", 1.0),
+        (connection, "clock_drift_ppm", "drift of the samples' clock [ppm]", 1.0),
+        (connection, "jitter_us", "jitter of the samples, RMS [µs]", 1.0),
+        (connection, "count_y_nm", "smallest step of y at rest [nm]; 0: none", 1.0),
+        (connection, "noise_y_counts", "noise of y at rest, RMS [counts]", 1.0),
+        (connection, "noise_x_counts", "noise of x at rest, RMS [counts]", 1.0),
+        (readback, "readback_gain", "readback of the current, relative to the command", 1.0),
+        (readback, "readback_offset_A", "its offset [mA]", 1e3),
+    )
+    return _table(("figure", "measured"), ((words, scale * of[key]) for of, key, words, scale in names if key in of))
+
+
+def _listed(sentences: Iterable[str]) -> str:
+    items = "".join(f"<li>{escape(one)}</li>" for one in sentences)
+    return f"<ul>{items}</ul>" if items else ""
 
 
 def _bars(histogram: Sequence[Sequence[float]]) -> str:
@@ -126,14 +166,23 @@ def _bars(histogram: Sequence[Sequence[float]]) -> str:
     return f"<table><tr><th class=n>latency up to [µs]</th><th class=n>commands</th><th></th></tr>{rows}</table>"
 
 
-def _machine(parameters: Mapping[str, Mapping[str, Any]], described: Mapping[str, float]) -> str:
+def _machine(parameters: Mapping[str, Mapping[str, Any]], told: Mapping[str, Any]) -> str:
+    described, path = told["described"], told["current_path"]
+
     def interval(one: Mapping[str, Any]) -> str:
         if one["known"]:
             return "given, not found"
         return "hardly told by the record" if one["poor"] else f"{one['low']:.4g} to {one['high']:.4g}"
 
     rows = ((name, described.get(name, ""), one["value"], interval(one)) for name, one in parameters.items())
-    return _table(("parameter (SI)", "described", "found", "95 % interval"), rows)
+    current_path = (
+        (name, one["described"], one["found"], f"{one['low']:.4g} to {one['high']:.4g}") for name, one in path.items()
+    )
+    return (
+        _table(("parameter (SI)", "described", "found", "95 % interval"), rows)
+        + "<br>"
+        + _table(("current path", "described", "found", "range for which the law is designed"), current_path)
+    )
 
 
 def _margins(figures: Mapping[str, Any]) -> str:

@@ -18,6 +18,9 @@ _SLOW = 1e-3
 """Largest relative difference between the rate and the described one."""
 _NOISY = 3.0
 """Largest RMS of y at rest, relative to the described noise and the rounding to a count."""
+_LEAST_ARRIVED = 0.5
+"""Least share of the samples before which a command arrived. A busy computer has some without: the driver tells only
+the newest of the commands that arrived since the sample before."""
 _ROUNDING = 0.5
 """Largest RMS of a reading between two counts, counts."""
 
@@ -37,9 +40,11 @@ def connection(work: Work) -> Outcome:
     lost = expected - len(series.stamps)
     noise = float(np.std(series.y)) / stage.encoder.y_resolution
     slope, _ = np.polyfit(taken, (series.stamps - series.stamps[0]).astype(np.float64), 1)
+    lost_commands = _lost_commands(series)
     figures: dict[str, Any] = {
         "samples": len(series.stamps),
         "lost_samples": lost,
+        "lost_commands": lost_commands,
         "rate_Hz": rate,
         "clock_drift_ppm": (stage.rate * float(slope) * 1e-9 - 1.0) * 1e6,
         "jitter_us": float(np.std(steps)) * 1e-3,
@@ -62,6 +67,21 @@ def connection(work: Work) -> Outcome:
             "error counters",
             figures,
         )
+    if lost_commands:
+        return Outcome(
+            False,
+            f"{lost_commands} of {len(series.stamps)} samples got no command; look at the controller's log, at what "
+            "else this computer does, and at 'straightcomp doctor'",
+            figures,
+        )
+    arrived = float(np.isfinite(series.latency).mean())
+    if arrived < _LEAST_ARRIVED:
+        return Outcome(
+            False,
+            f"commands arrived at the driver between {100.0 * arrived:.3g} % of the samples (allowed: >= "
+            f"{100.0 * _LEAST_ARRIVED:g} %); is the controller active, and is this computer busy?",
+            figures,
+        )
     count, described = figures["count_y_nm"], stage.encoder.y_resolution * 1e9
     if np.unique(series.y).size >= _TELLING and abs(count / described - 1.0) > _COUNT_WITHIN:
         sentence = f"y comes in steps of {count:.4g} nm; the description says {described:.4g} nm"
@@ -74,12 +94,23 @@ def connection(work: Work) -> Outcome:
         )
         return Outcome(False, sentence, figures)
     latency = figures["latency_us"]
-    late = f"commands after {latency['p50']:.0f} µs (p99 {latency['p99']:.0f} µs)" if latency else "no commands"
+    late = f"commands after {latency['p50']:.0f} µs (p99 {latency['p99']:.0f} µs)"
     return Outcome(
         True,
         f"{len(series.stamps)} samples at {rate:.6g} Hz, none lost; {late}; noise {noise:.2g} counts",
         figures,
     )
+
+
+def _lost_commands(series: Series) -> int:
+    """Samples without a command, between the first and the last that have one.
+
+    At the beginning the controller does not listen yet, and at the end commands are on their way. The latencies do not
+    tell it: the driver tells only that of the newest command since the sample before, so that a late one would look
+    like a lost one.
+    """
+    given = np.flatnonzero(np.isfinite(series.command))
+    return int(given[-1] - given[0] + 1 - given.size) if given.size else len(series.stamps)
 
 
 def _latency(series: Series) -> dict[str, float]:

@@ -8,11 +8,12 @@ import dataclasses
 
 import numpy as np
 
-from straightcomp_ros.commissioning.certificate import LEAST_GAIN, LEAST_PHASE, LOOP
+from straightcomp_ros.commissioning.certificate import LEAST_GAIN, LEAST_PHASE
 from straightcomp_ros.commissioning.outcome import Outcome, Work
+from straightcomp_ros.commissioning.step_files import LOOP
 from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
 from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
-from straightcomp_ros.frequency_response.response_margins import response_margins
+from straightcomp_ros.frequency_response.response_margins import ResponseMargins, response_margins
 from straightcomp_ros.frequency_response.simulated_measurement import (
     WITHIN_DB,
     WITHIN_DEG,
@@ -36,13 +37,14 @@ def frequency_response(work: Work) -> Outcome:
 
     plot_response(found, work.folder / LOOP, f"Stage '{stage.name}' under law '{found.law}'")
     measured = found.measured
-    margins = response_margins(measured.frequencies, measured.response.open_loop)
-    gain, phase = (np.abs(values[measured.coherent]) for values in found.deviations)
+    lines = measured.coherent
+    margins = response_margins(measured.frequencies[lines], measured.response.open_loop[lines])
+    gain, phase = (np.abs(values[lines]) for values in found.deviations)
     figures = {
         "margins": margins.to_display(),
-        "model_margins": response_margins(measured.frequencies, found.model.open_loop).to_display(),
-        "coherent_lines": int(measured.coherent.sum()),
-        "lines": int(measured.coherent.size),
+        "model_margins": response_margins(measured.frequencies[lines], found.model.open_loop[lines]).to_display(),
+        "coherent_lines": int(lines.sum()),
+        "lines": int(lines.size),
         "largest_deviation_dB": float(gain.max(initial=0.0)),
         "largest_deviation_deg": float(phase.max(initial=0.0)),
         "frequency_Hz": measured.frequencies.tolist(),
@@ -57,17 +59,43 @@ def frequency_response(work: Work) -> Outcome:
             f"{phase.max(initial=0.0):.2g}° off (allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°){_changed(found)}",
             figures,
         )
-    if (margins.phase or 180.0) < LEAST_PHASE or (margins.gain_high or 10.0) < LEAST_GAIN:
-        sentence = f"the measured margins are too small: phase {margins.phase:.0f}°, gain {margins.gain_high:.2g}"
-        return Outcome(False, sentence, figures)
+    small = _too_small(margins)
+    if small:
+        return Outcome(False, small, figures)
     return Outcome(
         True,
         f"the model explains the plant within {gain.max(initial=0.0):.2f} dB and {phase.max(initial=0.0):.1f}°; "
-        f"phase margin {margins.phase:.0f}°, peak of |S| {margins.peak:.2f}"
-        if margins.phase is not None
-        else f"the model explains the plant; peak of |S| {margins.peak:.2f}",
+        f"{_told(margins)}, peak of |S| {margins.peak:.2f}",
         figures,
     )
+
+
+def _too_small(margins: ResponseMargins) -> str:
+    """What the margins lack, in a sentence; empty if nothing.
+
+    A gain margin beyond the lines is larger than any that is demanded. The gain crossover must be among them: every law
+    that holds this unstable plant has one.
+    """
+    if margins.phase is None:
+        return (
+            "no gain crossover is among the coherent lines, so that the phase margin is unknown; look for noise on y, "
+            "and for more friction than was identified"
+        )
+    low, high = margins.gain_low or 0.0, margins.gain_high or np.inf
+    if margins.phase >= LEAST_PHASE and high >= LEAST_GAIN and low <= 1.0 / LEAST_GAIN:
+        return ""
+    return (
+        f"the measured margins are too small: {_told(margins)} (allowed: phase >= {LEAST_PHASE:g}°, gain down to "
+        f"{1.0 / LEAST_GAIN:.2g} and up to {LEAST_GAIN:g} times)"
+    )
+
+
+def _told(margins: ResponseMargins) -> str:
+    low = "" if margins.gain_low is None else f" down to {margins.gain_low:.2f}"
+    high = "" if margins.gain_high is None else f" up to {margins.gain_high:.2f}"
+    both = f"{low} and{high}" if low and high else low or high
+    gain = f"gain{both} times" if both else "gain beyond the lines"
+    return f"phase margin {margins.phase:.0f}°, {gain}"
 
 
 def _measured(work: Work) -> ComparedResponse:

@@ -18,6 +18,7 @@ from straightcomp_ros.commissioning.machine import Machine
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.commissioning.safe_loop import safe_loop
 from straightcomp_ros.commissioning.signs_and_scales import signs_and_scales
+from straightcomp_ros.commissioning.step_files import STEP_FILES
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
 from straightcomp_ros.settings.plain_json import plain
 from straightcomp_ros.settings.whole_file import write_whole
@@ -76,6 +77,8 @@ class Procedure:
     def run(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Outcome:
         """Do one step, even if it is done; forget those after it, if they rest on something else now.
 
+        The certificate is void from the beginning: it names the bag and the figures that the step replaces.
+
         Raises:
             CommissioningError: a step before it has not passed.
         """
@@ -83,18 +86,35 @@ class Procedure:
         for before in names[: names.index(step)]:
             if before not in self.outcomes or not self.outcomes[before].passed:
                 raise CommissioningError(f"step '{step}' rests on '{before}', which has not passed; do that one first")
-        outcome = STEPS[step](self.work(step, progress))
         former = self.outcomes.get(step)
-        self.outcomes[step] = outcome
+        # Before the step begins, since an interrupt leaves neither its old files nor its new ones.
+        self._forget(step, "certificate")
+        outcome = STEPS[step](self.work(step, progress))
         if former is None or (former.stage, former.gains) != (outcome.stage, outcome.gains) or not outcome.passed:
-            for later in names[names.index(step) + 1 :]:
-                self.outcomes.pop(later, None)
+            self._forget(*names[names.index(step) + 1 :])
+        self.outcomes[step] = outcome
         self._write()
         return outcome
 
+    def _forget(self, *steps: str) -> None:
+        """Take ``steps`` out of the record, then remove their files."""
+        for step in steps:
+            self.outcomes.pop(step, None)
+        # First the record: a file that it does not name misleads nobody for long, since the next call removes it.
+        self._write()
+        for step in steps:
+            for name in STEP_FILES.get(step, ()):
+                (self._folder / name).unlink(missing_ok=True)
+
     def remaining(self) -> list[str]:
-        """Names of the steps that have not passed yet, in their order."""
-        return [name for name in STEPS if name not in self.outcomes or not self.outcomes[name].passed]
+        """Names of the steps from the first on that has not passed, in their order.
+
+        Those after it are among them even if they have passed: where a repeat was interrupted, nobody knows any more
+        whether they rest on what it will find.
+        """
+        names = list(STEPS)
+        passed = [name in self.outcomes and self.outcomes[name].passed for name in names]
+        return [] if all(passed) else names[passed.index(False) :]
 
     def work(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Work:
         """What ``step`` works on: the description with what the steps before it found."""

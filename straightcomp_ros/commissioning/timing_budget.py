@@ -1,5 +1,6 @@
 """What late commands cost: the stroke in simulation again, with the latencies that were measured and with stalls."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,16 @@ def stalled(count: int, period_ns: int, due_ns: int, stall_ms: float, starts: ra
     return delays
 
 
+def allowed_cost_um(timing: Mapping[str, Any], count: float) -> float:
+    """Largest error p-p in µm that late commands may add to a stroke of ``timing`` by an encoder of ``count`` in m.
+
+    They may double it, as the stalls of a run that is in order may, and below a count of the encoder nobody sees it.
+    """
+    return max(float(timing["in_time_pp_um"]), count * 1e6)
+
+
 def timing_budget(values: Values, latency: NDArray[np.float64], travel: float) -> dict[str, Any]:
-    """Figures of the timing.
+    """Figures of the timing; a cost or an error is infinite where the platform is lost.
 
     Args:
         values: parameters of the machine as known, by node and dotted name.
@@ -46,8 +55,8 @@ def timing_budget(values: Values, latency: NDArray[np.float64], travel: float) -
     if told.size:
         measured = np.maximum(due_ns, np.round(told * 1e9).astype(np.int64))
         late = np.full_like(measured, max(due_ns, round(percentiles["p99"] * 1e3)))
-        found["as_measured_costs_um"] = _peak_to_peak(values, measured) - in_time
-        found["p99_costs_um"] = _peak_to_peak(values, late) - in_time
+        found["as_measured_costs_um"] = _cost(values, measured, in_time)
+        found["p99_costs_um"] = _cost(values, late, in_time)
     stalls = _stalls(values, period_ns, due_ns)
     limit_ms = driver.machine.command_timeout * 1e3
     found["stall_error_um"] = {f"{ms} ms": error * 1e6 for ms, error in stalls.items()}
@@ -63,6 +72,14 @@ def _peak_to_peak(values: Values, delays: NDArray[np.int64] | None) -> float:
     found = evaluate(*run_stroke(values, delays)).true_pp
     assert found is not None  # a simulation has truth
     return found * 1e6
+
+
+def _cost(values: Values, delays: NDArray[np.int64], in_time: float) -> float:
+    """What these delays add to ``in_time``, µm p-p; infinite where the platform is lost."""
+    try:
+        return _peak_to_peak(values, delays) - in_time
+    except ValueError:
+        return float("inf")
 
 
 def _stalls(values: Values, period_ns: int, due_ns: int) -> dict[int, float]:

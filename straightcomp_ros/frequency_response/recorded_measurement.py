@@ -12,12 +12,13 @@ from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
 from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
-from straightcomp_ros.frequency_response.loop_excitation import loop_multisine
+from straightcomp_ros.frequency_response.loop_excitation import loop_multisine, multisine_injection
+from straightcomp_ros.frequency_response.multisine import Multisine
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, compared_response
 from straightcomp_ros.stage.description import StageParameters
 
 _ALIKE = 0.9
-"""Least correlation of what was injected with the excitation."""
+"""Least correlation of what was injected with the excitation, of all of it and in the used period of each draw."""
 
 
 def response_from_bag(
@@ -61,9 +62,24 @@ def response_from_bag(
             f"bag {bag}: has not the whole excitation (correlation {alike:.2f}; allowed: >= {_ALIKE:g}); was it ended "
             "early, or made with other parameters?"
         )
+    injection = multisine_injection(parameters, excitation, stage)
+    # With its fades, of which a short period has much.
+    whole = np.array([injection.step(0.0, 0.0) for _ in range(excitation.currents.size)])
+    lacking = _missing_draws(excitation, added[part], whole)
+    if lacking:
+        raise ExcitationEnded(
+            f"bag {bag}: the excitation lacks {lacking} of its {excitation.draws} draws of phases; was it ended early?"
+        )
     reading = values_at(streams[ENCODER.topic], "y", common)
     clipped = int(np.count_nonzero(np.abs(commands[part]) >= limit))
     return compared_response(excitation, asked[part], commands[part], reading[part], control, stage, clipped)
+
+
+def _missing_draws(excitation: Multisine, added: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
+    """Draws whose used period is not in ``added`` (n,): of most of an excitation the correlation is high too."""
+    there, expected = excitation.used(added), excitation.used(wanted)
+    power = np.sqrt(np.sum(there**2, axis=1) * np.sum(expected**2, axis=1))
+    return int(np.count_nonzero(np.sum(there * expected, axis=1) <= _ALIKE * power))
 
 
 def _place(series: NDArray[np.float64], wanted: NDArray[np.float64]) -> tuple[int, float]:

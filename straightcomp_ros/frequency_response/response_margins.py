@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class ResponseMargins(NamedTuple):
-    """Margins; None where the response does not reach that far.
+    """Margins; None where the response does not reach that far, all of them without a response.
 
     Attributes:
         gain_low, gain_high: factors of the loop gain between which it stays stable.
@@ -29,8 +29,8 @@ class ResponseMargins(NamedTuple):
     phase: float | None
     crossover: float | None
     delay: float | None
-    peak: float
-    peak_frequency: float
+    peak: float | None
+    peak_frequency: float | None
 
     def to_display(self) -> dict[str, Any]:
         """The margins with their units in the names."""
@@ -46,7 +46,14 @@ class ResponseMargins(NamedTuple):
 
 
 def response_margins(frequencies: Array, open_loop: NDArray[np.complex128]) -> ResponseMargins:
-    """Margins of a stable loop with ``open_loop`` at ``frequencies`` (lines,) in Hz, rising."""
+    """Margins of a stable loop with ``open_loop`` at ``frequencies`` (lines,) in Hz, rising.
+
+    Lines that are not finite are left out. Of a measured loop hand over its coherent lines only.
+    """
+    finite = np.isfinite(open_loop)
+    frequencies, open_loop = frequencies[finite], open_loop[finite]
+    if not frequencies.size:
+        return ResponseMargins(None, None, None, None, None, None, None)
     log_f, log_gain = np.log(frequencies), np.log(np.abs(open_loop))
     # Phase of −L: zero on the negative real axis, where the critical point is.
     phase = np.unwrap(np.angle(-open_loop))

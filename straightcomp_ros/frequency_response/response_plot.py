@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, VERMILION
+from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, VERMILION, save_whole
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def plot_response(found: ComparedResponse, path: Path, title: str) -> None:
         axes.set_xlabel("frequency / Hz")
         axes.grid(color="#D8D8D8", linewidth=0.5)
     _nyquist(figure.add_subplot(grid[:, 2]), measured.response.open_loop, measured.open_loop_radius, model.open_loop)
-    figure.savefig(path)
+    save_whole(figure, path)
 
 
 def _magnitude(axes: Axes, frequencies: Array, values: Complex, radius: Array, expected: Complex, label: str) -> None:

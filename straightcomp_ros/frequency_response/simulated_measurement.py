@@ -59,7 +59,7 @@ class ComparedResponse:
 
     @property
     def explained(self) -> bool:
-        """Whether there are coherent lines, and none contradicts the description.
+        """Whether there are coherent lines, all are finite, and none contradicts the description.
 
         A line contradicts it if it is certainly off by more than `WITHIN_DB` or `WITHIN_DEG`: if no value in its circle
         is nearer. The circles are those that hold for all coherent lines at once.
@@ -71,7 +71,8 @@ class ComparedResponse:
         with np.errstate(divide="ignore"):
             least, most = gain + 20.0 * np.log10(1.0 - radius), gain + 20.0 * np.log10(1.0 + radius)
         turned = np.abs(phase) - np.degrees(np.arcsin(radius))
-        off = (least > WITHIN_DB) | (most < -WITHIN_DB) | (turned > WITHIN_DEG)
+        # Written so that NaN is off.
+        off = ~((least <= WITHIN_DB) & (most >= -WITHIN_DB) & (turned <= WITHIN_DEG))
         return bool(measured.coherent.any() and not (measured.coherent & off).any())
 
 

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval, Limit, LimitCheck, assess, judged, read_limits
@@ -187,7 +186,7 @@ def test_a_limit_may_be_a_number_in_exponential_form_and_a_single_value(tmp_path
 @pytest.fixture
 def drawn(monkeypatch):
     figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path: figures.append(figure))
+    monkeypatch.setattr(plot, "save_whole", lambda figure, path: figures.append(figure))
     return figures
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import sys
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,22 @@ def test_a_picture_shows_every_curve_whole(
         for line in axes.get_lines():
             values = np.asarray(line.get_ydata())
             assert low <= values.min() and values.max() <= high
+
+
+def test_a_picture_that_cannot_be_finished_leaves_the_former_one(
+    noisy_record: StrokeRecord, cosine_map: StraightnessMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, metrics = tmp_path / "run.png", evaluate(noisy_record, cosine_map)
+    path.write_bytes(b"former")
+
+    def interrupted(figure: Figure, file: BytesIO, **_: object) -> None:
+        file.write(b"half a picture")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Figure, "savefig", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        plot_run(noisy_record, cosine_map, metrics, path, "A stroke")
+    assert path.read_bytes() == b"former" and list(tmp_path.iterdir()) == [path]
 
 
 def test_the_legend_gives_the_figures(

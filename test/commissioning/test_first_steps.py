@@ -1,5 +1,7 @@
 """Before a loop is closed: all machines that the description allows pass, broken ones are named, and none moves far."""
 
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import broken
@@ -9,6 +11,8 @@ from roughly_known import MACHINES, TRUTH, values_of, work_on
 
 from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.connection import connection
+from straightcomp_ros.commissioning.machine import Series
+from straightcomp_ros.commissioning.outcome import Outcome
 from straightcomp_ros.commissioning.signs_and_scales import signs_and_scales
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters
@@ -74,6 +78,51 @@ def test_a_bus_that_loses_one_sample_in_a_hundred_is_named(tmp_path: Path) -> No
     outcome = connection(work_on(values_of(), tmp_path, broken.lossy_bus))
     assert not outcome.passed and "of 60000 samples (" in outcome.sentence and "were lost" in outcome.sentence
     assert 500 < outcome.figures["lost_samples"] < 700
+
+
+def listened(folder: Path, change: Callable[[Series], None]) -> Outcome:
+    """The first step on a machine whose samples are changed."""
+    work = work_on(values_of(), folder)
+    series = work.machine.listen(5.0)
+    change(series)
+
+    class Heard(SimulatedMachine):
+        def listen(self, seconds: float) -> Series:
+            return series
+
+    return connection(dataclasses.replace(work, machine=Heard(work.values)))
+
+
+def test_samples_without_a_command_are_counted_except_at_the_ends_of_the_recording(tmp_path: Path) -> None:
+    def ends(series: Series) -> None:
+        for place in (slice(0, 3), slice(-6, None)):
+            series.command[place] = series.latency[place] = np.nan
+
+    def within(series: Series) -> None:
+        ends(series)
+        series.command[[100, 4000, 4001]] = np.nan
+
+    sound = listened(tmp_path, ends)
+    assert sound.passed and sound.figures["lost_commands"] == 0
+    lacking = listened(tmp_path, within)
+    assert not lacking.passed and lacking.figures["lost_commands"] == 3
+    assert "3 of 10000 samples got no command" in lacking.sentence
+
+
+def test_late_commands_of_a_busy_computer_are_not_lost_ones(tmp_path: Path) -> None:
+    # As recorded: at a sample before which none arrived the driver tells no latency.
+    def late(series: Series) -> None:
+        series.latency[::12] = np.nan
+        series.latency[1::12] = 1e-3
+
+    assert listened(tmp_path, late).passed
+
+
+def test_a_driver_at_which_no_command_arrives_is_named(tmp_path: Path) -> None:
+    outcome = listened(tmp_path, lambda series: series.latency.fill(np.nan))
+    assert not outcome.passed and "commands arrived at the driver between 0 % of the samples" in outcome.sentence
+    outcome = listened(tmp_path, lambda series: series.command.fill(np.nan))
+    assert not outcome.passed and "10000 of 10000 samples got no command" in outcome.sentence
 
 
 def test_a_platform_that_strays_from_its_reference_ends_the_stroke(tmp_path: Path) -> None:

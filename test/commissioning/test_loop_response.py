@@ -3,14 +3,17 @@
 import dataclasses
 from pathlib import Path
 
+import pytest
 from roughly_known import values_of, work_on
 
+from straightcomp_ros.commissioning import loop_response
 from straightcomp_ros.commissioning.loop_response import frequency_response
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 from straightcomp_ros.configuration.node_parameters import Values
-from straightcomp_ros.frequency_response import ExcitationEnded
+from straightcomp_ros.frequency_response import ExcitationEnded, response_plot
 from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
-from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
+from straightcomp_ros.frequency_response.response_margins import ResponseMargins, response_margins
+from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse, measure_simulated
 
 
 class Lively(SimulatedMachine):
@@ -37,3 +40,51 @@ def test_a_machine_that_leaves_it_again_ends_the_step_with_the_sentence(tmp_path
     values = values_of()
     outcome = frequency_response(dataclasses.replace(work_on(values, tmp_path), machine=Lively(values)))
     assert not outcome.passed and outcome.sentence == "the excitation was ended early at 0.083 of the travel"
+
+
+@pytest.fixture(scope="module")
+def measured() -> ComparedResponse:
+    return measure_simulated(values_of(), MultisineParameters(draws=4))
+
+
+@pytest.mark.parametrize(
+    ("margins", "words"),
+    [
+        ({}, ""),
+        ({"gain_low": None, "gain_high": None}, ""),
+        ({"gain_high": 1.2}, "phase margin 40°, gain down to 0.50 and up to 1.20 times (allowed: phase >= 10°, gain"),
+        ({"gain_high": None, "phase": 5.0}, "phase margin 5°, gain down to 0.50 times"),
+        ({"gain_low": 0.9, "gain_high": None}, "phase margin 40°, gain down to 0.90 times"),
+        ({"gain_low": None, "gain_high": None, "phase": 9.0}, "phase margin 9°, gain beyond the lines"),
+        ({"phase": None}, "no gain crossover is among the coherent lines"),
+    ],
+)
+def test_margins_are_judged_to_both_sides_and_told_in_the_sentence(
+    margins: dict[str, float | None],
+    words: str,
+    measured: ComparedResponse,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = ResponseMargins(0.5, 2.0, 40.0, 80.0, 1e-3, 1.8, 200.0)._replace(**margins)
+    monkeypatch.setattr(loop_response, "response_margins", lambda frequencies, loop: whole)
+    monkeypatch.setattr(loop_response, "_measured", lambda work: measured)
+    monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
+    outcome = frequency_response(work_on(values_of(), tmp_path))
+    assert outcome.passed is not bool(words) and words in outcome.sentence
+
+
+def test_margins_are_those_of_the_coherent_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    used = []
+
+    def noted(frequencies, loop):
+        used.append(len(frequencies))
+        return response_margins(frequencies, loop)
+
+    monkeypatch.setattr(loop_response, "response_margins", noted)
+    values = values_of(friction__coulomb=6.0, friction__static=8.0)
+    machine = Lively(values)
+    machine.bears = 1.0
+    outcome = frequency_response(dataclasses.replace(work_on(values, tmp_path), machine=machine))
+    assert outcome.figures["coherent_lines"] < outcome.figures["lines"]
+    assert used == [outcome.figures["coherent_lines"]] * 2

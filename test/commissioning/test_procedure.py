@@ -10,6 +10,7 @@ from straightcomp_ros.commissioning import CommissioningError, procedure
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.commissioning.procedure import RECORD, STEPS, Procedure
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
+from straightcomp_ros.commissioning.step_files import STEP_FILES
 
 
 @pytest.fixture
@@ -62,9 +63,65 @@ def test_a_step_that_finds_something_else_makes_the_later_ones_void(done: list[s
     for step in one.remaining():
         one.run(step)
     one.run("connection")
-    assert one.remaining() == []
+    assert one.remaining() == ["certificate"]
     one.run("safe_loop")
     assert one.remaining() == list(STEPS)[3:]
+
+
+def with_files(folder: Path) -> Procedure:
+    """All steps done, with the files that they leave."""
+    one = begun(folder)
+    for step in one.remaining():
+        one.run(step)
+        for name in STEP_FILES.get(step, ()):
+            (folder / name).write_text(step)
+    return one
+
+
+def left(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()} - {RECORD}
+
+
+@pytest.mark.parametrize(
+    ("step", "removed"),
+    [
+        ("connection", {"certificate"}),
+        ("frequency_response", {"frequency_response", "certificate"}),
+        ("acceptance", {"acceptance", "certificate"}),
+        ("certificate", {"certificate"}),
+    ],
+)
+def test_a_step_that_is_repeated_voids_the_certificate_and_its_own_files_before_it_begins(
+    done: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, removed: set[str]
+) -> None:
+    one = with_files(tmp_path)
+    written = {name for names in STEP_FILES.values() for name in names}
+    assert left(tmp_path) == written and one.remaining() == []
+
+    def interrupted(work: Work) -> Outcome:
+        assert left(tmp_path) == written - {name for gone in removed for name in STEP_FILES.get(gone, ())}
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(procedure.STEPS, step, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        one.run(step)
+    # The bag of the step may be gone, so that the step is to be done again.
+    again = begun(tmp_path)
+    assert again.remaining() == list(STEPS)[list(STEPS).index(step) :]
+    monkeypatch.setitem(procedure.STEPS, step, lambda work: Outcome(True, "once more"))
+    for name in again.remaining():
+        again.run(name)
+    assert again.remaining() == []
+
+
+def test_a_repeat_that_fails_leaves_no_file_of_a_later_step(
+    done: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = with_files(tmp_path)
+    monkeypatch.setitem(procedure.STEPS, "connection", lambda work: Outcome(False, "no samples"))
+    one.run("connection")
+    assert left(tmp_path) == set()
+    assert begun(tmp_path).remaining() == list(STEPS)
 
 
 def test_no_step_is_done_before_those_that_it_rests_on(done: list[str], tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from straightcomp_ros.cli.main import main
 STAGES = Path(__file__).resolve().parents[1] / "stages"
 
 
-def measured(capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
-    assert main(["frequency-response", "--json", *options]) == 0
+def measured(capsys: pytest.CaptureFixture[str], *options: str, exit_code: int = 0) -> dict[str, Any]:
+    assert main(["frequency-response", "--json", *options]) == exit_code
     return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
 
 
@@ -55,8 +55,16 @@ def test_the_measured_margins_are_near_those_of_the_description(capsys: pytest.C
 
 @pytest.mark.parametrize("truth", ["mass=1.4", "force=0.7", "amplifier=0.4"])
 def test_a_description_that_is_wrong_is_rejected(capsys: pytest.CaptureFixture[str], truth: str) -> None:
-    answer = measured(capsys, "--law", "linear", "--draws", "8", "--set", f"driver.simulated.truth.{truth}")
+    told = ("--law", "linear", "--draws", "8", "--set", f"driver.simulated.truth.{truth}")
+    answer = measured(capsys, *told, exit_code=1)
     assert not answer["model_explains_the_plant"]
+
+
+def test_a_wrong_description_is_said_to_be_wrong(capsys: pytest.CaptureFixture[str]) -> None:
+    told = ("--law", "linear", "--draws", "4", "--set", "driver.simulated.truth.mass=1.4")
+    assert main(["frequency-response", *told]) == 1
+    said = capsys.readouterr()
+    assert "the description does not explain the plant" in " ".join(said.err.split()) and "phase margin" in said.out
 
 
 def test_the_loop_is_measured_while_the_stage_makes_strokes(capsys: pytest.CaptureFixture[str]) -> None:

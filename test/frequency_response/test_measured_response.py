@@ -115,6 +115,17 @@ def test_a_model_that_no_line_speaks_of_is_not_explained() -> None:
     assert not ComparedResponse("linear", measured, model, 1.0, 0, 1.0).explained
 
 
+def test_a_response_that_is_not_a_number_is_not_explained() -> None:
+    excitation, _ = recorded(0.0)
+    signal = excitation.currents.copy()
+    # The last draw is missing: all means over the draws are NaN, but the coherence is not.
+    signal[-excitation.samples :] = 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        measured = measured_response(excitation, signal, signal, 1e-6 * signal)
+    assert measured.coherent.any() and np.isnan(measured.response.plant).all()
+    assert not ComparedResponse("linear", measured, flat(excitation.frequencies), 1.0, 0, 1.0).explained
+
+
 def test_the_speed_is_that_of_the_motion_at_the_lines() -> None:
     excitation, _ = recorded(0.0)
     spectrum = np.zeros(501, complex)

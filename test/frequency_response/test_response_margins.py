@@ -45,3 +45,12 @@ def test_a_delay_turns_the_loop_only_one_way() -> None:
     found = response_margins(F, loop)
     assert found.phase == pytest.approx(30.0)
     assert found.delay == pytest.approx(330.0 / 360.0 / 10.0, rel=1e-4)
+
+
+def test_lines_that_are_not_finite_are_left_out_and_no_line_has_no_margins() -> None:
+    loop = 50.0 * np.exp(-S * 0.01) / S
+    whole, holed = response_margins(F, loop), loop.copy()
+    holed[[3, 40]] = np.nan
+    assert response_margins(F, holed) == whole
+    assert response_margins(F, np.full(F.shape, np.nan + 0j)) == (None,) * 7
+    assert response_margins(F[:0], loop[:0]) == (None,) * 7
