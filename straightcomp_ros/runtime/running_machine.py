@@ -25,6 +25,7 @@ from straightcomp_ros.runtime.graph_client import ANSWER_S, GraphClient
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.settings.declaration import to_mapping
+from straightcomp_ros.timing.exclusive import use_kept_free
 
 _AT_ONCE = ("excitation.", "error_limit")
 """Parameters of the controller that change without a bump, so that it need not be configured again."""
@@ -90,6 +91,7 @@ class RunningMachine:
                 self._sleep(excitation.duration + _SETTLE_S)
         finally:
             self._client.give("driver", {_TRAVEL: self._travel})
+        self._rest()
         stage = node_parameters("controller", values).stage
         return excited(recorded_series(bag), excitation.travel, stage.rate)
 
@@ -140,9 +142,10 @@ class RunningMachine:
         self._client.give("logger", self._logger)
 
     def _rest(self) -> None:
-        """Make the loop inactive: what is computed next needs the processor."""
+        """Make the loop inactive: what is computed next needs the processor, the loop's CPU too."""
         for node in ("controller", "feedforward", "driver"):
             self._client.bring(node, "inactive")
+        use_kept_free(True)
 
     def _in_open_loop(self, excitation: ExcitationParameters) -> Values:
         own = {f"excitation.{name}": value for name, value in to_mapping(excitation).items()}
@@ -155,6 +158,7 @@ class RunningMachine:
 
     def _prepare(self, values: Values, **controller: Any) -> None:
         """Bring the loop to work with these parameters, the amplifier off."""
+        use_kept_free(False)
         self._give("feedforward", values)
         self._give("controller", {**values, "controller": {**values.get("controller", {}), **controller}})
         # A client that was killed may have left another.

@@ -63,6 +63,21 @@ def kept_free() -> set[int]:
     return set(map(int, claimed(_NAME)))
 
 
+def use_kept_free(used: bool) -> None:
+    """Let this thread, and what it starts from now on, run on the CPUs that are kept free, or no longer.
+
+    For a client of a graph whose loop is at rest while the client computes. Where there are other loops nothing
+    changes, since theirs may be at work.
+    """
+    kept = kept_free()
+    if used and len(loop_cpus()) > 1:
+        return
+    affinity = os.sched_getaffinity(0)
+    wanted = affinity | kept if used else affinity - kept
+    with suppress(OSError):
+        os.sched_setaffinity(0, wanted or affinity)
+
+
 def left_behind() -> set[int]:
     """The CPUs that other programs still avoid because the process that kept them off was killed. The next node of the
     same user that calls :func:`keep_others_off` for them releases them when it ends."""
