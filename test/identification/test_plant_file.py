@@ -28,6 +28,7 @@ def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
         "amplifier_bandwidth_deviation_Hz",
         "delay_us",
         "delay_spread_us",
+        "centre_um",
         "parameters",
         "advice",
         "untold",
