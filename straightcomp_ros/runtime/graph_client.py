@@ -37,8 +37,8 @@ from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 ANSWER_S = 20.0
 """Longest wait for an answer: a busy computer takes long to configure a node."""
 _START_S = 60.0
-_LISTEN_S = 1.0
-"""s in which this client hears of others."""
+_LISTEN_S = 2.0 * GONE_AFTER_S
+"""s in which this client hears of others: each says that it is alive within half of it."""
 _ENDED_S = _LISTEN_S + 2.0 * GONE_AFTER_S
 """s after which nobody takes a client for alive that ended, or was killed, when this one began."""
 _POLL_S = 0.01
@@ -113,6 +113,8 @@ class GraphClient:
         Raises:
             GraphError: another client commissions it.
         """
+        # Whoever hears the nodes hears their other clients too: on a busy computer discovery takes seconds.
+        self.processes()
         begin, others = time.monotonic(), self._others
         while time.monotonic() < begin + _LISTEN_S or (others.doing and time.monotonic() < begin + _ENDED_S):
             time.sleep(_POLL_S)

@@ -147,7 +147,8 @@ def test_a_client_that_is_told_to_end_leaves_the_nodes_as_they_were_and_another_
         asker.until(lambda: states and states[-1].amplifier_on)
         other = subprocess.run(words, capture_output=True, text=True, timeout=120)
         assert other.returncode == 1
-        assert "somebody else commissions the machine: frequency response" in " ".join(other.stderr.split())
+        # By its sign, or by the amplifier if that is heard first.
+        assert "somebody else" in " ".join(other.stderr.split())
         assert states[-1].amplifier_on
         client.send_signal(signal.SIGTERM)
         assert client.wait(timeout=60) == 143
