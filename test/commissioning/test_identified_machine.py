@@ -50,22 +50,22 @@ def test_what_lies_beyond_the_uncertainty_is_named_and_nothing_else(factors: dic
     assert (words in strange) if words else strange == ""
 
 
+def with_hardly_told(name: str, **factors: float) -> Estimate:
+    """An estimate of a machine as by :func:`estimate`, with a wide interval of ``name`` and no amplifier of its own."""
+    found = estimate(**factors)
+    one = found.parameters[name]
+    found.parameters[name] = dataclasses.replace(one, low=0.5 * one.value, high=2.0 * one.value)
+    return dataclasses.replace(found, path=SimpleNamespace(rate_found=False))  # type: ignore[arg-type]
+
+
 def test_static_friction_that_the_record_hardly_tells_keeps_its_described_ratio_to_coulomb_friction() -> None:
-    found = estimate(coulomb=2.5)
-    static = found.parameters["friction.static"]
-    found.parameters["friction.static"] = dataclasses.replace(static, low=0.5 * static.value, high=2.0 * static.value)
-    found = dataclasses.replace(found, path=SimpleNamespace(rate_found=False))  # type: ignore[arg-type]
-    facts = facts_found(found, STAGE)
+    facts = facts_found(with_hardly_told("friction.static", coulomb=2.5), STAGE)
     assert facts["friction.coulomb"] == pytest.approx(2.5 * STAGE.friction.coulomb)
     assert facts["friction.static"] == pytest.approx(2.5 * STAGE.friction.static)
 
 
 def test_what_the_record_hardly_tells_stays_as_uncertain_as_it_was_described() -> None:
-    found = estimate(turns=1.1)
-    turns = found.parameters["actuator.turns"]
-    found.parameters["actuator.turns"] = dataclasses.replace(turns, low=0.7 * turns.value, high=1.4 * turns.value)
-    found = dataclasses.replace(found, path=SimpleNamespace(rate_found=False))  # type: ignore[arg-type]
-    facts = facts_found(found, STAGE)
+    facts = facts_found(with_hardly_told("actuator.turns", turns=1.1), STAGE)
     assert not {"actuator.turns", "uncertainty.mass", "uncertainty.force"} & set(facts)
     assert facts["uncertainty.air_gap"] < STAGE.uncertainty.air_gap
 
