@@ -3,16 +3,15 @@
 import datetime
 import hashlib
 import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags.origin import origin
 from straightcomp_ros.commissioning.certificate_page import certificate_page
+from straightcomp_ros.commissioning.checks import Check, at_least, at_most, stroke_checks
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.commissioning.step_files import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
-from straightcomp_ros.commissioning.timing_budget import allowed_cost_um
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.settings.declaration import to_mapping
 from straightcomp_ros.settings.plain_json import plain
@@ -20,19 +19,15 @@ from straightcomp_ros.settings.whole_file import write_whole
 
 LEAST_PHASE, LEAST_GAIN = 10.0, 1.3
 """Smallest phase margin in degrees and gain margin that `frequency_response` accepts."""
-_FEW = 1.0 / 200.0
-"""Of the samples of a stroke, those that may be without a command: the law then leaves 0.16 µm in place of 0.14 µm."""
-_LAST_BITS = 1e-9
-"""Relative difference from a limit that is rounding."""
 
 
 def certificate(work: Work) -> Outcome:
     """Write `certificate.html`, `certificate.json` and `tuned.yaml`, if every figure is within its limits."""
     folder, checks = work.folder, list(_checks(work))
-    beyond = [one for one in checks if not one["passed"]]
+    beyond = [one for one in checks if not one.passed]
     if beyond:
-        told = "; ".join(f"{one['name']} {_shown(one['value'])} (allowed: {one['allowed']})" for one in beyond)
-        steps = " and ".join(dict.fromkeys(f"--only {one['step']}" for one in beyond))
+        told = "; ".join(map(str, beyond))
+        steps = " and ".join(dict.fromkeys(f"--only {one.step}" for one in beyond))
         return Outcome(False, f"beyond the limits: {told}; when the cause is removed, repeat the step ({steps})")
     write_whole(folder / TUNED, as_parameter_file(work.described()))
     told = plain(
@@ -46,7 +41,7 @@ def certificate(work: Work) -> Outcome:
             },
             "current_path": _current_path(work),
             "map_noise_um": work.stage.uncertainty.map_noise * 1e6,
-            "checks": checks,
+            "checks": [one._asdict() for one in checks],
             "later_limits": list(_later_limits(work)),
             "steps": {name: {"sentence": one.sentence, "figures": one.figures} for name, one in work.outcomes.items()},
         }
@@ -89,39 +84,19 @@ def _current_path(work: Work) -> dict[str, dict[str, float]]:
     }
 
 
-def _checks(work: Work) -> Iterator[dict[str, Any]]:
-    """Figures with what is allowed for each, and the step that found it; None where an older record lacks one."""
-
-    def check(
-        step: str, name: str, value: float | None, low: float | None = None, high: float | None = None
-    ) -> dict[str, Any]:
-        allowed = f">= {low:.4g}" if low is not None else f"<= {high:.4g}"
-        within = value is not None and (low is None or _reaches(value, low)) and (high is None or _reaches(high, value))
-        return {"step": step, "name": name, "value": value, "allowed": allowed, "passed": within}
-
+def _checks(work: Work) -> Iterator[Check]:
+    """Figures with what is allowed for each, and the step that found it."""
     outcomes = work.outcomes
-    connection, accepted = outcomes["connection"].figures, outcomes["acceptance"].figures
-    margins, timing = outcomes["frequency_response"].figures["margins"], accepted["timing"]
-    yield check("connection", "lost samples, amplifier off", connection.get("lost_samples"), high=0.0)
-    yield check("connection", "samples without a command, amplifier off", connection.get("lost_commands"), high=0.0)
-    yield check("frequency_response", "phase margin [°]", margins["phase_deg"], low=LEAST_PHASE)
+    connection, margins = outcomes["connection"].figures, outcomes["frequency_response"].figures["margins"]
+    yield at_most("connection", "lost samples, amplifier off", connection.get("lost_samples"), 0.0)
+    yield at_most("connection", "samples without a command, amplifier off", connection.get("lost_commands"), 0.0)
+    yield at_least("frequency_response", "phase margin [°]", margins["phase_deg"], LEAST_PHASE)
     # A gain margin beyond the measured lines is larger than any that is demanded.
     if margins["gain_low"] is not None:
-        yield check("frequency_response", "least gain, factor", margins["gain_low"], high=1.0 / LEAST_GAIN)
+        yield at_most("frequency_response", "least gain, factor", margins["gain_low"], 1.0 / LEAST_GAIN)
     if margins["gain_high"] is not None:
-        yield check("frequency_response", "largest gain, factor", margins["gain_high"], low=LEAST_GAIN)
-    yield check("acceptance", "lost samples of the stroke", accepted.get("lost_samples"), high=0.0)
-    few = float(math.ceil(_FEW * accepted["samples"]))
-    yield check("acceptance", "samples of the stroke without a command", accepted.get("lost_commands"), high=few)
-    if "as_measured_costs_um" in timing:
-        allowed = allowed_cost_um(timing, work.stage.encoder.y_resolution)
-        # A record that was read again has no infinity.
-        cost = math.inf if timing["as_measured_costs_um"] is None else timing["as_measured_costs_um"]
-        yield check("acceptance", "what its latencies cost [µm p-p]", cost, high=allowed)
-
-
-def _reaches(value: float, limit: float) -> bool:
-    return value >= limit or math.isclose(value, limit, rel_tol=_LAST_BITS)
+        yield at_least("frequency_response", "largest gain, factor", margins["gain_high"], LEAST_GAIN)
+    yield from stroke_checks(outcomes["acceptance"].figures, work.stage.encoder.y_resolution)
 
 
 def _later_limits(work: Work) -> Iterator[dict[str, Any]]:
@@ -129,9 +104,3 @@ def _later_limits(work: Work) -> Iterator[dict[str, Any]]:
     accepted = work.outcomes["acceptance"].figures
     for name, limit in accepted["limits"].items():
         yield {"name": name, "value": accepted[name], "limit": limit}
-
-
-def _shown(value: float | None) -> str:
-    if value is None:
-        return "unknown"
-    return f"{value:.4g}" if math.isfinite(value) else "infinite, since the platform is lost"

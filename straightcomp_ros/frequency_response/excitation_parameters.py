@@ -4,6 +4,10 @@ from dataclasses import dataclass
 
 from straightcomp_ros.settings.declaration import parameter
 
+_TRANSIENT_S = 0.5
+"""However short the period: the loop's transient does not follow it. With the default period a lead of 0.3 s, 0.5 s or
+1 s makes no difference to the response or its spread."""
+
 
 @dataclass(frozen=True)
 class MultisineParameters:
@@ -25,6 +29,16 @@ class MultisineParameters:
         1.0 / 6.0, "RMS of the excited motion that the excitation aims at, at most, relative to the travel", "(0, 1]"
     )
     seed: int = parameter(1, "Seed of the phases", "[0, 2147483647]")
+
+    @property
+    def lead(self) -> float:
+        """Time before the period of each draw in which the transient dies, s."""
+        return max(0.5 * self.period, min(self.period, _TRANSIENT_S))
+
+    @property
+    def seconds(self) -> float:
+        """Length of all draws, s."""
+        return (self.lead + self.period) * self.draws
 
 
 @dataclass(frozen=True)

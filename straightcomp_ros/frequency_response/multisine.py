@@ -1,9 +1,10 @@
 """The excitation of the loop: periods of a sum of sines on a grid of frequencies, repeated with other random phases.
 
-Periodic signals have no leakage: the discrete Fourier transform over whole periods gives each line exactly. The first
-period of each draw of phases lets the transient die and is not used. Draws with other phases show what of the
-response is not linear: a nonlinearity answers each draw with a part of its own that looks random, which a repetition of
-the same period would not show (R. Pintelon and J. Schoukens, System Identification, 2nd ed., 2012, chapter 4).
+Periodic signals have no leakage: the discrete Fourier transform over whole periods gives each line exactly. Each draw
+of phases begins before its period, so that the transient dies in what is not used. Draws with other phases show what of
+the response is not linear: a nonlinearity answers each draw with a part of its own that looks random, which a
+repetition of the same period would not show (R. Pintelon and J. Schoukens, System Identification, 2nd ed., 2012,
+chapter 4).
 
 The amplitudes are shaped by what the description expects of the loop. At low frequencies a law takes back most of what
 is added to its command: there the signal is larger, by a bounded factor, since the law's own command is limited too.
@@ -24,7 +25,7 @@ _HIGHEST_SHARE = 0.4
 _MOST = 3.0
 """Largest factor of the signal at low frequencies."""
 _CROSSOVER = 0.5
-"""Part of a period over which one draw gives way to the next."""
+"""Part of its lead over which a draw takes over from the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,20 +36,22 @@ class Multisine:
         frequencies: (lines,) Hz, whole multiples of the period's inverse.
         bins: (lines,) these multiples.
         samples: of a period.
-        draws: of phases; each lasts two periods, of which the second is used.
-        currents: (draws · 2 · samples,) A.
+        lead: samples of a draw before its period, which are not used.
+        draws: of phases, one after the other.
+        currents: (draws · (lead + samples),) A.
     """
 
     frequencies: NDArray[np.float64]
     bins: NDArray[np.int64]
     samples: int
+    lead: int
     draws: int
     currents: NDArray[np.float64]
 
     def used(self, series: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The second period of each draw, (draws, samples), of a series (n,) that begins with the excitation."""
-        whole = series[: self.draws * 2 * self.samples]
-        return whole.reshape(self.draws, 2, self.samples)[:, 1]
+        """The period of each draw, (draws, samples), of a series (n,) that begins with the excitation."""
+        each = self.lead + self.samples
+        return series[: self.draws * each].reshape(self.draws, each)[:, self.lead :]
 
 
 def multisine(
@@ -82,13 +85,15 @@ def multisine(
     amplitudes = np.minimum(
         shape, parameters.motion * parameters.travel * share / np.abs(loop.plant * loop.sensitivity)
     )
-    parts, before = [], np.zeros(samples)
+    lead = round(parameters.lead * rate)
+    parts, before = [], np.zeros(lead)
     # The draws cross over smoothly: where the law takes back most of the signal, a step of it would come through.
-    new = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, np.arange(samples) / (_CROSSOVER * samples)))
+    new = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, np.arange(lead) / (_CROSSOVER * lead)))
     for _ in range(parameters.draws):
         spectrum = np.zeros(samples // 2 + 1, complex)
         spectrum[bins] = 0.5 * samples * amplitudes * np.exp(2j * np.pi * random.random(bins.size))
         once = np.fft.irfft(spectrum, samples)
-        parts += [before + new * (once - before), once]
-        before = once
-    return Multisine(frequencies, bins, samples, parameters.draws, np.concatenate(parts))
+        parts += [before + new * (once[samples - lead :] - before), once]
+        # What would follow: the draw from its beginning.
+        before = once[:lead]
+    return Multisine(frequencies, bins, samples, lead, parameters.draws, np.concatenate(parts))

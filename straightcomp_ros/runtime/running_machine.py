@@ -116,7 +116,7 @@ class RunningMachine:
         values = {**values, "controller": controller}
         nodes = node_parameters("controller", values)
         self._prepare(values, error_limit=2.0 * excitation.travel)
-        bag, duration = self._bag("frequency_response"), 2.0 * excitation.period * excitation.draws + 2.0 * _SETTLE_S
+        bag, duration = self._bag("frequency_response"), excitation.seconds + 2.0 * _SETTLE_S
         motion = nodes.stage.motion
         if moving:
             self._approach(motion.start, motion.speed, motion.acceleration)

@@ -36,8 +36,9 @@ def test_a_ramp_goes_evenly_to_its_current_and_drops_to_zero(signal: str, sign: 
 
 
 def test_a_multisine_is_injected_under_a_law_with_a_slow_rise() -> None:
-    currents = answered(ExcitationParameters(draws=3), "smc_observer")
-    assert currents.size == 3 * 2 * STAGE.rate
+    parameters = ExcitationParameters(draws=3)
+    currents = answered(parameters, "smc_observer")
+    assert currents.size == parameters.seconds * STAGE.rate
     assert np.abs(currents[:10]).max() < 0.05 * np.abs(currents).max()
 
 

@@ -38,13 +38,24 @@ def test_draws_differ_in_their_phases_and_follow_each_other_without_a_step() -> 
     assert excitation.currents[0] == 0.0
 
 
+@pytest.mark.parametrize(("period", "lead"), [(0.2, 400), (0.8, 1000), (1.0, 1000), (4.0, 8000 // 2)])
+def test_a_draw_begins_before_its_period_and_goes_over_into_it(period: float, lead: int) -> None:
+    parameters = MultisineParameters(lowest=5.0, period=period, draws=3)
+    excitation = multisine(parameters, RATE, flat)
+    each = lead + excitation.samples
+    assert excitation.currents.size == 3 * each == round(parameters.seconds * RATE)
+    for draw, used in enumerate(excitation.used(excitation.currents)):
+        settled = excitation.currents[draw * each + lead // 2 : draw * each + lead]
+        np.testing.assert_allclose(settled, used[-settled.size :], atol=1e-12)
+
+
 def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_factor() -> None:
     def loop(frequencies: np.ndarray) -> LoopResponse:
         sensitivity = np.minimum(1.0, frequencies / 100.0).astype(complex)
         return LoopResponse(flat(frequencies).plant, 1.0 / sensitivity - 1.0, sensitivity)
 
     excitation = multisine(MultisineParameters(), RATE, loop)
-    amplitudes = np.abs(np.fft.rfft(excitation.currents[2000:4000]))[excitation.bins]
+    amplitudes = np.abs(np.fft.rfft(excitation.used(excitation.currents)[0]))[excitation.bins]
     high, low = amplitudes[-1], amplitudes[0]
     assert low / high == pytest.approx(3.0)
     middle = int(np.argmin(np.abs(excitation.frequencies - 60.0)))
@@ -57,7 +68,7 @@ def test_a_soft_plant_is_not_moved_beyond_the_travel() -> None:
 
     parameters = MultisineParameters(travel=6e-4)
     excitation = multisine(parameters, RATE, soft)
-    amplitudes = np.abs(np.fft.rfft(excitation.currents[2000:4000]))[excitation.bins] / 1000.0
+    amplitudes = np.abs(np.fft.rfft(excitation.used(excitation.currents)[0]))[excitation.bins] / 1000.0
     moved = amplitudes / excitation.frequencies**2
     assert np.sqrt(0.5 * np.sum(moved**2)) <= 1e-4 * (1.0 + 1e-9)
 
