@@ -21,6 +21,10 @@ from straightcomp_ros.frequency_response.simulated_measurement import (
     measure_simulated,
 )
 
+_FORESEEN = 0.7
+"""Part of the travel that the excitation may need in the simulation."""
+_MOTIONS = (1.0, 0.7, 0.5, 0.35)
+"""Parts of the usual motion, tried in this order. With 0.7 times the motion a machine needed 0.4 times the travel."""
 _ALIKE_DB = 0.5
 """Deviations are alike if half of them are within this of their median."""
 
@@ -99,20 +103,31 @@ def _told(margins: ResponseMargins) -> str:
 
 
 def _measured(work: Work) -> ComparedResponse:
-    """The response; once more with half the motion if the platform left the travel: how far it moves is a guess."""
-    excitation = MultisineParameters(travel=work.travel)
+    """The response; once more with half the motion if the platform left the travel, which late commands may cause."""
+    excitation, described = _foreseen(work, MultisineParameters(travel=work.travel))
     try:
         found = work.machine.response(work.values, excitation)
     except ExcitationEnded:
-        excitation = dataclasses.replace(excitation, motion=0.5 * excitation.motion)
+        excitation, described = _foreseen(work, dataclasses.replace(excitation, motion=0.5 * excitation.motion))
         found = work.machine.response(work.values, excitation)
-    try:
-        described = measure_simulated(work.described(), excitation)
-    except ExcitationEnded as error:
-        raise FrequencyResponseError(
-            f"the machine as identified would leave the travel, this one did not: {error}"
-        ) from error
     return dataclasses.replace(found, model=described.measured.response)
+
+
+def _foreseen(work: Work, excitation: MultisineParameters) -> tuple[MultisineParameters, ComparedResponse]:
+    """The excitation, with less motion where the machine as identified needs too much of the travel; its response.
+
+    No closed form tells the peaks: where the current reaches its limit, the magnets carry the platform on.
+    """
+    reason = ""
+    for share in _MOTIONS:
+        tried = dataclasses.replace(excitation, motion=share * excitation.motion)
+        # The same currents within less travel.
+        within = dataclasses.replace(tried, travel=_FORESEEN * tried.travel, motion=tried.motion / _FORESEEN)
+        try:
+            return tried, measure_simulated(work.described(), within)
+        except ExcitationEnded as error:
+            reason = str(error)
+    raise FrequencyResponseError(f"the machine as identified needs too much of the travel: {reason}")
 
 
 def _changed(found: ComparedResponse) -> str:

@@ -1,4 +1,4 @@
-"""How far the excitation moves a machine is a guess: the step measures once more with half of it."""
+"""The excitation stays within the travel: by the simulation first, and with half of the motion if that was wrong."""
 
 import dataclasses
 from pathlib import Path
@@ -40,6 +40,42 @@ def test_a_machine_that_leaves_it_again_ends_the_step_with_the_sentence(tmp_path
     values = values_of()
     outcome = frequency_response(dataclasses.replace(work_on(values, tmp_path), machine=Lively(values)))
     assert not outcome.passed and outcome.sentence == "the excitation was ended early at 0.083 of the travel"
+
+
+@pytest.mark.parametrize(("needed", "share"), [(0.69, 1.0), (0.9, 0.7), (1.8, 0.5), (3.0, 0.35)])
+def test_a_machine_that_would_need_most_of_the_travel_is_moved_less(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, needed: float, share: float
+) -> None:
+    usual = MultisineParameters().motion
+
+    def simulated(values: Values, excitation: MultisineParameters) -> ComparedResponse:
+        # More motion needs more travel than in proportion; the limit is that of the simulation.
+        aimed = excitation.motion * excitation.travel / (usual * work.travel)
+        if needed * aimed**2 * work.travel > excitation.travel:
+            raise ExcitationEnded("the excitation was ended early: too far")
+        return measure_simulated(values, dataclasses.replace(excitation, draws=8))
+
+    class Noted(Lively):
+        motion = 0.0
+
+        def response(self, values: Values, excitation: MultisineParameters) -> ComparedResponse:
+            self.motion = excitation.motion
+            return super().response(values, excitation)
+
+    values = values_of()
+    machine = Noted(values)
+    machine.bears = 1.0
+    work = dataclasses.replace(work_on(values, tmp_path), machine=machine)
+    monkeypatch.setattr(loop_response, "measure_simulated", simulated)
+    assert frequency_response(work).passed
+    assert machine.motion == pytest.approx(share * usual)
+    monkeypatch.setattr(loop_response, "_MOTIONS", (1.0,))
+    if share < 1.0:
+        sentence = frequency_response(work).sentence
+        assert (
+            sentence
+            == "the machine as identified needs too much of the travel: the excitation was ended early: too far"
+        )
 
 
 @pytest.fixture(scope="module")
