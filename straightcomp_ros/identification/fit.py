@@ -11,8 +11,11 @@ of the two solutions. If that does not hold with the least process noise, it goe
 that holds with less is taken: one start alone may end in a valley that explains the record and is wrong.
 """
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +78,7 @@ class Search:
         self._steps = _STEP * np.eye(len(self._free))
         self.gains = np.empty((len(recording.y), 4))
         self.evaluations = 0
+        self._counting = Lock()
 
     def take_gains(self, vector: Array, missed: float) -> None:
         """Run the filter at ``vector``, and keep its gains."""
@@ -87,7 +91,8 @@ class Search:
         """Prediction errors (n − burn-in,) in standard deviations, with the present gains."""
         errors = np.empty(len(self.gains))
         prediction_errors(self._unknowns.constants(vector, self._rate), self._record, self.gains, errors)
-        self.evaluations += 1
+        with self._counting:
+            self.evaluations += 1
         # How far a prediction left the path does not matter.
         return np.clip(np.nan_to_num(errors[BURN_IN:], nan=_OUTLIER), -_OUTLIER, _OUTLIER)
 
@@ -117,8 +122,10 @@ class Search:
 
     def jacobian(self, free: Array) -> Array:
         """Derivatives (n − burn-in, free) of the residuals by the free logarithms, by differences."""
-        here = self.residuals(self._whole(free))
-        return np.stack([(self.residuals(self._whole(free + step)) - here) / _STEP for step in self._steps], axis=1)
+        vectors = [self._whole(free + step) for step in (np.zeros(len(free)), *self._steps)]
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
+            here, *moved = threads.map(self.residuals, vectors)
+        return np.stack([(there - here) / _STEP for there in moved], axis=1)
 
     def _whole(self, free: Array) -> Array:
         vector = self._unknowns.start.copy()

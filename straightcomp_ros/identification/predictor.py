@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.model.compiled import compilable, compiled
+from straightcomp_ros.model.compiled import compilable, compiled, compiled_for_threads
 from straightcomp_ros.model.plant import advance
 
 Array = NDArray[np.float64]
@@ -100,7 +100,7 @@ def filter_gains(constants: Array, record: Record, deviations: Array, gains: Arr
         covariance[2, 2] += deviations[2] * deviations[2]
 
 
-@compiled
+@compiled_for_threads
 def prediction_errors(constants: Array, record: Record, gains: Array, errors: Array) -> None:
     """Fill ``errors`` as :func:`filter_gains` does, with the given ``gains`` (n, 4)."""
     y = record.y

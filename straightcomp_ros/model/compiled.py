@@ -48,10 +48,15 @@ class Compiled:
 
     The first call imports numba, and not the decorator: most nodes compute nothing, and numba takes 60 MB, as much as
     all their other imports, and a quarter of the time.
+
+    Args:
+        function: the source.
+        beside_others: whether other threads of Python run meanwhile. A control loop must not let them: it would have to
+            wait until it may go on.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+    def __init__(self, function: Callable[..., Any], beside_others: bool = False) -> None:
+        self._function, self._beside_others = function, beside_others
         update_wrapper(self, function)
 
     @cached_property
@@ -66,7 +71,7 @@ class Compiled:
         previous = settings.CACHE_DIR
         settings.CACHE_DIR = str(cache_directory())
         try:
-            return numba.njit(cache=True, error_model="numpy")(self._function)
+            return numba.njit(cache=True, error_model="numpy", nogil=self._beside_others)(self._function)
         finally:
             settings.CACHE_DIR = previous
 
@@ -85,3 +90,8 @@ class Compiled:
 def compiled(function: F) -> F:
     """Decorator: see :class:`Compiled`."""
     return cast(F, Compiled(function))
+
+
+def compiled_for_threads(function: F) -> F:
+    """Decorator: see :class:`Compiled`; several threads may run the function at a time."""
+    return cast(F, Compiled(function, beside_others=True))
