@@ -16,7 +16,8 @@ def untold(estimate: Estimate) -> list[str]:
     ]
     if math.isnan(path.delay):
         sentences.append(
-            "Command and measured current fit no first-order amplifier: its bandwidth and delay are unknown."
+            "Command and measured current fit no first-order amplifier, as where many commands come late: this record "
+            "tells no bandwidth and no delay."
         )
     elif not path.rate_found:
         sentences.append(
