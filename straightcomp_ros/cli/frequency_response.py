@@ -116,6 +116,7 @@ def _figures(found: ComparedResponse) -> dict[str, Any]:
         "law": found.law,
         "duration_s": found.duration,
         "clipped_samples": found.clipped,
+        "late_share": found.late_share,
         "speed_rms_mm_s": measured.speed * 1e3,
         "friction_damping_Ns_m": found.damping,
         "margins": of_measured.to_display(),
@@ -148,6 +149,8 @@ def _print(found: ComparedResponse, name: str) -> None:
     if found.explained:
         console.print(_verdict(found), style="green", highlight=False)
     measured = found.measured
+    if found.lateness:
+        notes.print(found.lateness, highlight=False)
     if found.clipped:
         notes.print(f"The current limit cut {found.clipped} samples of the excitation: take less current")
     notes.print(

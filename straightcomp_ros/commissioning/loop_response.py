@@ -60,7 +60,8 @@ def frequency_response(work: Work) -> Outcome:
         return Outcome(
             False,
             f"what was identified does not explain the measured plant: up to {gain.max(initial=0.0):.2g} dB and "
-            f"{phase.max(initial=0.0):.2g}° off (allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°){_changed(found)}",
+            f"{phase.max(initial=0.0):.2g}° off (allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°){_changed(found)}"
+            f"{f'; {found.lateness}' if found.lateness else ''}",
             figures,
         )
     small = _too_small(margins)

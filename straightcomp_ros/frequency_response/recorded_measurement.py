@@ -1,5 +1,6 @@
 """A frequency response from a bag of the excited loop."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,9 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.stream_columns import StreamColumns
 from straightcomp_ros.bags.values_at import values_at
-from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.frequency_response import ExcitationEnded, FrequencyResponseError
 from straightcomp_ros.frequency_response.excitation_parameters import MultisineParameters
@@ -19,6 +21,8 @@ from straightcomp_ros.stage.description import StageParameters
 
 _ALIKE = 0.9
 """Least correlation of what was injected with the excitation, of all of it and in the used period of each draw."""
+_IN_TIME = 1.02
+"""Of the time at which a command is due, that at which it is in time all the same."""
 
 
 def response_from_bag(
@@ -29,7 +33,7 @@ def response_from_bag(
     Samples are counted as the controller answered them: a lost one shifts the excitation too.
 
     Args:
-        bag: with encoder, command and the controller's state.
+        bag: with encoder, command and the controller's state; the driver's tells which commands came late.
         parameters: of the excitation.
         control: law and gains under which it was made.
         stage: the description that the response is compared with.
@@ -40,7 +44,7 @@ def response_from_bag(
     """
     wanted = (ENCODER, COMMAND, CONTROLLER_STATE)
     try:
-        streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted})
+        streams = read_streams(bag, {stream.topic: stream.layout for stream in (*wanted, DRIVER_STATE)})
     except BagError as error:
         raise FrequencyResponseError(str(error)) from error
     missing = [stream.topic for stream in wanted if stream.topic not in streams]
@@ -72,7 +76,19 @@ def response_from_bag(
         )
     reading = values_at(streams[ENCODER.topic], "y", common)
     clipped = int(np.count_nonzero(np.abs(commands[part]) >= limit))
-    return compared_response(excitation, asked[part], commands[part], reading[part], control, stage, clipped)
+    found = compared_response(excitation, asked[part], commands[part], reading[part], control, stage, clipped)
+    return dataclasses.replace(found, late_share=_late_share(streams.get(DRIVER_STATE.topic), common[part], stage))
+
+
+def _late_share(state: StreamColumns | None, stamps: NDArray[np.int64], stage: StageParameters) -> float:
+    """Part of the samples at ``stamps`` (n,) whose command was late, as the driver recorded it; 0 if it did not.
+
+    A sample without a latency is one before which no command arrived: it came after it, together with the next one.
+    """
+    if state is None:
+        return 0.0
+    latency = values_at(state, "command_latency", stamps)
+    return float(np.mean(~(latency <= _IN_TIME * stage.drive.delay * stage.period)))
 
 
 def _missing_draws(excitation: Multisine, added: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:

@@ -24,6 +24,8 @@ from straightcomp_ros.stage.description import StageParameters
 
 WITHIN_DB, WITHIN_DEG = 1.0, 5.0
 """Deviations up to which a model explains a measurement."""
+_FEW_LATE = 0.02
+"""Share of late commands that hardly delays a loop: by as much of a sample."""
 _SETTLE = 1.0
 """s before the excitation, in which the law settles."""
 _SPARE = 0.5
@@ -42,6 +44,7 @@ class ComparedResponse:
         damping: that friction, N·s/m.
         clipped: samples in which the current limit cut the excitation.
         duration: of the excitation, s.
+        late_share: of the samples, those whose command arrived after it was due, or not before the next sample's.
     """
 
     law: str
@@ -50,6 +53,17 @@ class ComparedResponse:
     damping: float
     clipped: int
     duration: float
+    late_share: float = 0.0
+
+    @property
+    def lateness(self) -> str:
+        """What the host did to the measurement, in a sentence; empty if it served the loop well enough."""
+        if self.late_share <= _FEW_LATE:
+            return ""
+        return (
+            f"{self.late_share:.0%} of the commands came late, which delays the loop on the mean and is no fault of "
+            "the machine; straightcomp doctor says what delays this computer"
+        )
 
     @property
     def deviations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

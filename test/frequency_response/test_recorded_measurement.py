@@ -1,5 +1,6 @@
 """A bag of the excited loop gives the response of the loop if the whole excitation is in it."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,17 @@ def test_a_whole_excitation_gives_what_is_measured_at_once(tmp_path: Path) -> No
     at_once = measure_simulated(values, EXCITATION)
     ratio = found.measured.response.plant / at_once.measured.response.plant
     assert np.abs(ratio[found.measured.coherent] - 1.0).max() < 0.05 and found.explained
+    assert found.late_share < 1e-3 and found.lateness == ""
+
+
+def test_commands_that_came_late_are_told(tmp_path: Path) -> None:
+    _, control, stage = recorded(tmp_path / "bag")
+    # Of a host whose commands are due sooner than they came.
+    soon = dataclasses.replace(stage, drive=dataclasses.replace(stage.drive, delay=0.5 * stage.drive.delay))
+    found = response_from_bag(tmp_path / "bag", EXCITATION, control, soon)
+    assert found.late_share == 1.0 and found.lateness.startswith(
+        "100% of the commands came late, which delays the loop"
+    )
 
 
 @pytest.mark.parametrize("share", [0.5, 0.85, 0.96])
