@@ -24,7 +24,7 @@ COMPARED = {"messages": 0, "big_endian": 0, "signed": 0, "float": 0, "multiplexe
 
 @given(messages(), st.integers(0, 2**32))
 @settings(MESSAGES_OF_A_RUN)
-def test_generated_code_packs_and_unpacks_what_cantools_does(drawn, seed):
+def compare(drawn, seed):
     chance = random.Random(seed)
     message = cantools.database.load_string(dbc_text([drawn]), "dbc", strict=True).messages[0]
     COMPARED["messages"] += 1
@@ -56,7 +56,9 @@ def test_generated_code_packs_and_unpacks_what_cantools_does(drawn, seed):
         COMPARED["multiplexed"] += bool(page)
 
 
-def test_at_least_two_thousand_messages_of_every_kind_were_compared():
+def test_generated_code_packs_and_unpacks_what_cantools_does():
+    compare()
+    # In the same test: another one might run in another process.
     assert COMPARED["messages"] >= MESSAGES
     assert min(COMPARED.values()) >= 300, COMPARED
 
