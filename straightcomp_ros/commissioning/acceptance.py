@@ -15,7 +15,7 @@ import yaml
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judgement import STARVED, Verdict
-from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.commissioning import LeftTravel
@@ -45,15 +45,16 @@ def acceptance(work: Work) -> Outcome:
     # The certificate names all bags: one of strokes that no longer count must not be among them.
     shutil.rmtree(work.folder / "bags" / "learning", ignore_errors=True)
     values = {**work.values, "controller": {**work.values["controller"], **learning}}
+    straightness = load_map(work.stage.guide)
     disturbed: list[str] = []
     try:
         if learning:
             (work.folder / LEARNED).unlink(missing_ok=True)
             work.machine.stroke(values, work.folder / "bags" / "learning", work.travel, work.learning_strokes)
-        stroke = _stroke(work, values)
+        stroke = _stroke(work, values, straightness)
         while stroke.disturbance and len(disturbed) < _REPEATS:
             disturbed.append(stroke.disturbance)
-            stroke = _stroke(work, values)
+            stroke = _stroke(work, values, straightness)
     except LeftTravel as error:
         return Outcome(False, str(error), {"disturbed_strokes": disturbed})
     figures = {**stroke.figures, "disturbed_strokes": disturbed}
@@ -63,9 +64,8 @@ def acceptance(work: Work) -> Outcome:
     # Only here: matplotlib takes longer to import than the stroke to evaluate.
     from straightcomp_ros.analysis.pictures import plot_run
 
-    record, straightness = stroke.record, stroke.straightness
-    metrics = evaluate(record, straightness)
-    plot_run(record, straightness, metrics, work.folder / STROKE, f"Acceptance of stage '{work.stage.name}'")
+    title = f"Acceptance of stage '{work.stage.name}'"
+    plot_run(stroke.record, straightness, stroke.metrics, work.folder / STROKE, title)
     checked, told = _checked(work, straightness)
     figures |= checked
     if checked and not checked["survey_agrees"]:
@@ -86,23 +86,23 @@ class _Stroke:
     """
 
     record: StrokeRecord
-    straightness: StraightnessMap
+    metrics: Metrics
     verdict: Verdict
     figures: dict[str, Any]
     disturbance: str
 
 
-def _stroke(work: Work, values: Values) -> _Stroke:
+def _stroke(work: Work, values: Values, straightness: StraightnessMap) -> _Stroke:
     """Make one cycle and evaluate it; raises LeftTravel."""
     bag = work.folder / "bags" / "acceptance"
     work.machine.stroke(values, bag, work.travel)
     run = evaluate_bag(bag)
-    record, straightness = run.record, load_map(work.stage.guide)
+    record, metrics = run.record, evaluate(run.record, straightness)
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
     known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
     verdict = judged_run(known, straightness, by_node(values), straightness, run.stalls)
     figures = {
-        **evaluate(record, straightness).to_display(),
+        **metrics.to_display(),
         **verdict._asdict(),
         "lost_samples": run.lost_samples,
         "lost_commands": run.lost_commands,
@@ -112,7 +112,7 @@ def _stroke(work: Work, values: Values) -> _Stroke:
         figures["timing"] = timing_budget(work.described(), run.latency, work.travel)
         checks = stroke_checks(figures, work.stage.encoder.y_resolution)
         disturbance = "; ".join(str(one) for one in checks if not one.passed)
-    return _Stroke(record, straightness, verdict, figures, disturbance)
+    return _Stroke(record, metrics, verdict, figures, disturbance)
 
 
 def _learning(work: Work) -> dict[str, Any]:
