@@ -144,8 +144,11 @@ void bus_send(struct bus *bus, uint32_t identifier, bool fd, const uint8_t *data
         sent = is_hub(bus) ? sent_to_hub(bus, identifier, fd, data, length)
                            : sent_to_interface(bus, identifier, fd, data, length);
     }
-    /* If it is more than a full queue, reading finds the error. */
     bus->unsent += (sent < 0) ? 1u : 0u;
+    /* Linux reports this once, to who calls first: reading would never find it. It finds all others but a full queue. */
+    if ((sent < 0) && (bus->descriptor >= 0) && (errno == ENETDOWN)) {
+        lose(bus, errno);
+    }
 }
 
 /* 1: a frame; 0: one of another kind, or a packet that is none; -1: see errno. */

@@ -21,9 +21,25 @@ from straightcomp_ros.straightness.guide_map import load_map
 
 RATE = 100
 """Hz: what the guest's one processor carries on a busy computer. No law holds the platform then; friction does."""
-LAW_STAGE = {"rate": 250, "actuator.bias_current": 0.5, "actuator.current_limit": 0.45}
-"""For strokes under the control law, whose commands must come in time: a rate that the guest carries beside other work,
-and magnets of half the bias, which drive the platform away half as fast."""
+
+def in_slow_motion(times):
+    """The shipped stage, in which all takes ``times`` as long under the same forces: commands that come late by a part
+    of a second cost it what they cost the shipped one by a twentieth of that. The strokes are slower still."""
+    powers = {
+        "rate": -1,
+        "platform.mass": 2,
+        "friction.stribeck_velocity": -1,
+        "friction.bristle_damping": 1,
+        "friction.viscous": 1,
+        "drive.bandwidth": -1,
+    }
+    stage = shipped_parameters()["stage"]
+    slow = {name: type(stage[name])(stage[name] * times**power) for name, power in powers.items()}
+    return {**slow, "motion.speed": 0.03, "motion.acceleration": 0.03}
+
+
+LAW_STAGE = in_slow_motion(20)
+"""For strokes under the control law, whose commands must come in time."""
 PATIENCE_S = 60.0
 HOST, BOARD = "vxcan0", "vxcan1"
 """The two ends of a cable, of which each can be spoiled by itself."""
@@ -177,15 +193,16 @@ class ServoDriver(Driver):
     """
 
     def __init__(self, fd, file, stage):
-        super().__init__(fd, file, stage=stage)
         values = node_values(fd, HOST, file, stage)
         law = node_parameters("controller", values).control.law
-        gains = closed_form(make_scenario(values, [law]), law)
-        values["controller"].update(gains)
+        values["controller"].update(closed_form(make_scenario(values, [law]), law))
         controller = node_parameters("controller", values)
-        self._servo = Servo(make_law(controller.control, self.stage))
-        self.map = load_map(self.stage.guide)
-        self._feedforward = Feedforward(self.map, FeedforwardParameters(), self.stage.motion.highest_speed)
+        own = controller.stage
+        self._servo = Servo(make_law(controller.control, own))
+        self.map = load_map(own.guide)
+        self._feedforward = Feedforward(self.map, FeedforwardParameters(), own.motion.highest_speed)
+        # Last, for it begins to receive, and what was not read for a second is a fault.
+        super().__init__(fd, file, stage=stage)
 
     def current(self, sample):
         reference = self._feedforward.step(sample.stamp_ns, sample.x)

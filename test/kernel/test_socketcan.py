@@ -128,12 +128,13 @@ def test_a_stroke_under_the_control_law(request, cable, fd, file, program):
         start, stroke = driver.stage.motion.start, driver.stage.motion.stroke
         driver.until(lambda: abs(driver.samples[-1][0].x - start) < 0.01 * stroke)
         errors = driver.true_errors(begin)
-        places = (np.array([sample.x for sample, _ in driver.samples[begin:]]) - start) / stroke
+        xs = np.array([sample.x for sample, _ in driver.samples[begin:]])
+        places = (xs - start) / stroke
         lost = driver.hardware.lost_samples - lost
         print(f"p-p {np.ptp(errors) * 1e6:.2f} µm, {len(errors)} samples, {lost} lost")
         assert driver.hardware.state is State.ON and driver.hardware.fault == ""
-        # Without a law the magnets drive the platform to its stops, 2.4 mm apart.
-        assert np.ptp(errors) < 0.1e-3
+        # Without currents friction holds the platform where it is; with a wrong sign the magnets drive it to a stop.
+        assert np.ptp(errors) < 0.5 * np.ptp([driver.map.reference(x)[0] for x in xs])
         # There and back, with samples from each quarter. How many there are is this computer's.
         assert places.max() > 0.99 and np.histogram(places, 4, (0.0, 1.0))[0].all()
         assert len(errors) >= 0.98 * len(places)
@@ -173,6 +174,8 @@ def test_an_interface_that_goes_down_and_up_again_is_found_by_both_sides(board, 
     driver.switch_on()
     openings = driver.count("openings")
     link("set", end, "down")
+    # The kernel tells it once: sending is told, and reading is not any more.
+    driver.hardware.write(0.0, time.time_ns(), driver.samples[-1][0].stamp_ns)
     driver.until(lambda: driver.faulty() and (end == BOARD or "can_link" in driver.hardware.counters()))
     driver.run(1.0)
     link("set", end, "up")

@@ -12,7 +12,7 @@ import can
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub import NO_DATA, Hub, address, addressed, from_packet, to_packet
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
-from straightcomp_ros.hardware.can.link import opened_bus
+from straightcomp_ros.hardware.can.link import is_down, opened_bus
 
 _AT_ONCE = 64
 _REOPEN_EVERY_S = 0.1
@@ -37,7 +37,9 @@ class BusLine:
             return False
         try:
             self._bus.send(message_of(addressed(identifier, payload, fd=fd)))
-        except (can.CanError, OSError):
+        except (can.CanError, OSError) as error:
+            if is_down(error):
+                self.close()
             return False
         return True
 

@@ -6,6 +6,7 @@ thread would cost a wake-up and the interpreter's lock for each.
 """
 
 import contextlib
+import errno
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -47,6 +48,13 @@ def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | No
         can_filters=filters,
         **further,
     )
+
+
+def is_down(error: Exception) -> bool:
+    """Whether an error of sending is the kernel's that the interface is down, which it reports once, to who calls
+    first: what sending was told, reading never finds."""
+    cause = error if isinstance(error, OSError) else error.__cause__
+    return isinstance(cause, OSError) and cause.errno == errno.ENETDOWN
 
 
 class Link:
@@ -121,8 +129,10 @@ class Link:
                 bus.send_frame(*frame[1:])
             elif bus is not None:
                 bus.send(message_of(frame), timeout=0)
-        except (can.CanError, OSError, ValueError):
-            # If it is more than a full queue, reading finds the error.
+        except (can.CanError, OSError, ValueError) as error:
+            # If it is more than that or a full queue, reading finds the error.
+            if is_down(error):
+                self._lose(bus, error)
             bus = None
         if bus is None:
             self.transmit_full += 1

@@ -1,5 +1,6 @@
 """The emulated board's connection to a bus of python-can: frames in both directions, and what follows a loss."""
 
+import errno
 import types
 
 import can
@@ -105,6 +106,20 @@ def test_a_bus_that_takes_no_frame_says_so_and_stays_open(world):
     world.bus.fails = False
     assert opened.send(0x181, b"", False) is True
     assert world.openings == 1
+
+
+def test_an_interface_that_sending_finds_down_is_opened_again(world):
+    opened = line()
+    first = world.bus
+
+    def send(_):
+        raise can.CanOperationError("down") from OSError(errno.ENETDOWN, "down")
+
+    first.send = send
+    assert opened.send(0x181, b"", False) is False and first.closed
+    world.now_s += 0.1
+    opened.receive()
+    assert world.openings == 2 and opened.send(0x181, b"", False) is True
 
 
 def test_a_bus_that_is_lost_is_closed_and_opened_again_a_tenth_of_a_second_after_it_was_opened(world):

@@ -1,5 +1,6 @@
 """The bus as the driver reads it: what is let through, when it came, how much at once, and a bus that fails."""
 
+import errno
 import time
 
 import can
@@ -142,6 +143,22 @@ def test_what_the_bus_does_not_take_is_counted_and_what_it_takes_is_not(world):
     bus.sent = None
     assert not host.link.send(0x201, b"", fd=False)
     assert host.link.transmit_full == 1 and not host.link.problem
+
+
+def test_an_interface_that_sending_finds_down_is_closed_named_and_opened_again(world):
+    first = Bus()
+
+    def send(message, timeout):
+        # As python-can's SocketCAN; reading is not told again.
+        raise can.CanOperationError("Failed to transmit: Network is down") from OSError(errno.ENETDOWN, "down")
+
+    first.send = send
+    host = world(first, Bus()).opened()
+    assert not host.link.send(0x201, b"", fd=False)
+    assert host.link.transmit_full == 1 and first.shut == 1
+    assert host.link.problem == "CAN virtual can0: Failed to transmit: Network is down"
+    host.opened(2)
+    assert host.link.send(0x201, b"", fd=False) and host.link.problem == ""
 
 
 def test_a_bus_that_fails_is_closed_named_and_opened_again(world):
