@@ -22,6 +22,7 @@ from straightcomp_ros.straightness.guide_map import load_map
 RATE = 100
 """Hz: what the guest's one processor carries on a busy computer. No law holds the platform then; friction does."""
 
+
 def in_slow_motion(times):
     """The shipped stage, in which all takes ``times`` as long under the same forces: commands that come late by a part
     of a second cost it what they cost the shipped one by a twentieth of that. The strokes are slower still."""
@@ -139,6 +140,11 @@ class Driver:
         end_s = time.monotonic() + seconds
         self.until(lambda: time.monotonic() >= end_s)
 
+    def read_on(self, samples):
+        """Until so many more samples have been read."""
+        enough = len(self.samples) + samples
+        self.until(lambda: len(self.samples) >= enough)
+
     def beside(self, *words):
         """Run a program to its end while the loop goes on."""
         program = subprocess.Popen([str(word) for word in words])
@@ -170,8 +176,7 @@ class Driver:
 
     def switch_on_after_a_fault(self):
         """Without a new driver, and when samples come again: the board may have a fault of its own."""
-        fresh = len(self.samples) + 10
-        self.until(lambda: len(self.samples) >= fresh)
+        self.read_on(10)
         self.hardware.reset_fault()
         self.switch_on()
 
