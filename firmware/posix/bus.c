@@ -145,7 +145,7 @@ void bus_send(struct bus *bus, uint32_t identifier, bool fd, const uint8_t *data
                            : sent_to_interface(bus, identifier, fd, data, length);
     }
     bus->unsent += (sent < 0) ? 1u : 0u;
-    /* Linux reports this once, to who calls first: reading would never find it. It finds all others but a full queue. */
+    /* Linux reports this once, to who calls first: reading would never find it. All others but a full queue it does. */
     if ((sent < 0) && (bus->descriptor >= 0) && (errno == ENETDOWN)) {
         lose(bus, errno);
     }

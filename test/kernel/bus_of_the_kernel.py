@@ -20,12 +20,12 @@ from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardPa
 from straightcomp_ros.straightness.guide_map import load_map
 
 RATE = 100
-"""Hz: what the guest's one processor carries on a busy computer. No law holds the platform then; friction does."""
+"""Hz: what the guest's processor carries on a busy computer. No law holds the shipped platform then, friction does."""
 
 
 def in_slow_motion(times):
     """The shipped stage, in which all takes ``times`` as long under the same forces: commands that come late by a part
-    of a second cost it what they cost the shipped one by a twentieth of that. The strokes are slower still."""
+    of a second cost it what the shipped one is cost by that part over ``times``. The strokes are slower still."""
     powers = {
         "rate": -1,
         "platform.mass": 2,

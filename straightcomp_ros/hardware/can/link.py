@@ -130,9 +130,9 @@ class Link:
             elif bus is not None:
                 bus.send(message_of(frame), timeout=0)
         except (can.CanError, OSError, ValueError) as error:
-            # If it is more than that or a full queue, reading finds the error.
             if is_down(error):
                 self._lose(bus, error)
+            # If it is another one, and no full queue, reading finds it.
             bus = None
         if bus is None:
             self.transmit_full += 1
