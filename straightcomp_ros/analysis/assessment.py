@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
+from straightcomp_ros.analysis.host_stalls import PAUSE
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import Metrics, StrokeFigures, evaluate, stroke_figures, true_error
+from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_bag, partial_run
 
 _AT_LIMIT = 1.0 - 1e-9
 """Fraction of the current limit from which the command counts as limited."""
@@ -113,12 +114,18 @@ class Assessment:
 def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ()) -> Assessment:
     """Assess a recorded run; MetricsError if the stage does not move, or a number within the motion is not finite."""
     record = evaluation.record
-    motion, reference = find_motion(record), RecordedReference(record)
+    try:
+        motion, reference = find_motion(record), RecordedReference(record)
+    except MetricsError as error:
+        partial = partial_run(evaluation)
+        raise (MetricsError(f"{partial}; while the law ran: {error}") if partial else error) from error
     window = motion.window
     error = record.r - record.y
     time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9
-    first, last = record.time[window.start], record.time[window.stop - 1]
-    off = _intervals(time, ~evaluation.amplifier_on) if evaluation.amplifier_on.any() else []
+    strokes = evaluation.encoder.strokes if evaluation.encoder else ()
+    # As the encoder saw the stage move, whether the law ran or not.
+    first, last = (time[strokes[0].start], time[strokes[-1].stop - 1]) if strokes else (math.inf, -math.inf)
+    off = _intervals(time, evaluation.encoder.off) if evaluation.encoder else []
     truth = true_error(record, reference)
     columns = np.array([record.time, record.x, record.y, record.r])
     return Assessment(
@@ -131,9 +138,9 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
         spectrum=error_spectrum(record.time[window], error[window]),
         gaps=_gaps(time),
         saturated=_intervals(record.time, at_current_limit(evaluation)),
-        amplifier_off=[interval for interval in off if first <= interval.end <= last],
+        amplifier_off=[interval for interval in off if interval.start <= last and interval.end >= first],
         stick_slips=[event for stroke in motion.strokes for event in stick_slips(*columns[:, stroke.samples])],
-        verdict=judged_run(record, reference, evaluation.parameters, evaluation.map, evaluation.stalls),
+        verdict=judged_bag(evaluation, record, reference, evaluation.parameters, evaluation.map),
         warnings=warnings,
     )
 
@@ -151,8 +158,9 @@ def displayed_error(assessment: Assessment) -> tuple[NDArray[np.float64], NDArra
 
 
 def _gaps(time: NDArray[np.float64]) -> list[Interval]:
+    pauses = np.diff(time) >= PAUSE
     steps = np.diff(time) / np.median(np.diff(time))
-    gaps = np.flatnonzero(steps > 1.5)
+    gaps = np.flatnonzero((steps > 1.5) & ~pauses)
     return [Interval(float(time[at]), float(time[at + 1]), round(float(steps[at])) - 1) for at in gaps]
 
 

@@ -3,7 +3,9 @@
 In stick-slip the platform stands while its reference moves on, then jumps after it.
 """
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +16,10 @@ BANDS = ((0.0, 10.0), (10.0, 100.0), (100.0, 1000.0))
 SEGMENT = 1.0
 """Length in s of the segments that are averaged: lines 1 Hz apart."""
 _PEAKS = 5
+_LEAST_SAMPLES = 16
+"""Fewer have no spectrum."""
+FILLED = 0.02
+"""Gap in s that may be interpolated: two periods of the highest frequency, 100 Hz, that a loop of this kind follows."""
 STUCK = 0.4e-6
 """Way in m by which the reference runs on while the platform stands, that makes a stick: four counts of the encoder."""
 STANDING = 0.15e-6
@@ -50,18 +56,38 @@ class Spectrum:
 def error_spectrum(time: NDArray[np.float64], error: NDArray[np.float64]) -> Spectrum:
     """Spectrum by Welch's method: segments of :data:`SEGMENT` that overlap by half, Hann window, mean removed.
 
-    ``error`` (n,) in m is interpolated where samples are missing in ``time`` (n,) in s, rising.
+    ``error`` (n,) in m at ``time`` (n,) in s, rising, is interpolated over short gaps; the spectra of the
+    :func:`stretches` between longer ones are averaged, each by its length.
     Source: P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70–73.
     """
-    if len(time) < 16:
+    period = float(np.median(np.diff(time))) if len(time) > 1 else math.nan
+    pieces = [values for (values,) in stretches(time, error) if len(values) >= _LEAST_SAMPLES]
+    if not pieces:
         return Spectrum(np.empty(0), np.empty(0))
     # This import takes half a second.
     from scipy.signal import welch
 
-    period = float(np.median(np.diff(time)))
-    grid = np.arange(time[0], time[-1] + 0.5 * period, period)
-    values = np.interp(grid, time, error)
-    return Spectrum(*welch(values, 1.0 / period, nperseg=min(round(SEGMENT / period), len(grid))))
+    length = min(round(SEGMENT / period), max(map(len, pieces)))
+    whole = [values for values in pieces if len(values) >= length]
+    spectra = [welch(values, 1.0 / period, nperseg=length) for values in whole]
+    density = np.average([found for _, found in spectra], axis=0, weights=[len(values) for values in whole])
+    return Spectrum(spectra[0][0], density)
+
+
+def stretches(time: NDArray[np.float64], *columns: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], ...]]:
+    """The ``columns`` (n,) of each stretch of ``time`` (n,) in s without a gap of more than :data:`FILLED`, on its even
+    grid: single samples that are missing are interpolated, a pause of the recording never."""
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    longest = max(FILLED, 1.5 * period)
+    edges = np.concatenate([[0], np.flatnonzero(steps > longest) + 1, [len(time)]])
+    for first, end in itertools.pairwise(edges.tolist()):
+        part = time[first:end]
+        if len(part) > 1 and float(np.diff(part).max()) >= 1.5 * period:
+            grid = np.arange(part[0], part[-1] + 0.5 * period, period)
+            yield tuple(np.interp(grid, part, column[first:end]) for column in columns)
+        else:
+            yield tuple(column[first:end] for column in columns)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,8 @@
 """The run in a bag: the record of its strokes, the counts of its samples, the loop's latency."""
 
+import contextlib
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,15 +12,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.attached_map import attached_map
-from straightcomp_ros.analysis.host_stalls import Stall, stalls_of
-from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.host_stalls import PAUSE, Stall, stalls_of
+from straightcomp_ros.analysis.interruption import (
+    ENDS_APART,
+    EncoderRun,
+    LatchedFault,
+    clock_jump,
+    encoder_run,
+    interruption,
+    latched_faults,
+)
+from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.analysis.survey_series import values_at
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
+from straightcomp_ros.bags.folder import opened, topic_names
+from straightcomp_ros.bags.mcap_input import McapInput
+from straightcomp_ros.bags.messages import Messages
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.recorded_diagnostics import reports_in
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters
-from straightcomp_ros.contract import COMMAND, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH, Stream
+from straightcomp_ros.bags.topics import resolved
+from straightcomp_ros.contract import (
+    COMMAND,
+    DIAGNOSTICS,
+    DISPLACEMENT,
+    DRIVER_STATE,
+    ENCODER,
+    REFERENCE,
+    TRUTH,
+    Stream,
+)
 from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.timing.node_timing import Report
+
+FOR_EVER = int(np.iinfo(np.int64).max)
+"""The last stamp, ns."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +59,8 @@ class BagEvaluation:
             begins when the amplifier is switched on, after discovery, or with the bag if the amplifier is never on.
         expected_samples: samples that the sampling clock took from the run's first to its last in the bag.
         received_samples: different samples of the run in the bag.
-        lost_references, lost_commands: samples of the run without one, up to the last that has one.
+        lost_references, lost_commands: samples of the run without one, up to the last that has one, or to the last of
+            the motion if the recording goes on after that.
         latency: times in s from a sample to the arrival of its command at the driver, as far as recorded.
         lateness: times in s from a sample until the driver published it, as far as recorded.
         stamps: (n,) ns, the run's different samples in the bag, in order; those of ``record`` are among them.
@@ -43,6 +73,10 @@ class BagEvaluation:
         guide: (m,) m, the guide's deviation by the displacement sensor at the samples of ``record``, up to a constant,
             NaN where it was not recorded; None without a sensor.
         latency_stamps: stamps in ns of the driver's records that tell ``latency``, as many.
+        encoder: all samples of the run, as the encoder saw the stage move; None for a run that was not recorded.
+        reports: what each node reported in its diagnostics, by its name.
+        faults: that were latched in the run, or after it.
+        clock_jump: where the clock of the stamps jumped, in words; empty if it ran on.
     """
 
     record: StrokeRecord
@@ -61,6 +95,14 @@ class BagEvaluation:
     coil_current: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     guide: NDArray[np.float64] | None = None
     latency_stamps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    encoder: EncoderRun | None = None
+    reports: Mapping[str, Sequence[Report]] = field(default_factory=dict)
+    faults: tuple[LatchedFault, ...] = ()
+    clock_jump: str = ""
+
+    def interruption(self, begin_ns: int = 0, until_ns: int = FOR_EVER) -> str:
+        """Why the law did not run for the whole motion, or that from ``begin_ns`` to before ``until_ns``."""
+        return interruption(self.encoder, self.faults, begin_ns, until_ns) if self.encoder else ""
 
     @property
     def lost_samples(self) -> int:
@@ -86,12 +128,15 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
     wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH, DISPLACEMENT)
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted}, remap)
+    diagnostics = Messages(DIAGNOSTICS)
+    streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
+    reports, finished = _reports(bag, diagnostics, (remap or {}).get(ENCODER.topic, ENCODER.topic))
     attachments = read_attachments(bag)
     parameters = recorded_parameters(bag, attachments)
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
+    jump = clock_jump(streams[ENCODER.topic])
     # By stamp and without repetitions: lockstep repeats a sample that got no answer.
     unique = {topic: np.unique(stream.stamp, return_index=True) for topic, stream in streams.items()}
     encoder, rows = unique[ENCODER.topic]
@@ -105,6 +150,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
             common = np.intersect1d(common, unique[stream.topic][0], assume_unique=True)
     if len(common) < 2:
         raise BagError(f"bag {bag}: its streams do not belong together: they have no common stamps")
+    x = streams[ENCODER.topic].columns["x"][rows[np.searchsorted(encoder, common)]]
+    common = common[_judged(common, x)]
 
     def column(stream: Stream, name: str) -> NDArray[np.float64]:
         stamps, rows = unique[stream.topic]
@@ -129,13 +176,20 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     answered = unique[COMMAND.topic][0]
     state = driver.stamp if driver else answered[:0]
     told = np.isfinite(latency)
+    answers = max(int(unique[topic][0][-1]) for topic in (REFERENCE.topic, COMMAND.topic))
+    reported = max((own[-1].time_ns for own in reports.values()), default=0)
+    goes_on = answers > encoder[-1] or reported > encoder[-1] + ENDS_APART * 1e9
+    for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
+        begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))
+        warnings.warn(f"the recording was paused for {end - begin:.6g} s after {begin:.6g} s", stacklevel=2)
+    run = encoder_run(encoder, streams[ENCODER.topic].columns["x"][rows], on, int(common[-1]), goes_on or not finished)
     stalls = stalls_of(encoder - common[0], answered - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
         expected_samples=samples_taken(encoder),
         received_samples=len(encoder),
-        lost_references=_missing(encoder, unique[REFERENCE.topic][0]),
-        lost_commands=_missing(encoder, answered),
+        lost_references=_missing(run, unique[REFERENCE.topic][0]),
+        lost_commands=_missing(run, answered),
         latency=latency[told],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
@@ -147,7 +201,40 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         coil_current=column(ENCODER, "coil_current"),
         guide=_guide(streams, unique, common),
         latency_stamps=state[told],
+        encoder=run,
+        reports=reports,
+        faults=latched_faults(reports, int(encoder[0])),
+        clock_jump=jump,
     )
+
+
+def _reports(bag: Path, diagnostics: Messages, encoder: str) -> tuple[Mapping[str, Sequence[Report]], bool]:
+    """What the nodes reported, and whether the recording was finished."""
+    with opened(bag) as files:
+        full = resolved(encoder, topic_names(files), str(bag))
+        finished = all(file.summary is not None for file in files if isinstance(file, McapInput))
+    try:
+        return reports_in(bag, diagnostics, full), finished
+    except BagError as error:
+        # Every node of a machine reports there: others' messages do not make a run's samples unreadable.
+        warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
+        return {}, finished
+
+
+def _judged(stamps: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """The samples (n,) to judge: all but those at rest on both sides of a pause of the recording, in which the platform
+    may have been anywhere."""
+    judged = np.ones(stamps.size, np.bool_)
+    pauses = np.flatnonzero(np.diff(stamps) >= PAUSE * 1e9) + 1
+    if pauses.size and np.isfinite(x).all():
+        with contextlib.suppress(MetricsError):
+            strokes = motion_of((stamps - stamps[0]) * 1e-9, x).strokes
+            begins, ends = (np.array([getattr(one, name) for one in strokes]) for name in ("start", "stop"))
+            for pause in pauses:
+                before, after = ends[begins < pause], begins[begins >= pause]
+                if before.size and after.size and before[-1] <= pause:
+                    judged[before[-1] : after[0]] = False
+    return judged
 
 
 def _guide(
@@ -164,12 +251,14 @@ def _guide(
 
 def samples_taken(stamps: NDArray[np.int64]) -> int:
     """Samples that the clock took from the first of these stamps (n,) in ns to the last, counted from one to the next:
-    the stamps of a board with a clock of its own lie on no common grid for a whole run."""
+    the stamps of a board with a clock of its own lie on no common grid for a whole run. In a pause of the recording
+    none counts."""
     steps = np.diff(stamps)
-    return 1 + int(np.maximum(1, np.round(steps / np.median(steps))).sum())
+    taken = np.maximum(1, np.round(steps / np.median(steps)))
+    return 1 + int(np.where(steps < PAUSE * 1e9, taken, 1).sum())
 
 
-def _missing(samples: NDArray[np.int64], answers: NDArray[np.int64]) -> int:
-    """Samples up to the last answered one that have no answer."""
-    inside = samples[samples <= answers[-1]]
+def _missing(run: EncoderRun, answers: NDArray[np.int64]) -> int:
+    """Samples up to the last that had to be answered, or was, that have no answer."""
+    inside = run.stamps[run.stamps <= max(int(answers[-1]), run.end_ns)]
     return int(np.count_nonzero(~np.isin(inside, answers)))

@@ -12,6 +12,10 @@ _LATE = 1.0
 """Sampling periods beyond the median from which a sample or command is late: a command that is due one period after its
 sample comes too late then, and the board holds the platform by itself."""
 
+PAUSE = 1.0
+"""Gap in s between two samples from which the recording was paused: during such a stall of the host the driver or the
+board would have switched off."""
+
 
 class Stall(NamedTuple):
     """A time in which the host failed the loop: first and last moment in s, on the clock of the record."""
@@ -37,7 +41,8 @@ def stalls_of(
     none = np.full(state.size, np.nan)
     latency, lateness, enabled = (driver.get(name, none) for name in ("command_latency", "lateness", "enabled"))
     period = float(np.median(np.diff(samples)))
-    gaps = np.flatnonzero(np.diff(samples) > 1.5 * period)
+    steps = np.diff(samples)
+    gaps = np.flatnonzero((steps > 1.5 * period) & (steps < PAUSE * 1e9))
     inside = samples[(samples >= commands[0]) & (samples <= commands[-1])]
     without = inside[~np.isin(inside, commands)]
     late = np.flatnonzero(_late(latency, period * 1e-9))

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 IN_ORDER = "in_order"
+CLOCK_JUMPED = "clock_jumped"
+INTERRUPTED = "interrupted"
 STARVED = "starved"
 AT_STOP = "at_stop"
 LEFT_MAP = "left_map"
@@ -11,7 +13,18 @@ SATURATED = "saturated"
 WRONG_GUIDE = "wrong_guide"
 OSCILLATES = "oscillates"
 INACCURATE = "inaccurate"
-WORDS = (IN_ORDER, STARVED, AT_STOP, LEFT_MAP, SATURATED, WRONG_GUIDE, OSCILLATES, INACCURATE)
+WORDS = (
+    IN_ORDER,
+    CLOCK_JUMPED,
+    INTERRUPTED,
+    STARVED,
+    AT_STOP,
+    LEFT_MAP,
+    SATURATED,
+    WRONG_GUIDE,
+    OSCILLATES,
+    INACCURATE,
+)
 
 
 class Verdict(NamedTuple):
@@ -24,6 +37,11 @@ class Verdict(NamedTuple):
     def in_order(self) -> bool:
         """Whether the run's figures are those of the machine and its law."""
         return self.verdict == IN_ORDER
+
+    @property
+    def whole(self) -> bool:
+        """Whether the run's figures are those of its whole motion."""
+        return self.verdict not in (CLOCK_JUMPED, INTERRUPTED)
 
     def __str__(self) -> str:
         return f"{self.verdict.replace('_', ' ')}: {self.reason}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,6 +21,8 @@ ARRIVED = 1e-6
 """Distance in m from a stroke's resting ends within which the stage counts as standing: above its jitter."""
 SHORTEST_STROKE = 1e-3
 """Travel in m below which a movement is no stroke."""
+_FASTEST_CHANGE = 1000.0
+"""Acceleration in m/s² that no linear motor gives a stage: the fastest reach some 300."""
 
 
 class MetricsError(ValueError):
@@ -152,31 +155,69 @@ def motion_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> Motion:
         MetricsError: time does not rise, or there is no stroke.
     """
     n = time.size
-    steps = np.diff(time)
     if n < 3:
         raise MetricsError(f"record: {n} samples; allowed: >= 3")
+    steps = np.diff(time)
     if not (steps > 0.0).all():
         at = int(np.flatnonzero(steps <= 0.0)[0]) + 1
         raise MetricsError(f"record: time does not rise at sample {at}: {time[at]:.9g} s; allowed: > the one before")
-    # Half of the span to each side, cut off at the ends of the record.
     half = max(1, round(0.5 * SPEED_SPAN / float(np.median(steps))))
+    jumps = jumps_of(time, x)
+    edges = [0, *jumps.tolist(), n]
+    strokes = [stroke for start, stop in itertools.pairwise(edges) for stroke in _strokes(time, x, start, stop, half)]
+    if not strokes:
+        jumped = [f"x jumps by {abs(x[at] - x[at - 1]) * 1e3:.6g} mm at {time[at]:.6g} s, and " for at in jumps[:1]]
+        raise MetricsError(
+            f"record: {''.join(jumped)}the stage does not move: x stays within {np.ptp(x) * 1e3:.6g} mm; "
+            f"allowed: at least one stroke of {SHORTEST_STROKE * 1e3:g} mm at {MOVING * 1e3:g} mm/s"
+        )
+    return Motion(tuple(strokes))
+
+
+def jumps_of(time: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.intp]:
+    """The samples (m,) at which ``x`` (n,) in m is not where a stage can have gone since the sample before: an encoder
+    that failed, a driver that was started again, or two drivers. Samples beside a gap of ``time`` (n,) are not judged.
+    """
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    regular = steps < 1.5 * period
+    moves = np.where(regular, np.diff(x), 0.0)
+    allowed = max(SHORTEST_STROKE, _FASTEST_CHANGE * period**2)
+    change = np.abs(np.diff(moves)) > allowed
+    # A jump changes the move twice: into it, and out of it.
+    sudden = np.append(change, False) | np.append(False, change)
+    return np.flatnonzero(sudden & regular & (np.abs(moves) > allowed)) + 1
+
+
+def _strokes(time: NDArray[np.float64], x: NDArray[np.float64], first: int, end: int, half: int) -> Iterator[Stroke]:
+    """The strokes among the samples ``first`` to ``end``; the speed is taken over ``half`` samples to each side."""
+    time, x = time[first:end], x[first:end]
+    n = x.size
+    # Cut off at the ends.
     before, after = np.maximum(np.arange(n) - half, 0), np.minimum(np.arange(n) + half, n - 1)
-    speed = (x[after] - x[before]) / (time[after] - time[before])
+    with np.errstate(invalid="ignore"):
+        # A single sample has no speed.
+        speed = (x[after] - x[before]) / (time[after] - time[before])
     way = np.where(np.abs(speed) >= MOVING, np.sign(speed), 0.0)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(way)) + 1, [n]])
-    strokes = []
     for start, stop in itertools.pairwise(edges.tolist()):
         piece = x[start:stop]
         if way[start] != 0.0 and abs(piece[-1] - piece[0]) >= SHORTEST_STROKE:
             away = np.flatnonzero((np.abs(piece - piece[0]) > ARRIVED) & (np.abs(piece - piece[-1]) > ARRIVED))
-            direction: Direction = "forward" if way[start] > 0.0 else "backward"
-            strokes.append(Stroke(start + int(away[0]), start + int(away[-1]) + 1, direction))
-    if not strokes:
-        raise MetricsError(
-            f"record: the stage does not move: x stays within {np.ptp(x) * 1e3:.6g} mm; "
-            f"allowed: at least one stroke of {SHORTEST_STROKE * 1e3:g} mm at {MOVING * 1e3:g} mm/s"
-        )
-    return Motion(tuple(strokes))
+            if away.size:
+                direction: Direction = "forward" if way[start] > 0.0 else "backward"
+                yield Stroke(first + start + int(away[0]), first + start + int(away[-1]) + 1, direction)
+
+
+def speed_at_end(time: NDArray[np.float64], x: NDArray[np.float64]) -> float:
+    """Speed in m/s at the last of the samples ``time`` (n,) in s and ``x`` (n,) in m, by a parabola through those of
+    :data:`SPEED_SPAN`, at least five: at the last sample of a whole stroke the stage stands."""
+    steps = np.diff(time)
+    count = max(5, round(SPEED_SPAN / float(np.median(steps))))
+    if time.size < count or (steps[1 - count :] > 1.5 * np.median(steps)).any():
+        return 0.0
+    _, speed, _ = np.polyfit(time[-count:] - time[-1], x[-count:], 2)
+    return abs(float(speed))
 
 
 def group_means(

@@ -15,11 +15,15 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.bounds import Bounds, bounds_of
 from straightcomp_ros.analysis.course import Course, course_of, disturbed
+from straightcomp_ros.analysis.error_detail import stretches
+from straightcomp_ros.analysis.evaluation import FOR_EVER, BagEvaluation
 from straightcomp_ros.analysis.host_stalls import Stall
 from straightcomp_ros.analysis.judgement import (
     AT_STOP,
+    CLOCK_JUMPED,
     IN_ORDER,
     INACCURATE,
+    INTERRUPTED,
     LEFT_MAP,
     OSCILLATES,
     SATURATED,
@@ -82,6 +86,32 @@ def judged_run(
         MetricsError: the stage does not move.
     """
     return verdict_of(course_of(record, reference, stalls), bounds_of(parameters, straightness))
+
+
+def judged_bag(
+    evaluation: BagEvaluation,
+    record: StrokeRecord,
+    reference: ReferenceMap,
+    parameters: Mapping[str, Mapping[str, Any]],
+    straightness: StraightnessMap | None = None,
+) -> Verdict:
+    """The verdict on a recorded run: :func:`judged_run` of its ``record``, if the law ran for the whole motion.
+
+    MetricsError if the stage does not move while the law runs.
+    """
+    return partial_run(evaluation) or judged_run(record, reference, parameters, straightness, evaluation.stalls)
+
+
+def partial_run(evaluation: BagEvaluation, begin_ns: int = 0, until_ns: int = FOR_EVER) -> Verdict | None:
+    """The verdict on a run whose figures are those of a part of its motion; None for a whole one. With times, of its
+    motion from ``begin_ns`` to before ``until_ns``."""
+    if evaluation.clock_jump:
+        return Verdict(
+            CLOCK_JUMPED,
+            f"{evaluation.clock_jump}; record again, with a driver whose stamps come from a monotonic clock",
+        )
+    reason = evaluation.interruption(begin_ns, until_ns)
+    return Verdict(INTERRUPTED, f"{reason}; the figures are those of the motion before") if reason else None
 
 
 def verdict_of(course: Course, bounds: Bounds) -> Verdict:
@@ -183,11 +213,11 @@ def _wrong_guide(course: Course, bounds: Bounds) -> Verdict | None:
 
 
 def _oscillates(course: Course, bounds: Bounds) -> Verdict | None:
-    error, reference = _on_grid(course, course.error), _on_grid(course, course.r)
+    pieces = list(stretches(course.time, course.error, course.r))
     allowed = tolerated_amplitude(course.error, course.count, course.uncompensated)
-    found = sustained_oscillation(error, reference, course.period)
+    found = max(sustained_oscillation(error, reference, course.period) for error, reference in pieces)
     if found.amplitude <= allowed and course.pp > _largest(course):
-        found = irregular_oscillation(error, reference, course.period)
+        found = max(irregular_oscillation(error, reference, course.period) for error, reference in pieces)
     if found.amplitude <= allowed:
         return None
     return Verdict(
@@ -248,14 +278,6 @@ def _harmed(course: Course, mask: NDArray[np.bool_]) -> bool:
 def _with_recovery(course: Course, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
     return disturbed(course, [Stall(float(course.time[a]), float(course.time[b - 1])) for a, b in edges])
-
-
-def _on_grid(course: Course, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``values`` (n,) as they are, or with the samples that are missing between them."""
-    if float(np.diff(course.time).max()) < 1.5 * course.period:
-        return values
-    grid = np.arange(course.time[0], course.time[-1] + 0.5 * course.period, course.period)
-    return np.interp(grid, course.time, values)
 
 
 def _um(length: float) -> str:

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import typestore
 from straightcomp_ros.bags.folder import BagInput, opened, topic_names
 from straightcomp_ros.bags.mcap_records import FRAME, HEAD, rows
-from straightcomp_ros.bags.topics import resolved
+from straightcomp_ros.bags.topics import RecordedTopic, resolved
 
 
 @dataclass
@@ -30,6 +31,20 @@ class Messages:
     log_time: list[int] = field(default_factory=list)
     publish_time: list[int] = field(default_factory=list)
     data: list[bytes] = field(default_factory=list)
+
+    def describe(self, topic: RecordedTopic) -> None:
+        """Take type and definition of the first entry that has them."""
+        self.type_name = self.type_name or topic.type_name
+        self.definition = self.definition or topic.definition
+
+    def add(self, block: bytes, starts: NDArray[np.int64]) -> None:
+        """Take the message records at ``starts`` (n,) in ``block``."""
+        heads = rows(block, starts, HEAD)
+        self.log_time += heads["log_time"].tolist()
+        self.publish_time += heads["publish_time"].tolist()
+        ends = starts + FRAME.size + heads["length"].astype(np.int64)
+        data = zip((starts + HEAD.itemsize).tolist(), ends.tolist(), strict=True)
+        self.data += [block[first:end] for first, end in data]
 
 
 def read_messages(bag: Path, topic: str) -> Messages:
@@ -55,17 +70,11 @@ def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
     for file in files:
         ours = {number: entry for number, entry in file.topics.items() if entry.name == topic}
         for entry in ours.values():
-            found.type_name = found.type_name or entry.type_name
-            found.definition = found.definition or entry.definition
+            found.describe(entry)
         for block, places in file.blocks(ours) if ours else ():
             for number, starts in places.items():
                 if number in ours:
-                    heads = rows(block, starts, HEAD)
-                    found.log_time += heads["log_time"].tolist()
-                    found.publish_time += heads["publish_time"].tolist()
-                    ends = starts + FRAME.size + heads["length"].astype(np.int64)
-                    data = zip((starts + HEAD.itemsize).tolist(), ends.tolist(), strict=True)
-                    found.data += [block[first:end] for first, end in data]
+                    found.add(block, starts)
     return found
 
 

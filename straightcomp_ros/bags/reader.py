@@ -1,6 +1,6 @@
 """Reads a bag: streams as columns, attachments, metadata."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -10,15 +10,19 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import opened, sqlite_files, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.mcap_records import UNREADABLE, parsed
+from straightcomp_ros.bags.messages import Messages
 from straightcomp_ros.bags.stream_columns import StreamColumns, StreamDecoder
-from straightcomp_ros.bags.topics import RecordedTopic, chosen_topics
+from straightcomp_ros.bags.topics import RecordedTopic, chosen_topics, resolved
 from straightcomp_ros.messages.cdr import Layout
 
 __all__ = ["StreamColumns", "read_attachments", "read_metadata", "read_streams"]
 
 
 def read_streams(
-    bag: Path, layouts: Mapping[str, Layout], remap: Mapping[str, str] | None = None
+    bag: Path,
+    layouts: Mapping[str, Layout],
+    remap: Mapping[str, str] | None = None,
+    whole: Sequence[Messages] = (),
 ) -> dict[str, StreamColumns]:
     """Read streams as columns, fast where the messages have the layout, otherwise by the names in them.
 
@@ -26,6 +30,7 @@ def read_streams(
         bag: rosbag2 folder, or one MCAP file.
         layouts: by topic, relative (``encoder``: ``/encoder``, or else the only ``/…/encoder``) or full.
         remap: for topics of ``layouts`` that are named otherwise in the bag, their names there.
+        whole: each gets the messages of its topic as they are, if the bag has that topic.
 
     Returns:
         By the same topic names; a topic that the bag lacks, or that has no messages, is left out.
@@ -41,22 +46,29 @@ def read_streams(
         names = topic_names(files)
         wanted = chosen_topics(layouts, names, str(bag), remap or {})
         decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
+        found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
         count = 0
         for file in files:
             ours = {number: topic for number, topic in file.topics.items() if topic.name in wanted}
             for topic in ours.values():
                 _check_kind(file.path, topic, layouts[wanted[topic.name]])
-            for data, places in file.blocks(ours):
+            others = {number: found[topic.name] for number, topic in file.topics.items() if topic.name in found}
+            for number, one in others.items():
+                one.describe(file.topics[number])
+            for data, places in file.blocks([*ours, *others]):
                 for number, starts in places.items():
                     count += len(starts)
                     if number in ours:
                         decoders[ours[number].name].add(data, starts)
-    if not count and sqlite_files(bag):
+                    elif number in others:
+                        others[number].add(data, starts)
+    finished = ((key, decoders[full].finished()) for full, key in wanted.items())
+    streams = {key: columns for key, columns in finished if columns is not None}
+    if not streams and sqlite_files(bag):
         raise BagError(f"bag {bag} has no messages on {', '.join(layouts)}; its topics are {', '.join(sorted(names))}")
     if not count:
         raise BagError(f"bag {bag} has no messages; record again, and check that the topics are published")
-    finished = ((key, decoders[full].finished()) for full, key in wanted.items())
-    return {key: columns for key, columns in finished if columns is not None}
+    return streams
 
 
 def read_attachments(bag: Path) -> dict[str, bytes]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import opened, topic_names
-from straightcomp_ros.bags.messages import decoded, messages_on
+from straightcomp_ros.bags.messages import Messages, decoded, messages_on
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.messages.cdr import NANOSECONDS
@@ -20,15 +20,21 @@ def read_reports(bag: Path) -> dict[str, list[Report]]:
     Raises:
         BagError: the bag is absent or damaged, or has several encoders, or none and several namespaces.
     """
-    reports: dict[str, list[Report]] = {}
     with opened(bag) as files:
         names = topic_names(files)
         encoder = resolved(ENCODER.topic, names, str(bag))
         # Bags of 0.1 have it in the nodes' namespace.
         topic = resolved(DIAGNOSTICS.lstrip("/"), names, str(bag))
-        messages = messages_on(topic, files).data if topic else []
-    for number, data in enumerate(messages):
-        where = f"bag {bag}: topic '{topic}', message {number}"
+        messages = messages_on(topic, files) if topic else Messages(DIAGNOSTICS)
+    return reports_in(bag, messages, encoder)
+
+
+def reports_in(bag: Path, messages: Messages, encoder: str | None) -> dict[str, list[Report]]:
+    """What :func:`read_reports` returns, from the ``messages`` of the diagnostics' topic of a bag; ``encoder`` is the
+    full name of its encoder's topic. BagError as there."""
+    reports: dict[str, list[Report]] = {}
+    for number, data in enumerate(messages.data):
+        where = f"bag {bag}: topic '{messages.topic}', message {number}"
         message = decoded(where, data, "diagnostic_msgs/msg/DiagnosticArray")
         time_ns = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
         for status in message.status:

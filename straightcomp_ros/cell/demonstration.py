@@ -14,7 +14,7 @@ from typing import Any
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_bag
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, run_cycle
@@ -127,7 +127,7 @@ def demonstrate(
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))
     timing = {node: summarise(reports.get(node, []), begin_ns, end_ns) for node in RECORDED}
-    verdict = judged_run(evaluation.record, straightness, by_node(values), straightness, evaluation.stalls)
+    verdict = judged_bag(evaluation, evaluation.record, straightness, by_node(values), straightness)
     return Demonstration(bag, evaluation, straightness, metrics, timing, verdict)
 
 

@@ -17,7 +17,7 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judgement import STARVED, Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_bag
 from straightcomp_ros.commissioning import LeftTravel
 from straightcomp_ros.commissioning.checks import stroke_checks
 from straightcomp_ros.commissioning.outcome import Outcome, Work
@@ -100,7 +100,7 @@ def _stroke(work: Work, values: Values, straightness: StraightnessMap) -> _Strok
     record, metrics = run.record, evaluate(run.record, straightness)
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
     known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
-    verdict = judged_run(known, straightness, by_node(values), straightness, run.stalls)
+    verdict = judged_bag(run, known, straightness, by_node(values), straightness)
     figures = {
         **metrics.to_display(),
         **verdict._asdict(),

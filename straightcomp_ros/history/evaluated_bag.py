@@ -73,7 +73,7 @@ def _evaluated(bag: Path, row: BagRow) -> EvaluatedBag:
         row = replace(row, checksum=checksum_of(block for file in files for block in _blocks(file)))
         _check_finished(files)
         evaluation = evaluate_bag(bag)
-        facts = recorded_facts(bag, str(row.checksum), evaluation.parameters)
+        facts = recorded_facts(bag, str(row.checksum), evaluation)
         strokes = rows_of(evaluation, facts)
     except (OSError, HistoryError):
         raise

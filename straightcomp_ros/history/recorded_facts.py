@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.bags import MAP_ATTACHMENT
 from straightcomp_ros.bags.folder import mcap_files, split_number, sqlite_files
 from straightcomp_ros.bags.origin import ORIGIN_METADATA
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
-from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.history.strokes_of_bag import Recorded
 from straightcomp_ros.settings.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters
@@ -22,10 +22,9 @@ _IN_THE_LOOP = ("driver", "feedforward", "controller")
 _STAGE = "stage."
 
 
-def recorded_facts(bag: Path, checksum: str, parameters: Mapping[str, Mapping[str, Any]]) -> Recorded:
-    """The facts of a bag with this checksum and these recorded parameters, by node and dotted name; BagError when the
-    bag is damaged."""
-    attachments, reports = read_attachments(bag), read_reports(bag)
+def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> Recorded:
+    """The facts of a bag with this checksum, ``evaluation`` of the same bag; BagError when the bag is damaged."""
+    attachments, reports, parameters = read_attachments(bag), evaluation.reports, evaluation.parameters
     origin = read_metadata(bag).get(ORIGIN_METADATA, {})
     facts = {
         name.removeprefix(_STAGE): value
@@ -45,7 +44,6 @@ def recorded_facts(bag: Path, checksum: str, parameters: Mapping[str, Mapping[st
         software_revision=origin.get("revision"),
         # The driver reports on the machine, the others on their computer.
         host=next((one.hardware_id for node in ("logger", "controller") for one in reports.get(node, ())), None),
-        driver=reports.get("driver", ()),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from typing import Any
@@ -19,12 +18,11 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us, s
 from straightcomp_ros.analysis.force_balance import force_balance
 from straightcomp_ros.analysis.metrics import residual_of_stroke, stroke_figures, true_error
 from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord, check_finite, find_motion
-from straightcomp_ros.analysis.run_verdict import verdict_of
+from straightcomp_ros.analysis.run_verdict import partial_run, verdict_of
 from straightcomp_ros.history.stroke_bins import Bins, bins_over
 from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.identification.current_path import current_path
 from straightcomp_ros.identification.stretch import Recording
-from straightcomp_ros.timing.node_timing import Report
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _AROUND = 0.05
@@ -39,7 +37,6 @@ class Recorded:
         checksum, bag: key and name of the bag.
         stage: name of the stage.
         identity, parameters_checksum, map_checksum, software_version, software_revision, host: as in the row.
-        driver: what the driver reported, in the order of time.
     """
 
     checksum: str = ""
@@ -51,7 +48,6 @@ class Recorded:
     software_version: str | None = None
     software_revision: str | None = None
     host: str | None = None
-    driver: Sequence[Report] = ()
 
 
 def rows_of(evaluation: BagEvaluation, recorded: Recorded) -> list[StrokeRow]:
@@ -95,7 +91,8 @@ class _Run:
         taken = samples_taken(stamps)
         heard = (evaluation.latency_stamps >= begin) & (evaluation.latency_stamps <= end)
         latency = evaluation.latency[heard]
-        verdict = verdict_of(self._course(stroke), bounds_of(evaluation.parameters, evaluation.map))
+        partial = partial_run(evaluation, begin, until_ns)
+        verdict = partial or verdict_of(self._course(stroke), bounds_of(evaluation.parameters, evaluation.map))
         bins = bins_over(part.x)
         coils = evaluation.coil_current[stroke.samples]
         balance = force_balance(part.time, part.y, coils)
@@ -120,7 +117,7 @@ class _Run:
             saturated_samples=int(np.count_nonzero(self.saturated[stroke.samples])),
             amplifier_off_samples=int(np.count_nonzero(~evaluation.amplifier_on[first:last])),
             stick_slip_events=len(stick_slips(part.time, part.x, part.y, part.r)),
-            faults=_faults(recorded.driver, begin, until_ns),
+            faults=list(dict.fromkeys(one.label for one in evaluation.faults if begin <= one.time_ns < until_ns)),
             verdict=verdict.verdict,
             reason=verdict.reason,
             bins_from_mm=bins.from_mm,
@@ -168,12 +165,6 @@ def part_of(record: StrokeRecord, start: int, stop: int) -> StrokeRecord:
 
 def _integral(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
     return float((0.5 * (values[1:] + values[:-1]) * np.diff(time)).sum())
-
-
-def _faults(reports: Sequence[Report], begin_ns: int, until_ns: int) -> list[str]:
-    """Labels of the faults that the driver reported as latched in this time, each once."""
-    errors = [report.values.get("error", "") for report in reports if begin_ns <= report.time_ns < until_ns]
-    return list(dict.fromkeys(error.partition(":")[0] for error in errors if error))
 
 
 def _known(value: float) -> float | None:

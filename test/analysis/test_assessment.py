@@ -13,6 +13,7 @@ from straightcomp_ros.analysis.assessment import LimitsError, assess, displayed_
 from straightcomp_ros.analysis.error_detail import error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.html_report import report_html
+from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import RecordedReference
 
@@ -33,7 +34,10 @@ def as_evaluation(record, **changes) -> BagEvaluation:
         "amplifier_on": np.ones(len(stamps), bool),
         "parameters": {"controller": {"stage.actuator.current_limit": 0.5}},
     }
-    return BagEvaluation(**{**values, **changes})
+    values |= changes
+    x = record.x[np.isin(np.round(record.time * 1e9).astype(np.int64), values["stamps"])]
+    run = encoder_run(values["stamps"], x, values["amplifier_on"], int(stamps[-1]), False)
+    return BagEvaluation(**values, encoder=run)
 
 
 def test_the_recorded_reference_gives_the_figures_of_the_map(make_record, cosine_map, motion_profile):

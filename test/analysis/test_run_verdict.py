@@ -193,7 +193,7 @@ def test_a_run_of_several_is_named_by_its_number():
 
 def test_a_verdict_reads_as_words():
     assert str(Verdict("left_map", "the stage moved")) == "left map: the stage moved"
-    assert len(set(WORDS)) == 8 and all(one == one.lower() and " " not in one for one in WORDS)
+    assert len(set(WORDS)) == len(WORDS) and all(one == one.lower() and " " not in one for one in WORDS)
 
 
 def test_bounds_come_from_what_the_parameters_name_and_from_defaults():

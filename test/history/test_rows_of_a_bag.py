@@ -10,6 +10,7 @@ from stores import SAMPLES
 
 from straightcomp_ros.analysis.assessment import assess
 from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.interruption import latched_faults
 from straightcomp_ros.history.recorded_facts import recorded_facts, recorded_name
 from straightcomp_ros.history.stroke_bins import bins_over
 from straightcomp_ros.history.strokes_of_bag import Recorded, rows_of
@@ -26,7 +27,7 @@ def evaluation():
 
 @pytest.fixture(scope="module")
 def rows(evaluation):
-    return rows_of(evaluation, recorded_facts(BAG, "key", evaluation.parameters))
+    return rows_of(evaluation, recorded_facts(BAG, "key", evaluation))
 
 
 def test_a_row_has_the_figures_that_evaluate_prints(evaluation, rows):
@@ -51,9 +52,9 @@ def test_a_row_names_bag_stage_parameters_and_map(rows):
 def test_parameters_that_have_no_effect_on_a_stroke_do_not_change_their_checksum(evaluation):
     def checksum(node, name, value):
         parameters = {**evaluation.parameters, node: {**evaluation.parameters[node], name: value}}
-        return recorded_facts(BAG, "key", parameters).parameters_checksum
+        return recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters=parameters)).parameters_checksum
 
-    same = recorded_facts(BAG, "key", evaluation.parameters).parameters_checksum
+    same = recorded_facts(BAG, "key", evaluation).parameters_checksum
     assert checksum("logger", "output", "another folder") == same
     assert checksum("controller", "control.law", "linear") != same
 
@@ -66,9 +67,9 @@ def test_a_recording_keeps_its_name_in_a_folder_of_another_name(tmp_path):
 
 def test_a_description_that_this_version_cannot_read_has_no_identity(evaluation):
     driver = {**evaluation.parameters["driver"], "stage.platform.colour": "blue"}
-    facts = recorded_facts(BAG, "key", {"driver": driver})
+    facts = recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={"driver": driver}))
     assert facts.identity is None and facts.stage == "synthetic"
-    assert recorded_facts(BAG, "key", {}).stage == "unknown"
+    assert recorded_facts(BAG, "key", dataclasses.replace(evaluation, parameters={})).stage == "unknown"
 
 
 def test_the_latency_of_a_stroke_is_that_of_its_own_samples(evaluation):
@@ -108,8 +109,10 @@ def test_samples_with_the_amplifier_off_or_the_current_at_its_limit_are_counted(
     on[1000:1010] = False
     current[6000:6004] = -0.9
     record = dataclasses.replace(evaluation.record, current=current)
-    rows = rows_of(dataclasses.replace(evaluation, amplifier_on=on, record=record), Recorded())
+    run = evaluation.encoder._replace(off=~on)
+    rows = rows_of(dataclasses.replace(evaluation, amplifier_on=on, record=record, encoder=run), Recorded())
     assert [row.amplifier_off_samples for row in rows] == [10, 0]
+    assert [row.verdict for row in rows] == ["interrupted", "in_order"]
     assert [row.saturated_samples for row in rows] == [0, 4]
 
 
@@ -122,8 +125,10 @@ def test_a_fault_belongs_to_the_stroke_in_which_it_was_latched_or_after_which(ev
         Report(begin + 2_260_000_000, {"error": f"{labels[1]}: still"}),
         Report(begin + 3_000_000_000, {}),
     ]
-    rows = rows_of(evaluation, Recorded(driver=reports))
+    faults = latched_faults({"driver": reports}, begin)
+    rows = rows_of(dataclasses.replace(evaluation, faults=faults), Recorded())
     assert [row.faults for row in rows] == [labels, []]
+    assert [row.verdict for row in rows] == ["interrupted", "in_order"]
 
 
 def test_the_verdict_is_that_on_the_stroke_alone(evaluation):

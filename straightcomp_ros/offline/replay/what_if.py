@@ -12,7 +12,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_run
+from straightcomp_ros.analysis.run_verdict import judged_bag, judged_run
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, Values
@@ -73,7 +73,7 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
         again, law, verdict = _simulated(values, motion)
         changed, changed_law = None, None
         reference = RecordedReference(record)
-        found = judged_run(record, reference, evaluation.parameters, evaluation.map, evaluation.stalls)
+        found = judged_bag(evaluation, record, reference, evaluation.parameters, evaluation.map)
         verdicts = [found, verdict]
         if any(changes.values()):
             for node, section in changes.items():

@@ -1,0 +1,207 @@
+"""What makes the figures of a recorded run those of a part of its motion: an interruption, or a clock that jumps."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.host_stalls import PAUSE
+from straightcomp_ros.analysis.record import MOVING, MetricsError, Stroke, jumps_of, motion_of, speed_at_end
+from straightcomp_ros.bags.stream_columns import StreamColumns
+from straightcomp_ros.timing.node_timing import Report
+
+ENDS_APART = 0.02
+"""Time in s by which the streams of a recording may end apart: a batch of samples takes up to 4 ms, and the logger
+fetches 50 times a second."""
+_NOTICED = 0.02
+"""Least jump in s of a clock that is looked for: the usual delays of a recording hide what is less."""
+_AROUND = 5.0
+"""Time in s before and after a jump in which the least delay of the recording is taken: its stalls are shorter."""
+_PACE = (0.8, 1.25)
+"""Pace of the recording's clock relative to the samples' within which both count the same time; a bag that was played
+or computed at another pace has no clock to compare with."""
+_STEADY = 20
+"""Samples to each side of a jump from which the stage's speed is taken."""
+
+
+class LatchedFault(NamedTuple):
+    """A fault that a node reported: when, in ns since the epoch, its label and the reason."""
+
+    time_ns: int
+    label: str
+    reason: str
+
+
+class EncoderRun(NamedTuple):
+    """All samples of a run, whether the law answered them or not.
+
+    Attributes:
+        stamps: (n,) ns, rising.
+        off: (n,) where the amplifier was off; all False where it never was on.
+        judged_ns: stamp of the last sample that has reference and command and, in a simulation, the truth.
+        strokes: movements of the stage.
+        jumps: (m,) samples at which x is not where the stage can have gone.
+        lost_at: speed in m/s at the last sample, if the recording was cut off there or went on without samples; else 0.
+    """
+
+    stamps: NDArray[np.int64]
+    off: NDArray[np.bool_]
+    judged_ns: int
+    strokes: Sequence[Stroke]
+    jumps: NDArray[np.intp]
+    lost_at: float
+
+    @property
+    def end_ns(self) -> int:
+        """Stamp up to which the law had to answer: of the last sample in motion, if the recording goes on after the
+        last answer; else that of the last answer."""
+        if not self.strokes or self.stamps[-1] - self.judged_ns <= ENDS_APART * 1e9:
+            return self.judged_ns
+        return max(self.judged_ns, int(self.stamps[self.strokes[-1].stop - 1]))
+
+
+def encoder_run(
+    stamps: NDArray[np.int64], x: NDArray[np.float64], on: NDArray[np.bool_], judged_ns: int, cut_off: bool
+) -> EncoderRun:
+    """The run with these samples (n,): stamps in ns, rising, x in m, and whether the amplifier was on; ``cut_off`` if
+    the machine is known to have run on after the last."""
+    off = ~on if on.any() else np.zeros(on.size, np.bool_)
+    # An encoder that fails reads NaN.
+    known = np.flatnonzero(np.isfinite(x))
+    time, x = (stamps[known] - stamps[0]) * 1e-9, x[known]
+    try:
+        strokes = motion_of(time, x).strokes
+    except MetricsError:
+        strokes = ()
+    placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
+    jumps = jumps_of(time, x) if known.size > 2 else []
+    lost_at = speed_at_end(time, x) if cut_off and known.size > 2 else 0.0
+    return EncoderRun(stamps, off, judged_ns, placed, known[jumps], lost_at)
+
+
+def interruption(run: EncoderRun, faults: Sequence[LatchedFault], begin_ns: int, until_ns: int) -> str:
+    """Why the law did not run for the whole motion from ``begin_ns`` to before ``until_ns``; empty if it did."""
+
+    def at(stamp_ns: int) -> str:
+        return f"{(stamp_ns - int(run.stamps[0])) * 1e-9:.3f} s"
+
+    def inside(samples: NDArray[np.intp]) -> NDArray[np.intp]:
+        return samples[(run.stamps[samples] >= begin_ns) & (run.stamps[samples] < until_ns)]
+
+    reasons = []
+    latched = {fault.label: fault for fault in reversed(faults) if begin_ns <= fault.time_ns < until_ns}
+    reasons += [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in reversed(latched.values())]
+    for jump in inside(run.jumps)[:1].tolist():
+        reasons.append(f"x jumps at {at(int(run.stamps[jump]))}")
+    in_motion = inside(np.concatenate([np.arange(0), *(np.arange(one.start, one.stop) for one in run.strokes)]))
+    off = int(np.count_nonzero(run.off[in_motion]))
+    if off:
+        reasons.append(f"the amplifier was off for {off} samples of the motion")
+    if begin_ns <= run.end_ns < until_ns and run.end_ns > run.judged_ns:
+        left = int(np.count_nonzero(run.stamps[in_motion] > run.judged_ns))
+        reasons.append(
+            f"after {at(run.judged_ns)} no sample has both reference and command, {left} more of the motion have none"
+        )
+    if begin_ns <= run.stamps[-1] < until_ns and run.lost_at >= MOVING:
+        reasons.append(f"the samples end while the stage moves at {run.lost_at * 1e3:.3g} mm/s")
+    return "; ".join(reasons)
+
+
+def latched_faults(reports: Mapping[str, Sequence[Report]], begin_ns: int) -> tuple[LatchedFault, ...]:
+    """What the nodes reported as an error from ``begin_ns`` on, in the order of time."""
+    return tuple(
+        sorted(
+            LatchedFault(report.time_ns, *map(str.strip, error.partition(":")[::2]))
+            for own in reports.values()
+            for report in own
+            if report.time_ns >= begin_ns and (error := report.values.get("error", ""))
+        )
+    )
+
+
+def clock_jump(samples: StreamColumns) -> str:
+    """Where the clock behind the stamps of the encoder's ``samples`` jumps, in words; empty if it runs on.
+
+    Where the stamps are not one period apart, the time between two samples is also known by the clock of the recording,
+    and by how far the stage went at its speed. A pause of the recording agrees with both.
+    """
+    stamps, recorded, x = samples.stamp, samples.log_time, samples.columns["x"]
+    steps = np.diff(stamps)
+    rising = steps[steps > 0]
+    if not rising.size:
+        return ""
+    period = int(np.median(rising))
+    usual = int(np.median(recorded - stamps))
+
+    def late_by(part: slice) -> int:
+        return int(np.abs(recorded[part] - stamps[part] - usual).max())
+
+    places = np.flatnonzero(np.abs(steps - period) > max(_NOTICED * 1e9, 1.5 * period))
+    edges = [0, *(places + 1).tolist(), len(stamps)]
+    parts = [slice(*edge) for edge in itertools.pairwise(edges)]
+    # Single messages that came late stand among later ones.
+    late = [part for part in parts[1:-1] if part.stop - part.start < _STEADY and late_by(part) < PAUSE * 1e9]
+    for before, after in itertools.pairwise([part for part in parts if part not in late]):
+        for jump in (
+            _by_recording(stamps, recorded, before, after, period),
+            _by_motion(stamps, x, before, after, period),
+        ):
+            if abs(jump) > max(_NOTICED * 1e9, 1.5 * period):
+                by = _duration(jump * 1e-9)
+                return f"the stamps jump by {by} after sample {before.stop - 1}, though the machine ran on"
+    repeated = _repeated(stamps, np.stack([x, samples.columns["y"]]))
+    return f"{repeated} stamps came twice, with other readings: the clock was set back" if repeated else ""
+
+
+def _by_recording(
+    stamps: NDArray[np.int64], recorded: NDArray[np.int64], before: slice, after: slice, period: int
+) -> float:
+    """Jump in ns by the clock of the recording; 0 where that clock says nothing."""
+    for part in (before, after):
+        span = int(stamps[part.stop - 1] - stamps[part.start])
+        pace = (recorded[part.stop - 1] - recorded[part.start]) / span if span > _NOTICED * 1e10 else 1.0
+        if not _PACE[0] <= pace <= _PACE[1]:
+            return 0.0
+    delay, most = recorded - stamps, max(1, round(_AROUND * 1e9 / period))
+    least_before = int(delay[max(before.start, before.stop - most) : before.stop].min())
+    least_after = int(delay[after.start : min(after.stop, after.start + most)].min())
+    return float(least_before - least_after)
+
+
+def _by_motion(stamps: NDArray[np.int64], x: NDArray[np.float64], before: slice, after: slice, period: int) -> float:
+    """Jump in ns by the way of the stage from the last sample before to the first after; 0 where it stands."""
+    sides = [
+        x[max(before.start, before.stop - _STEADY) : before.stop],
+        x[after.start : min(after.stop, after.start + _STEADY)],
+    ]
+    if min(map(len, sides)) < _STEADY:
+        return 0.0
+    # Of each side in m a sample: the stage accelerates little within some samples.
+    speeds = [float(side[-1] - side[0]) / (len(side) - 1) for side in sides]
+    least = MOVING * period * 1e-9
+    if min(map(abs, speeds)) < least or speeds[0] * speeds[1] < 0.0:
+        return 0.0
+    way = float(x[after.start] - x[before.stop - 1])
+    elapsed = way / (0.5 * sum(speeds)) * period
+    stamped = float(stamps[after.start] - stamps[before.stop - 1])
+    # The stage may have stopped or turned in a pause: then its way says nothing of the time.
+    return stamped - elapsed if 0.0 <= elapsed <= 5.0 * period else 0.0
+
+
+def _repeated(stamps: NDArray[np.int64], readings: NDArray[np.float64]) -> int:
+    order = np.argsort(stamps, kind="stable")
+    same = np.diff(stamps[order]) == 0
+    # By their bytes: NaN is the same reading as NaN.
+    other = (np.diff(readings[:, order].view(np.int64), axis=1) != 0).any(axis=0)
+    return int(np.count_nonzero(same & other))
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("s", 1.0)):
+        if abs(seconds) >= size:
+            return f"{seconds / size:.6g} {unit}"
+    return f"{seconds * 1e3:.4g} ms"
