@@ -116,9 +116,9 @@ def assess(bag: Path, evaluation: BagEvaluation, warnings: tuple[str, ...] = ())
     record = evaluation.record
     try:
         motion, reference = find_motion(record), RecordedReference(record)
-    except MetricsError as error:
+    except MetricsError as found:
         partial = partial_run(evaluation)
-        raise (MetricsError(f"{partial}; while the law ran: {error}") if partial else error) from error
+        raise (MetricsError(f"{partial}; while the law ran: {found}") if partial else found) from found
     window = motion.window
     error = record.r - record.y
     time = (evaluation.stamps - evaluation.stamps[0]) * 1e-9

@@ -78,7 +78,7 @@ def encoder_run(
     except MetricsError:
         strokes = ()
     placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
-    jumps = jumps_of(time, x) if known.size > 2 else []
+    jumps = jumps_of(time, x) if known.size > 2 else known[:0]
     lost_at = speed_at_end(time, x) if cut_off and known.size > 2 else 0.0
     return EncoderRun(stamps, off, judged_ns, placed, known[jumps], lost_at)
 
