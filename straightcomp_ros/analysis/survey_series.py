@@ -109,17 +109,18 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
     return Series(str(bag), time, x[usable], deviation[usable], int(np.count_nonzero(~usable)), inputs)
 
 
-def is_series(path: Path) -> bool:
+def is_series(path: Path, names: Mapping[str, str] | None = None) -> bool:
     """Whether a CSV file is a recording over time; SurveyError if it is unreadable or lacks x or deviation."""
-    return TIME_COLUMN in read_table(path).header
+    return TIME_COLUMN in read_table(path, names).header
 
 
-def series_of_csv(path: Path) -> Series:
-    """Read a recording over time: columns ``time_s``, and x and deviation as in a survey file.
+def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series:
+    """Read a recording over time: columns ``time_s``, and x and deviation as in a survey file, where they may have
+    these ``names``.
 
     SurveyError if a column is missing, a cell is no number, or time does not rise.
     """
-    table = read_table(path)
+    table = read_table(path, names)
     time_column = table.header.index(TIME_COLUMN)
     samples: list[tuple[float, float, float]] = []
     for line, row in table.rows:

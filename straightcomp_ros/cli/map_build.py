@@ -29,6 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)")
     add("--level", action="store_true", help="take the least squares line out, not only the mean")
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    for quantity in ("x", "deviation"):
+        own = f"the CSV file's own name for the column of {quantity}, which ends with its unit"
+        add(f"--{quantity}-column", metavar="NAME", help=own)
     add("--json", action="store_true", help="print one JSON object and nothing else")
     add = parser.add_argument_group("what to read from a bag").add_argument
     stage = f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}])"
@@ -87,10 +90,12 @@ def _built(options: argparse.Namespace) -> BuiltMap:
             raise CommandFailed(f"--stage or --sensor: {error}", exit_code=2) from error
         sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
         return build_from_series(series_of_bag(source, stage, sensor), source, choices)
-    if is_series(source):
-        return build_from_series(series_of_csv(source), source, choices)
+    own = {"x": options.x_column, "deviation": options.deviation_column}
+    names = {quantity: name for quantity, name in own.items() if name is not None}
+    if is_series(source, names):
+        return build_from_series(series_of_csv(source, names), source, choices)
     parameters = choices.parameters
-    survey = read_survey(source, min_points=parameters.min_points, max_gap=parameters.max_gap)
+    survey = read_survey(source, min_points=parameters.min_points, max_gap=parameters.max_gap, names=names)
     return build(survey, source, choices)
 
 

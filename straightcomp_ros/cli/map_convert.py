@@ -4,11 +4,12 @@ The signs differ from maker to maker: after a conversion, compare one point with
 use --negate if it has the other sign."""
 
 import argparse
+from collections.abc import Collection
 from pathlib import Path
 
 from straightcomp_ros.cli.options import check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json
-from straightcomp_ros.straightness.survey import write_survey
+from straightcomp_ros.straightness.survey import Survey, write_survey
 from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions
 from straightcomp_ros.straightness.tables.formats import FORMATS, format_of
 
@@ -25,8 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     conventions = chosen_conventions(options)
     source, output = Path(options.file), output_file("--output", options.output)
-    table = format_of(source, options.format).read(source, conventions)
-    survey = (table.negated() if options.negate else table).to_survey(str(source))
+    found = format_of(source, options.format).read(source, conventions)
+    survey = found if isinstance(found, Survey) else found.to_survey(str(source))
+    if options.negate:
+        survey = survey.negated()
     write_survey(output, survey, [f"Converted from {source.name}"])
     first = survey.runs[0]
     figures = {
@@ -47,11 +50,11 @@ def run(options: argparse.Namespace) -> None:
         )
 
 
-def add_table_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of all tools that read or write error tables of controllers."""
+def add_table_options(parser: argparse.ArgumentParser, formats: Collection[str] = tuple(FORMATS)) -> None:
+    """Declare the options of all tools that read or write error tables of controllers, in one of ``formats``."""
     add = parser.add_argument
-    endings = ", ".join(f"{one.ending} {name}" for name, one in FORMATS.items())
-    add("--format", choices=FORMATS, help=f"format (default: by the file's ending: {endings})")
+    endings = ", ".join(f"{FORMATS[name].ending} {name}" for name in formats)
+    add("--format", choices=formats, help=f"format (default: by the file's ending: {endings})")
     unit = "length unit of the controller where the file does not say it: linuxcnc, aerotech (default: %(default)s)"
     add("--unit", choices=UNITS, default=Conventions.unit, help=unit)
     for axis, default in (("stage", Conventions.stage_axis), ("platform", Conventions.platform_axis)):

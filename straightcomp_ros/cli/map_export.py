@@ -7,10 +7,10 @@ import argparse
 
 from straightcomp_ros.cli.map_convert import add_table_options, chosen_conventions
 from straightcomp_ros.cli.options import check_range, output_file
-from straightcomp_ros.cli.output import console, print_json
+from straightcomp_ros.cli.output import CommandFailed, console, print_json
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.tables.error_table import sampled
-from straightcomp_ros.straightness.tables.formats import format_of
+from straightcomp_ros.straightness.tables.formats import WRITTEN, format_of
 
 SUMMARY = "write the map as a controller's error table"
 _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM = 0.1, 1000.0
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--output", "-o", required=True, metavar="FILE", help="error table to write")
     add("--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)")
     add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
-    add_table_options(parser)
+    add_table_options(parser, tuple(WRITTEN))
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -31,7 +31,10 @@ def run(options: argparse.Namespace) -> None:
     check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
     output = output_file("--output", options.output)
     table, error = sampled(load_map(MapParameters(file=options.survey)), options.spacing * 1e-3)
-    written = format_of(output, options.format).write(table.negated() if options.negate else table, conventions)
+    write = format_of(output, options.format).write
+    if write is None:
+        raise CommandFailed(f"--output {output}: an instrument's file; allowed: {', '.join(WRITTEN)}", exit_code=2)
+    written = write(table.negated() if options.negate else table, conventions)
     output.write_text(written, encoding="utf-8")
     figures = {
         "output": str(output),

@@ -7,15 +7,15 @@
 
 The column's name ends with the unit: x in m, mm or um, deviation in m, mm, um or nm. The names and separators of
 instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or tabs between the
-cells, and then decimal commas. ``run`` and ``direction`` may be left out: then the trend of x tells the
-direction, and where x turns back another run begins. Rows with the same run and direction belong to one run, so that a
-cycle may count forward and backward as one. Other columns are ignored.
+cells, and then decimal commas; lines before the header, and Excel's ``sep=``. ``run`` and ``direction`` may be left
+out: then the trend of x tells the direction, and where x turns back another run begins. Rows with the same run and
+direction belong to one run, so that a cycle may count forward and backward as one. Other columns are ignored.
 """
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, cast
 
@@ -61,16 +61,23 @@ class Survey:
         """The runs of one direction."""
         return tuple(run for run in self.runs if run.direction == direction)
 
+    def negated(self) -> "Survey":
+        """The survey with the other sign, of an instrument or a controller that counts the other way."""
+        return Survey(tuple(replace(run, deviation=-run.deviation) for run in self.runs), self.source)
 
-def read_survey(path: str | Path, *, min_points: int = 20, max_gap: float = 0.05) -> Survey:
+
+def read_survey(
+    path: str | Path, *, min_points: int = 20, max_gap: float = 0.05, names: Mapping[str, str] | None = None
+) -> Survey:
     """Read and check a survey: at least ``min_points`` in a run, at most ``max_gap`` in m between neighbouring points.
+    ``names`` as :func:`straightcomp_ros.straightness.survey_columns.read_table` takes it.
 
     Raises:
         SurveyError: the file is missing or empty, lacks a column, has a cell that is no finite number, too few points,
             an x that turns back or repeats, a gap, or values that no guide in these units has.
     """
     path = Path(path)
-    table = read_table(path)
+    table = read_table(path, names)
     groups: Groups = {}
     for line, row in table.rows:
         where = f"survey {path}, line {line}"

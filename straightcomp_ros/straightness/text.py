@@ -1,8 +1,9 @@
 """The text files of a survey: lines, cells and numbers, with errors that name the file, the line and the value."""
 
+import codecs
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 
@@ -10,19 +11,30 @@ class SurveyError(ValueError):
     """A survey cannot be used; the message names the file, the line or the position, the value and what is allowed."""
 
 
-def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str]]:
-    """Number and text of the lines of a UTF-8 file without comments, which the pattern ``comment`` matches, and without
-    the lines that are then blank.
+def numbered_lines(
+    path: Path, comment: str = "(?!)", encodings: Sequence[str] = ("utf-8",)
+) -> Iterator[tuple[int, str]]:
+    """Number and text of the lines of a text file without comments, which the pattern ``comment`` matches, and without
+    the lines that are then blank. The first of the ``encodings`` that fits is taken, or what a byte order mark says.
 
     Raises:
-        SurveyError: the file cannot be read, or is not UTF-8.
+        SurveyError: the file cannot be read, or has none of the encodings.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")  # spreadsheets put a byte order mark in front
+        content = path.read_bytes()
     except OSError as error:
         raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise SurveyError(f"survey {path}: byte {error.start} is not UTF-8; save the file as UTF-8 text") from error
+    # Spreadsheets put a byte order mark in front.
+    marked = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+    encodings = [name for mark, name in marked.items() if content.startswith(mark)] or encodings
+    for encoding in encodings:
+        try:
+            text = content.decode(encoding)
+            break
+        except UnicodeDecodeError as error:
+            failed = error
+    else:
+        raise SurveyError(f"survey {path}: byte {failed.start} is not UTF-8; save the file as UTF-8 text") from failed
     for number, raw in enumerate(text.splitlines(), start=1):
         line = re.sub(comment, "", raw)
         if line.strip():

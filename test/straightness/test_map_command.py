@@ -8,10 +8,10 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.tables.formats import FORMATS
+from straightcomp_ros.straightness.tables.formats import FORMATS, WRITTEN
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", WRITTEN)
 def test_the_exported_map_comes_back_as_the_same_map(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:

@@ -128,7 +128,7 @@ def test_a_column_without_unit_is_named(tmp_path: Path) -> None:
 
 
 def test_a_quantity_given_twice_is_refused(tmp_path: Path) -> None:
-    assert "given twice, as x_m and x_mm" in _refusal(_write(tmp_path, ["0,0,1"], "x_m,x_mm,deviation_um"))
+    assert "given twice, as x_m (column 1) and x_mm" in _refusal(_write(tmp_path, ["0,0,1"], "x_m,x_mm,deviation_um"))
 
 
 @pytest.mark.parametrize(

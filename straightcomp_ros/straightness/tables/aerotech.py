@@ -28,41 +28,55 @@ _SAME = 1e-9
 
 
 def read(path: Path, conventions: Conventions) -> ErrorTable:
-    """Read the first table that corrects ``conventions.platform_axis``.
+    """Read the sum of the tables that correct ``conventions.platform_axis`` over ``conventions.stage_axis``, which may
+    be the axis of their columns or of their rows: "axis calibration is additive" (Automation1 help).
 
     Raises:
         SurveyError: no such table, a head or value that is not understood, or a correction that also depends on
-            the row axis.
+            the other axis.
     """
-    found: set[int] = set()
+    found, total = [], None
     for start, head, values in _tables(path):
         where = f"survey {path}, line {start}"
         numbers = [number(where, name, cell) for name, cell in zip(_HEAD, _positions(where, head), strict=True)]
         keywords = {key: value for line in head for key, value in _KEYWORD.findall(line)}
-        axes = [int(axis) for axis in (*numbers[2:4], keywords.get("OUTAXIS3")) if axis is not None]
-        found.update(axes)
-        if conventions.platform_axis not in axes:
+        outputs = [int(axis) for axis in (*numbers[2:4], keywords.get("OUTAXIS3")) if axis is not None]
+        row_axis, column_axis, columns = int(numbers[0]), int(numbers[1]), int(numbers[6])
+        found += [f"{output} over {row_axis} and {column_axis}" for output in outputs]
+        if conventions.platform_axis not in outputs or conventions.stage_axis not in (row_axis, column_axis):
             continue
-        distance, columns = numbers[5], int(numbers[6])
-        if not values or columns < 2 or len(values) % (columns * len(axes)):
+        if row_axis == column_axis:
+            raise SurveyError(f"{where}: rows and columns are both of axis {row_axis}; allowed: two axes")
+        if not values or columns < 2 or len(values) % (columns * len(outputs)):
             raise SurveyError(
-                f"{where}: {len(values)} values; allowed: rows of NumCols × outputs = {columns} × {len(axes)}"
+                f"{where}: {len(values)} values; allowed: rows of NumCols × outputs = {columns} × {len(outputs)}"
             )
-        grid = np.array(values).reshape(-1, columns, len(axes))[:, :, axes.index(conventions.platform_axis)]
+        ours = [place for place, output in enumerate(outputs) if output == conventions.platform_axis]
+        grid = np.array(values).reshape(-1, columns, len(outputs))[:, :, ours].sum(axis=2)
         grid = grid / _per_metre(where, keywords.get("CORUNIT", "PRIMARY"), conventions)
+        name, other, distance = "Col", "row", numbers[5]
+        if row_axis == conventions.stage_axis:
+            name, other, distance, grid = "Row", "column", numbers[4], grid.T
         if float(np.ptp(grid, axis=0).max()) > _SAME:
-            raise SurveyError(f"{where}: the correction depends on the row axis too; allowed: rows that are the same")
+            raise SurveyError(
+                f"{where}: the correction depends on the {other} axis too; allowed: {other}s that are the same"
+            )
         if distance <= 0.0:
-            raise SurveyError(f"{where}: SampDistCol {distance:g}; allowed: > 0; write the columns in the other order")
-        offset = number(where, "OFFSETCOL", keywords.get("OFFSETCOL", "0"))
+            raise SurveyError(
+                f"{where}: SampDist{name} {distance:g}; allowed: > 0; write the points in the other order"
+            )
+        offset = number(where, f"OFFSET{name.upper()}", keywords.get(f"OFFSET{name.upper()}", "0"))
         units = _per_metre(where, keywords.get("POSUNIT", "PRIMARY"), conventions)
-        x = (np.arange(columns) * distance - offset) / units
+        x = (np.arange(grid.shape[1]) * distance - offset) / units
         sign = 1.0 if any("NEGCOR" in line for line in head) else -1.0
-        return error_table(where, np.column_stack([x, sign * grid[0]]).tolist())
-    raise SurveyError(
-        f"survey {path}: no :START2D table corrects axis {conventions.platform_axis} (platform axis); "
-        f"found: {', '.join(map(str, sorted(found))) or 'none'}"
-    )
+        table = error_table(where, np.column_stack([x, sign * grid[0]]).tolist())
+        total = table if total is None else total.plus(table)
+    if total is None:
+        raise SurveyError(
+            f"survey {path}: no :START2D table corrects axis {conventions.platform_axis} (platform) over axis "
+            f"{conventions.stage_axis} (stage); found: {', '.join(found) or 'none'}"
+        )
+    return total
 
 
 def write(table: ErrorTable, conventions: Conventions) -> str:

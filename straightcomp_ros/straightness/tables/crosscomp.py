@@ -20,22 +20,35 @@ from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorT
 from straightcomp_ros.straightness.text import SurveyError, decimal, number, numbered_lines
 
 _PER_METRE = 1e7
+_AXIS = "kopf.achs_nr"
 _INDEX = re.compile(r"\[\s*0*(\d+)\s*\]")
 
 
 def read(path: Path, conventions: Conventions) -> ErrorTable:
-    """Read a list; ``conventions`` has nothing to add.
+    """Read the list that corrects ``conventions.platform_axis`` over ``conventions.stage_axis``.
 
     Raises:
-        SurveyError: the unit is encoder increments, or an entry is missing or no number.
+        SurveyError: it names other axes, the unit is encoder increments, or an entry is missing, given twice or no
+            number.
     """
     where, prefix = f"survey {path}", "kw.crosscomp."
     entries: dict[str, float] = {}
     for line, text in numbered_lines(path, r"/\*.*?\*/|#.*"):
         cells = text.strip().rsplit(maxsplit=1)
-        if len(cells) == 2 and cells[0].startswith(prefix):
-            key = _INDEX.sub(r"[\1]", cells[0])
-            entries[key.removeprefix(prefix)] = number(f"{where}, line {line}", key, cells[1])
+        if len(cells) == 2 and (cells[0].startswith(prefix) or cells[0] == _AXIS):
+            key = _INDEX.sub(r"[\1]", cells[0]).removeprefix(prefix)
+            if key in entries:
+                raise SurveyError(f"{where}, line {line}: {cells[0]} is given twice; allowed: once")
+            entries[key] = number(f"{where}, line {line}", cells[0], cells[1])
+    for key, name, wanted in (
+        (_AXIS, "platform", conventions.platform_axis),
+        ("master_ax_nr", "stage", conventions.stage_axis),
+    ):
+        if entries.get(key, wanted) != wanted:
+            raise SurveyError(
+                f"{where}: {key} {entries[key]:g}; allowed: {wanted}, the number of the {name}'s axis "
+                f"(--{name}-axis {entries[key]:g} if that is it)"
+            )
     if entries.get("unit") != 1.0:
         raise SurveyError(f"{where}: kw.crosscomp.unit {entries.get('unit', 0.0):g}; allowed: 1 (metric, in 0.1 µm)")
     points = []
@@ -56,7 +69,7 @@ def write(table: ErrorTable, conventions: Conventions) -> str:
     """
     table.check_size("crosscomp", 1001)
     lines = [
-        f"kopf.achs_nr {conventions.platform_axis}",
+        f"{_AXIS} {conventions.platform_axis}",
         f"kw.crosscomp.last_index {len(table.x) - 1}",
         f"kw.crosscomp.master_ax_nr {conventions.stage_axis}",
         "kw.crosscomp.unit 1 /* metric, in 0.1 um */",

@@ -31,6 +31,14 @@ class Conventions:
     platform_axis: int = 2
     error: str = "EYX"
 
+    def __post_init__(self) -> None:
+        moved, axis = self.error[1:2], self.error[2:3]
+        if not (len(self.error) == 3 and self.error[0] == "E" and {moved, axis} <= set("XYZ") and moved != axis):
+            raise SurveyError(
+                f"error {self.error!r}: is no straightness; allowed: E, the axis of the error and the axis that moves, "
+                "two of X, Y and Z: EYX, EZX, …"
+            )
+
     @property
     def per_metre(self) -> float:
         """How many units make a metre."""
@@ -50,6 +58,12 @@ class ErrorTable:
     x: NDArray[np.float64]
     forward: NDArray[np.float64]
     backward: NDArray[np.float64] | None = None
+
+    def plus(self, other: ErrorTable) -> ErrorTable:
+        """The sum of two tables without directions, as a controller adds them: linear between two points, and beyond
+        the ends the last value."""
+        x = np.union1d(self.x, other.x)
+        return ErrorTable(x, np.interp(x, self.x, self.forward) + np.interp(x, other.x, other.forward))
 
     @property
     def mean(self) -> NDArray[np.float64]:

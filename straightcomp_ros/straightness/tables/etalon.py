@@ -32,18 +32,25 @@ def read(path: Path, conventions: Conventions) -> ErrorTable:
     name, inside = "", False
     for line, raw in numbered_lines(path, "//.*"):
         text = raw.strip()
+        where = f"survey {path}, line {line}"
         heading = re.fullmatch(r"\[(\w+)\]", text)
         if heading:
             name, inside = heading[1].upper(), False
-        elif re.match(r"gridpoints\s*=", text, re.IGNORECASE):
-            blocks[name], inside = [], True
-        elif text.startswith("}"):
-            inside = False
-        elif inside and name == conventions.error and text.strip("{ "):
-            where = f"survey {path}, line {line}"
-            cells = text.split()
-            if len(cells) != 2:
-                raise SurveyError(f"{where}: {len(cells)} values; allowed: position and error")
+            continue
+        opening = re.match(r"gridpoints\s*=", text, re.IGNORECASE)
+        if opening:
+            if name in blocks:
+                raise SurveyError(f"{where}: the Gridpoints of [{name}] are given twice; allowed: once")
+            blocks[name], inside, text = [], True, text[opening.end() :]
+        if not inside or name != conventions.error:
+            continue
+        # Points may stand on the lines of the braces.
+        text, brace, after = text.partition("}")
+        cells = text.replace("{", " ").split()
+        inside = not brace
+        if len(cells) not in (0, 2) or after.strip():
+            raise SurveyError(f"{where}: {raw.strip()!r}; allowed: a position and an error on each line")
+        if cells:
             blocks[name].append([number(where, name, cell) / _PER_METRE for cell in cells])
     if conventions.error not in blocks:
         raise SurveyError(

@@ -1,0 +1,132 @@
+"""Measurement files of the two common laser interferometers: Renishaw's ``.rtl`` and API's ``.pos``.
+
+    TARGET DATA::                         Position      Bidirectional Avg Error
+    Target-count:3                        0.0000        0.0001
+    Targets :                             10.0000       -0.0004
+      0.0000     10.0000     20.0000      Position      Forward Directional Avg Error
+    Flags: …                              0.0000        0.0002
+    RUNS::                                …
+    Run-count:2                           Position      Reverse Directional Avg Error
+    DEVIATIONS::                          …
+    Run Target Data:
+         1     1      0.3
+         1     2     -0.1
+    …
+
+Renishaw: targets in mm, and for each reading the number of its run, of its target and the deviation in µm. API: blocks
+of positions and mean errors, both in mm. Neither maker describes the files in public; this is what several public
+programs read in them. Both are written for every linear measurement, and do not say that it was one of straightness.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from straightcomp_ros.straightness.survey import Run, Survey, orient
+from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table
+from straightcomp_ros.straightness.text import SurveyError, number, numbered_lines
+
+_OTHER_KINDS = re.compile(r"angular|pitch|yaw|roll|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE)
+_BLOCK = re.compile(r"position\s+(bidirectional|forward|reverse|backward)[\w\s]*error.*", re.IGNORECASE)
+_ENCODINGS = ("utf-8", "cp1252")
+"""Machine and operator are named in the language of the computer; only their lines have other than ASCII letters."""
+
+
+def read_rtl(path: Path, conventions: Conventions) -> Survey:
+    """Read Renishaw's file; each of its runs becomes one of the survey, in the direction of its targets.
+
+    Raises:
+        SurveyError: it is of another measurement, a number is missing or none, or a reading is given twice.
+    """
+    section, targets, readings = "", [], {}
+    counts: dict[str, float] = {}
+    collecting = False
+    for line, raw in numbered_lines(path, encodings=_ENCODINGS):
+        where, text = f"survey {path}, line {line}", raw.strip()
+        key, colon, value = (part.strip() for part in text.partition(":"))
+        if text.endswith("::"):
+            section, collecting = text[:-2].strip().upper(), False
+        elif colon and not re.match(r"[+-]?[\d.]", text):
+            name = key.lower()
+            collecting = name in ("targets", "run target data")
+            _refuse_other_kinds(where, name, value)
+            if name in ("target-count", "run-count"):
+                counts[name] = number(where, key, value)
+        elif collecting and section == "TARGET DATA":
+            targets += [number(where, "target", cell) for cell in text.split()]
+        elif collecting:
+            cells = [
+                number(where, name, cell)
+                for name, cell in zip(("run", "target", "deviation"), text.split(), strict=False)
+            ]
+            if len(cells) != 3 or len(text.split()) != 3:
+                raise SurveyError(f"{where}: {text!r}; allowed: numbers of run and target, and the deviation in µm")
+            run, target = int(cells[0]), int(cells[1])
+            if not 1 <= target <= len(targets):
+                raise SurveyError(f"{where}: target {target}; allowed: 1 to {len(targets)}")
+            if target in readings.setdefault(run, {}):
+                raise SurveyError(f"{where}: target {target} of run {run} is given twice; allowed: once")
+            readings[run][target] = (line, targets[target - 1] * 1e-3, cells[2] * 1e-6)
+    for name, there in (("target-count", len(targets)), ("run-count", len(readings))):
+        if counts.get(name, there) != there:
+            raise SurveyError(f"survey {path}: {name} says {counts[name]:g}, but the file has {there}; is it cut off?")
+    for run, points in readings.items():
+        if len(points) != len(targets):
+            raise SurveyError(f"survey {path}: run {run} has {len(points)} of {len(targets)} targets; allowed: all")
+    if not readings or len(targets) < 2:
+        raise SurveyError(f"survey {path}: has no readings ('Run Target Data:'); is it Renishaw's .rtl file?")
+    runs = [
+        orient(f"survey {path}, run {run}", str(run), None, list(points.values())) for run, points in readings.items()
+    ]
+    return _checked(path, runs)
+
+
+def read_pos(path: Path, conventions: Conventions) -> ErrorTable:
+    """Read API's file: the mean errors forward and backward, or of both where it has no other.
+
+    Raises:
+        SurveyError: it is of another measurement, has no such block, one twice, or different positions in them.
+    """
+    blocks: dict[str, list[list[float]]] = {}
+    block = ""
+    for line, raw in numbered_lines(path, encodings=_ENCODINGS):
+        where, text = f"survey {path}, line {line}", raw.strip()
+        heading = _BLOCK.fullmatch(text)
+        if heading:
+            block = {"reverse": "backward"}.get(heading[1].lower(), heading[1].lower())
+            if block in blocks:
+                raise SurveyError(f"{where}: the {block} errors are given twice; allowed: once")
+            blocks[block] = []
+        elif block and re.match(r"[+-]?[\d.]", text):
+            cells = [number(where, name, cell) for name, cell in zip(("position", "error"), text.split(), strict=False)]
+            if len(cells) != 2 or len(text.split()) != 2:
+                raise SurveyError(f"{where}: {text!r}; allowed: position and error in mm")
+            blocks[block].append([cell * 1e-3 for cell in cells])
+        else:
+            block = ""
+            key, _, value = text.partition(":")
+            _refuse_other_kinds(where, key.strip().lower(), value)
+    if not any(blocks.values()):
+        raise SurveyError(f"survey {path}: has no block 'Position … Avg Error'; is it API's .pos file?")
+    where = f"survey {path}"
+    tables = {name: error_table(f"{where}, {name}", points) for name, points in blocks.items() if points}
+    if "forward" not in tables or "backward" not in tables:
+        return tables.get("bidirectional") or next(iter(tables.values()))
+    forward, backward = tables["forward"], tables["backward"]
+    if forward.x.shape != backward.x.shape or not np.allclose(forward.x, backward.x, rtol=0.0, atol=1e-7):
+        raise SurveyError(f"{where}: the positions forward and backward differ; allowed: the same")
+    return ErrorTable(forward.x, forward.forward, backward.forward)
+
+
+def _refuse_other_kinds(where: str, name: str, value: str) -> None:
+    kind = _OTHER_KINDS.search(value) if "type" in name or "measurement" in name or "mode" in name else None
+    if kind:
+        raise SurveyError(f"{where}: the measurement is {value.strip()!r}; allowed: one of straightness")
+
+
+def _checked(path: Path, runs: list[Run]) -> Survey:
+    survey = Survey(tuple(runs), str(path))
+    for run in runs:
+        ErrorTable(run.x, run.deviation).to_survey(f"{path}, run {run.name}")
+    return survey
