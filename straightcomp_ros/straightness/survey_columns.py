@@ -175,7 +175,7 @@ def _use_points(path: Path, rows: Sequence[tuple[int, list[str]]], columns: Sequ
         (line, row[column]) for line, row in rows for column in columns if "." in row[column] and "," in row[column]
     ]
     if both:
-        decimal = {max(cell, key=lambda mark, cell=cell: cell.rfind(mark) if mark in ".," else -1) for _, cell in both}
+        decimal = {max(".,", key=cell.rfind) for _, cell in both}
     marks = {mark for mark in ".," if any(mark in cell for cell in cells)}
     if len(marks) == 2 and len(decimal) != 1:
         line = next(line for line, row in rows for column in columns if "," in row[column])

@@ -39,7 +39,9 @@ def read_rtl(path: Path, conventions: Conventions) -> Survey:
     Raises:
         SurveyError: it is of another measurement, a number is missing or none, or a reading is given twice.
     """
-    section, targets, readings = "", [], {}
+    section = ""
+    targets: list[float] = []
+    readings: dict[int, dict[int, tuple[int, float, float]]] = {}
     counts: dict[str, float] = {}
     collecting = False
     for line, raw in numbered_lines(path, encodings=_ENCODINGS):
