@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -103,7 +104,7 @@ def modulus(signal: Signal) -> int:
 
 
 def _found(file: str) -> Path:
-    path = Path(file).expanduser()
+    path = Path(os.path.expanduser(file))
     if not path.exists():
         try:
             return share_path(file)
