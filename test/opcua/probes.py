@@ -4,6 +4,7 @@ Prints one JSON object: by name of what was tried, ``done`` or the name of the s
 """
 
 import asyncio
+import contextlib
 import json
 import logging
 import struct
@@ -100,6 +101,53 @@ async def rights(url):
             "delete": await outcome(made.delete_nodes([state])),
         }
         await made.disconnect()
+    return results
+
+
+async def shapes(url):
+    """Arguments of other types, numbers and shapes than each method declares."""
+    made = await connect(url, OPERATOR)
+    commands, t = made.get_node(path("Commands")), ua.VariantType
+    odd = {
+        "array": [ua.Variant([1, 2], t.UInt32)],
+        "array of one": [ua.Variant([1], t.UInt32)],
+        "no elements": [ua.Variant([], t.UInt32, is_array=True)],
+        "truths": [ua.Variant([True], t.Boolean)],
+        "null": [ua.Variant(None, t.Null)],
+        "text": [ua.Variant("1", t.String)],
+        "double": [ua.Variant(1.0, t.Double)],
+        "object": [ua.Variant(ua.Range(0.0, 1.0), t.ExtensionObject)],
+        "nested": [ua.Variant([[1, 2], [3, 4]], t.UInt32)],
+        "two": [ua.Variant(1, t.UInt32), ua.Variant(1, t.UInt32)],
+        "two hundred": [ua.Variant(1, t.UInt32)] * 200,
+    }
+    methods = [await node.read_browse_name() for node in await commands.get_methods()]
+    results = {}
+    for method in methods:
+        for name, arguments in odd.items():
+            call = commands.call_method(path(f"Commands.{method.Name}"), *arguments)
+            results[f"{method.Name} {name}"] = await outcome(call)
+    results["Start 4294967295"] = await outcome(
+        commands.call_method(path("Commands.Start"), ua.Variant(2**32 - 1, t.UInt32))
+    )
+    await made.disconnect()
+    return results
+
+
+async def crowd(url, count):
+    """Whether an operator gets in, and stays, while others connect without a name."""
+    others = []
+    for _ in range(int(count)):
+        with contextlib.suppress(ua.UaError, OSError, asyncio.TimeoutError):
+            others.append(await connect(url))
+    operator = await connect(url, OPERATOR)
+    for _ in range(int(count)):
+        with contextlib.suppress(ua.UaError, OSError, asyncio.TimeoutError):
+            others.append(await connect(url))
+    await asyncio.sleep(0.5)
+    results = {"operator": await outcome(operator.get_node(path("Commands")).call_method(path("Commands.Reset")))}
+    for one in (operator, *others):
+        one.disconnect_socket()
     return results
 
 
