@@ -47,7 +47,6 @@ _ENCRYPTED = [
 _OPEN, _KNOWN = [ua.SecurityPolicyType.NoSecurity], [ua.UserNameIdentityToken]
 # They write a line for whatever a client does wrong.
 _TALKATIVE = ("asyncua.server.uaprocessor", "asyncua.server.binary_server_asyncio", "asyncua.server.internal_session")
-_LOGS = ("asyncua", "asyncio", "straightcomp_ros.opcua")
 _WAITING = 100
 """Connections beyond those that may stay: room for clients that are logging in, until the next period."""
 _MOST_UNSENT = 4 << 20
@@ -116,9 +115,7 @@ class GatewayServer:
         logging.getLogger("asyncua").setLevel(logging.ERROR)
         for name in _TALKATIVE:
             logging.getLogger(name).setLevel(logging.CRITICAL)
-        for name in _LOGS:
-            log = logging.getLogger(name)
-            log.handlers, log.propagate = [_LOG], False
+        logging.getLogger().addHandler(_LOG)
         self._thread = threading.Thread(target=self._run, name="opc ua", daemon=True)
         self._thread.start()
         self._started.result(_START_WITHIN_S)

@@ -132,7 +132,7 @@ def test_a_flood_of_errors_writes_a_line_a_second_at_most(plain):
     lines = written.getvalue().splitlines()
     assert len(lines) == 60 and max(map(len, lines)) < 400
     assert "\x1b" not in written.getvalue() and "9 lines" in lines[-1]
-    assert {logging.getLogger(name).handlers[0].__class__ for name in ("asyncua", "asyncio")} == {AtMostALineASecond}
+    assert AtMostALineASecond in map(type, logging.getLogger().handlers)
 
 
 def test_wrong_credentials_are_refused(plain):
