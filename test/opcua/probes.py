@@ -151,6 +151,17 @@ async def crowd(url, count):
     return results
 
 
+async def guess(url, count):
+    """Many wrong passwords and many sessions on one connection; then an operator logs in."""
+    made = await connect(url)
+    wrong = {await outcome(made.activate_session("ann", "wrong horse")) for _ in range(int(count))}
+    for _ in range(int(count)):
+        await outcome(made.create_session())
+        await outcome(made.activate_session())
+    operator = await outcome(connect(url, OPERATOR))
+    return {"wrong": sorted(wrong), "operator": operator}
+
+
 async def around(url):
     """Ways around the rules of the secure channel."""
     results = {}

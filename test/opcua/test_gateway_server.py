@@ -17,6 +17,7 @@ import pytest
 asyncua = pytest.importorskip("asyncua", reason="the extra 'opcua' is not installed")
 
 from asyncua.crypto.cert_gen import setup_self_signed_certificate  # noqa: E402
+from asyncua.server.internal_session import InternalSession  # noqa: E402
 from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: E402
 
 from straightcomp_ros.cell.demonstration import free_port  # noqa: E402
@@ -120,6 +121,12 @@ def test_an_operator_gets_in_and_stays_however_many_others_connect(plain):
     finally:
         for one in silent:
             one.close()
+
+
+def test_one_connection_uses_up_neither_the_logins_nor_the_sessions_of_all(plain, monkeypatch):
+    monkeypatch.setattr(InternalSession, "max_connections", 30)
+    found = probed("guess", plain.url, 60)
+    assert found == {"wrong": ["BadTooManyOperations", "BadUserAccessDenied"], "operator": "done"}
 
 
 def test_a_flood_of_errors_writes_a_line_a_second_at_most(plain):
