@@ -27,6 +27,14 @@ CASES = [
     ("simulate --set stage.guide.file=none.csv", "survey none.csv: there is no such file"),
     ("simulate --set stage.guide.file=folder", "survey folder: is no file"),
     ("simulate --set stage.guide.file=wrong_unit.csv", "no column for x; found: x_kg"),
+    ("simulate --set stage.guide.file=~nosuchuser/x.csv", "there is no such file"),
+    ('simulate --set stage.guide.file="a\\0b"', "has control characters"),
+    ("simulate --set driver.hardware=can --set driver.can.dbc=~nosuchuser/x.dbc", "No such file; name a DBC file"),
+    (f"simulate --set stage.platform.mass={'9' * 400}", "is not finite"),
+    ("simulate --set stage.rate=2026-02-31", "is not an integer"),
+    ("simulate --params-file twice.yaml", "parameter 'stage.platform.mass' is given twice"),
+    ("simulate --params-file itself.yaml", "contains itself"),
+    (f"evaluate {BAG} --limits limits.yaml", "key 'true_pp_um' is given twice"),
     ("simulate --params-file none.yaml", "none.yaml: cannot be read: No such file"),
     ("simulate --stage none.yaml", "none.yaml: cannot be read: No such file"),
     ("simulate --params-file folder", "folder: cannot be read: Is a directory"),
@@ -94,6 +102,10 @@ def folder_of_wrong_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         (tmp_path / name).touch()
     (tmp_path / "noise.mcap").write_bytes(bytes(range(255, 0, -1)) * 10)
     (tmp_path / "wrong_unit.csv").write_text("x_kg,deviation_um\n0,1\n1,2\n")
+    twice = "/**:\n  ros__parameters:\n    stage.platform.mass: 3.0\n    stage: {platform: {mass: 4.0}}\n"
+    (tmp_path / "twice.yaml").write_text(twice)
+    (tmp_path / "itself.yaml").write_text("driver: {ros__parameters: &x {self: *x}}\n")
+    (tmp_path / "limits.yaml").write_text("true_pp_um: 1\ntrue_pp_um: 2\n")
     monkeypatch.chdir(tmp_path)
 
 
