@@ -1,5 +1,6 @@
 """Reads and writes the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -82,7 +83,7 @@ def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> d
     found: dict[str, dict[str, str]] = {}
     for node, name in _FILES:
         file = values[node].get(name)
-        if isinstance(file, str) and file and (folder / file).is_file():
+        if isinstance(file, str) and file and os.path.isfile(folder / file):
             found.setdefault(node, {})[name] = str(folder / file)
     return found
 

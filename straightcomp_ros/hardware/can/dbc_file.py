@@ -105,7 +105,7 @@ def modulus(signal: Signal) -> int:
 
 def _found(file: str) -> Path:
     path = Path(os.path.expanduser(file))
-    if not path.exists():
+    if not os.path.exists(path):
         try:
             return share_path(file)
         except FileNotFoundError:
