@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
@@ -18,6 +17,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion
 from straightcomp_ros.analysis.run_verdict import judged_bag, partial_run
+from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
 
 _AT_LIMIT = 1.0 - 1e-9
 """Fraction of the current limit from which the command counts as limited."""
@@ -208,11 +208,11 @@ def read_limits(path: str | Path, known: Mapping[str, Any]) -> list[Limit]:
     """
     where = f"limits {path}"
     try:
-        tree = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        tree = load_yaml(Path(path))
     except OSError as error:
         raise LimitsError(f"{where}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise LimitsError(f"{where}: no YAML: {' '.join(str(error).split())}") from error
+    except YamlError as error:
+        raise LimitsError(f"{where}: {error}") from error
     if not isinstance(tree, Mapping) or not tree:
         raise LimitsError(f"{where}: sets no limit; allowed: lines 'FIGURE: MAXIMUM' or 'FIGURE: {{min: …, max: …}}'")
     return [_limit(where, str(name), value, known) for name, value in tree.items()]

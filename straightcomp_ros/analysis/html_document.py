@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 import plotly.graph_objects as go
+from plotly.io import to_html
 from plotly.offline import get_plotlyjs
 
 # Okabe and Ito's palette: told apart with any colour vision, and by lightness on a black-and-white print.
@@ -49,7 +50,18 @@ def html_document(title: str, body: str) -> str:
 def html_plot(figure: go.Figure, bar: bool = True) -> str:
     """A plot as a part of a document; ``bar``: with plotly's bar of tools."""
     config = _CONFIG if bar else {**_CONFIG, "displayModeBar": False}
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=config))
+    described = _without_markup(figure.to_plotly_json())
+    return str(to_html(described, full_html=False, include_plotlyjs=False, config=config, validate=False))
+
+
+def _without_markup(value: Any) -> Any:
+    """A figure's description in which plotly takes no text for HTML: names of bags and faults may be any. Templates are
+    written by this package, and have tags."""
+    if isinstance(value, dict):
+        return {key: one if key == "hovertemplate" else _without_markup(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_markup(one) for one in value]
+    return escape(value, quote=False) if isinstance(value, str) else value
 
 
 def line_figure(x: str, y: str) -> go.Figure:

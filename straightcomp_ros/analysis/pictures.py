@@ -37,7 +37,7 @@ def plot_run(
     motion = find_motion(record)
     figure = Figure(figsize=(10.0, 9.5), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(as_text(title), fontsize=13)
     rows = figure.add_gridspec(3, 2)
     both, after = figure.add_subplot(rows[0, 0]), figure.add_subplot(rows[0, 1])
     error = figure.add_subplot(rows[1, :])
@@ -56,12 +56,17 @@ def plot_run(
         label = f"true: {metrics.true_pp * 1e6:.2f} µm p-p, {metrics.true_rms * 1e6:.3f} µm RMS"
         error.plot(time, truth[window] * 1e6, color=BLUE, linewidth=0.8, label=label)
     _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
-    label = f"law {record.law}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
+    label = f"law {as_text(record.law)}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
     current.plot(time, record.current[window] * 1e3, color=BLACK, linewidth=0.6, label=label)
     _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
     path = Path(path)
     save_whole(figure, path)
     return path
+
+
+def as_text(text: str) -> str:
+    """A text that matplotlib draws as it is: names of users may have dollars, between which it reads mathematics."""
+    return text.replace("$", r"\$")
 
 
 def save_whole(figure: Figure, path: Path) -> None:

@@ -6,15 +6,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import yaml
-
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.sqlite_input import SqliteInput
+from straightcomp_ros.settings.yaml_text import load_yaml
 
 BagInput = McapInput | SqliteInput
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_LARGEST_METADATA = 32 << 20
 
 
 def mcap_files(bag: Path) -> list[Path]:
@@ -49,9 +48,9 @@ def missing_files(bag: Path, files: Sequence[Path]) -> list[str]:
     if bag.is_file():
         return []
     try:
-        tree = yaml.load((bag / "metadata.yaml").read_bytes(), Loader=_Loader)
+        tree = load_yaml(bag / "metadata.yaml", _LARGEST_METADATA, _LARGEST_METADATA // 32)
         listed = [Path(str(path)).name for path in tree[ROOT_KEY]["relative_file_paths"]]
-    except (OSError, yaml.YAMLError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError):
         listed = []  # a bag whose list cannot be read still has its messages
     there = {file.name for file in files}
     # A bag with as many files as its list has them under other names.

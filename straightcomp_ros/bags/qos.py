@@ -8,6 +8,7 @@ from functools import cache
 import yaml
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.settings.yaml_text import load_yaml
 
 _POLICIES = {
     "history": ("keep_last", "keep_all", "unknown", "system_default"),
@@ -48,10 +49,10 @@ class TopicQos:
         """The first profile of a list as rosbag2 stores it, with names or (before Jazzy) numbers. What it lacks has its
         default; a text that is no such list gives the default of all."""
         try:
-            profile = (yaml.safe_load(text) or [{}])[0]
+            profile = (load_yaml(text) or [{}])[0]
             named = {name: _named(name, profile[name]) for name in _POLICIES if name in profile}
             return cls(**named, depth=int(profile.get("depth", cls.depth)))
-        except (yaml.YAMLError, BagError, AttributeError, LookupError, TypeError, ValueError):
+        except (BagError, AttributeError, LookupError, TypeError, ValueError):
             return cls()
 
     def as_profiles(self) -> list[dict[str, object]]:

@@ -9,16 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.settings.declaration import belongs_to_ros, flatten
+from straightcomp_ros.settings.declaration import ParameterError, belongs_to_ros, flatten
+from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
 from straightcomp_ros.stage.former_names import present_names
 
 if TYPE_CHECKING:
     from straightcomp_ros.bags.writer import BagWriter
 
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 MAP_PARAMETERS = ("feedforward", "stage.guide.file")
 """Node and parameter that name the survey."""
 
@@ -31,15 +29,18 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
     """
     where = f"bag {bag}: {PARAMETERS_ATTACHMENT}"
     try:
-        tree = yaml.load(attachments.get(PARAMETERS_ATTACHMENT, b""), Loader=_Loader) or {}
-    except (yaml.YAMLError, ValueError) as error:
-        raise BagError(f"{where} is no YAML ({' '.join(str(error).split())}); record the bag again") from error
+        tree = load_yaml(attachments.get(PARAMETERS_ATTACHMENT, b"")) or {}
+    except YamlError as error:
+        raise BagError(f"{where}: {error}; record the bag again") from error
     values: dict[str, dict[str, Any]] = {}
     for key, section in tree.items() if isinstance(tree, Mapping) else [(tree, None)]:
         if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
             raise BagError(f"{where}: '{key}' has no 'ros__parameters:'; record the bag again")
         own = values.setdefault(str(key).rsplit("/", 1)[-1], {})
-        own |= {k: value for k, value in flatten(section["ros__parameters"]).items() if not belongs_to_ros(k)}
+        try:
+            own |= {k: value for k, value in flatten(section["ros__parameters"]).items() if not belongs_to_ros(k)}
+        except ParameterError as error:
+            raise BagError(f"{where}: {error}; record the bag again") from error
     return {node: present_names(node, section) for node, section in values.items()}
 
 

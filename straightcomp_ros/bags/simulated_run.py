@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.recorded_parameters import attach_map
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
+from straightcomp_ros.settings.yaml_text import dump_yaml
 
 START_NS = 1_000_000_000
 """Stamp of the first sample: simulated time has no date, but ROS takes a stamp of zero for none."""
@@ -36,7 +35,7 @@ class SimulatedRun:
         for stream in STREAMS:
             self._bag.add_topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000))
         tree = {f"/{node}": {"ros__parameters": dict(section)} for node, section in parameters.items() if section}
-        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", yaml.safe_dump(tree, sort_keys=False).encode())
+        self._bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", dump_yaml(tree).encode())
         attach_map(self._bag, parameters)
         self._bag.add_metadata("simulation", {"delay_samples": str(delay)})
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from straightcomp_ros.cli.graph_option import RUNNING, add_graph_option, graph_access, refuse_parameters_of_running
 from straightcomp_ros.cli.options import check_range, output_folder
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, styled, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
 from straightcomp_ros.commissioning import STEP_NAMES
 from straightcomp_ros.configuration.parameter_sets import CommissioningNodeParameters
@@ -140,10 +140,8 @@ def _commission(
             outcome = procedure.run(step, advance)
         done[step] = {"passed": outcome.passed, "sentence": outcome.sentence, "figures": outcome.figures}
         if not options.json:
-            colour = "green" if outcome.passed else "red"
-            console.print(
-                f"[{colour}]{'ok' if outcome.passed else 'fail':>4}[/]  {step}: {outcome.sentence}", highlight=False
-            )
+            state = ("  ok", "green") if outcome.passed else ("fail", "red")
+            console.print(styled(state, f"  {step}: {outcome.sentence}"))
         if not outcome.passed:
             failed = step
             break

@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.options import check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
@@ -22,6 +20,7 @@ from straightcomp_ros.design.automatic_design import SHIPPED_QUIET, Design, Desi
 from straightcomp_ros.offline.sweep.many_trials import PERCENTILES
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.starts import Spread
+from straightcomp_ros.settings.yaml_text import load_yaml
 
 SUMMARY = "design the gains of a law for a stage"
 _BEGIN, _END = "# Gains by `straightcomp design`:", "# End of the designed gains."
@@ -83,7 +82,7 @@ def _writable(source: Path, output: Path) -> None:
             f"--output {output}: is in another folder than {source}, beside which the survey lies; name a file there",
             exit_code=2,
         )
-    rest = yaml.safe_load(_OURS.sub("", source.read_text(encoding="utf-8"))) or {}
+    rest = load_yaml(_OURS.sub("", source.read_text(encoding="utf-8"))) or {}
     for key in rest:
         if str(key).rsplit("/", 1)[-1] == "controller":
             raise CommandFailed(

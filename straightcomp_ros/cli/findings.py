@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterable
 
-from straightcomp_ros.cli.output import console, print_json
+from straightcomp_ros.cli.output import console, print_json, styled
 from straightcomp_ros.doctor.finding import Finding
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
@@ -15,8 +15,8 @@ def show_findings(found: Iterable[Finding], *, json: bool) -> int:
     for finding in found:
         findings.append(finding)
         if not json:
-            colour = _COLOURS[finding.state]
-            console.print(f"[{colour}]{finding.state:>4}[/]  {finding.name}: {finding.detail}", highlight=False)
+            state = (f"{finding.state:>4}", _COLOURS[finding.state])
+            console.print(styled(state, f"  {finding.name}: {finding.detail}"))
             if finding.remedy:
                 console.print(f"      {finding.remedy}", style="dim", highlight=False)
     counts = {state: sum(finding.state == state for finding in findings) for state in _COLOURS}

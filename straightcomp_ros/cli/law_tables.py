@@ -7,10 +7,11 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
+from straightcomp_ros.cli.output import styled
 from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
 
 if TYPE_CHECKING:
@@ -44,10 +45,9 @@ def titled_table(
     table = Table(title=title, title_justify="left")
     table.add_column(first, no_wrap=True)
     for heading in others:
-        # Rich takes [ms] for markup.
-        table.add_column(escape(heading), justify="left" if heading in left else "right")
+        table.add_column(heading, justify="left" if heading in left else "right")
     for row in rows:
-        table.add_row(*map(str, row))
+        table.add_row(*(cell if isinstance(cell, Text) else str(cell) for cell in row))
     return table
 
 
@@ -63,14 +63,14 @@ def shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def marked(name: str, text: str, figures: Mapping[str, Any]) -> str:
+def marked(name: str, text: str, figures: Mapping[str, Any]) -> str | Text:
     """``text`` of the figure ``name`` in a table, marked if the verdict in ``figures`` makes it doubtful."""
     return doubtful(text) if _ERROR.fullmatch(name) and figures.get("verdict", IN_ORDER) != IN_ORDER else text
 
 
-def doubtful(text: str) -> str:
+def doubtful(text: str) -> str | Text:
     """The text of a figure that is not the machine's: in another style, with a mark."""
-    return f"[red]{text} ![/red]" if text else text
+    return styled((f"{text} !", "red")) if text else text
 
 
 def results_table(figures: Mapping[str, Any], over_starts: Mapping[str, Spread] | None = None) -> Table:

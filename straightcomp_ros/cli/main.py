@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 from xml.etree import ElementTree
 
-from straightcomp_ros.cli.output import CommandFailed, Terminated
+from straightcomp_ros.cli.output import CommandFailed, Terminated, print_in_any_encoding, printable
 from straightcomp_ros.settings.share import share_path
 
 _TRIALS = {"bench": "trials.verbs.bench", "faults": "trials.verbs.inject_faults", "soak": "trials.verbs.soak"}
@@ -37,6 +37,7 @@ _TERMINATED = 143
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong use."""
+    print_in_any_encoding()
     given = list(sys.argv[1:] if arguments is None else arguments)
     # A verb that is named is imported alone: all of them together take seconds.
     options = make_parser(given[:1]).parse_args(given)
@@ -67,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _ended(options: argparse.Namespace, sentence: str, exit_code: int) -> int:
     words = ("straightcomp", options.verb, getattr(options, "tool", None))
-    print(f"{' '.join(filter(None, words))}: {sentence}", file=sys.stderr)
+    print(printable(f"{' '.join(filter(None, words))}: {sentence}"), file=sys.stderr)
     return exit_code
 
 
@@ -107,7 +108,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End with exit code 2; the usage is in the help."""
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, printable(f"{self.prog}: {message}; see {self.prog} --help\n"))
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     if options.tool == "user":
         add_user(options.file, options.name, _password(options.name), options.role)
-        notes.print(f"user '{options.name}', {options.role}: {options.file}", markup=False)
+        notes.print(f"user '{options.name}', {options.role}: {options.file}")
         return
     check_range("--strokes", options.strokes, 1)
     if (options.certificates is None) != (options.server_certificate is None):

@@ -2,16 +2,14 @@
 
 import argparse
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
-
-import yaml
 
 from straightcomp_ros.cli.options import add_repeatable
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, node_parameters
 from straightcomp_ros.configuration.parameter_file import DEFAULT_FILE, DEFAULT_STAGE, shipped_parameters
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
@@ -75,15 +73,6 @@ def _settings(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
     return changes
 
 
-def parsed_value(text: str) -> Any:
-    """The value of a parameter that is given on the command line; raises YAMLError if it is none."""
-    # YAML 1.1 reads 1e6 as text. A parameter file has the same trap, but here it can be avoided.
-    if "e" in text.lower():
-        with suppress(ValueError):
-            return float(text)
-    return yaml.safe_load(text)
-
-
 def _parsed_assignment(assignment: str) -> tuple[str, str, Any]:
     target, equals, text = assignment.partition("=")
     node, dot, name = target.partition(".")
@@ -91,6 +80,6 @@ def _parsed_assignment(assignment: str) -> tuple[str, str, Any]:
         known = ", ".join((STAGE, *NODE_PARAMETERS))
         raise ParameterError(f"--set {assignment!r}: allowed: NODE.NAME=VALUE with NODE one of {known}")
     try:
-        return node, name, parsed_value(text)
-    except yaml.YAMLError as error:
+        return node, name, load_yaml(text)
+    except YamlError as error:
         raise ParameterError(f"--set {assignment!r}: {text!r} is no YAML; put a text in quotes") from error

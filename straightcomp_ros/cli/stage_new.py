@@ -9,15 +9,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from straightcomp_ros.cli.options import add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console
-from straightcomp_ros.cli.parameter_options import parsed_value
 from straightcomp_ros.configuration.commented_file import commented
 from straightcomp_ros.configuration.node_parameters import STAGE
 from straightcomp_ros.configuration.parameter_file import ALL_NODES
 from straightcomp_ros.settings.declaration import Declaration, ParameterError, declarations, from_mapping
+from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
@@ -92,8 +90,8 @@ def _assignment(text: str) -> tuple[str, Any]:
 
 def _value(text: str) -> Any:
     try:
-        return parsed_value(text)
-    except yaml.YAMLError:
+        return load_yaml(text)
+    except YamlError:
         # The declaration refuses the text, with what is allowed.
         return text
 

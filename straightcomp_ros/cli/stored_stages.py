@@ -61,4 +61,6 @@ def since(strokes: Any, day: date | None) -> Any:
 
 def file_of(stage: str, ending: str) -> str:
     """Name of a stage's file: a stage may be called anything."""
-    return f"{quote(stage, safe=' ')}{ending}"
+    from straightcomp_ros.history.recorded_facts import stored_name
+
+    return f"{quote(stored_name(stage), safe=' ')}{ending}"

@@ -1,15 +1,14 @@
 """Reads and writes the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
 
-import re
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, by_node
 from straightcomp_ros.settings.declaration import ParameterError, flatten
 from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.settings.yaml_text import YamlError, dump_yaml, load_yaml
 
 ALL_NODES = "/**"
 """Key of a parameter file for what holds for every node."""
@@ -30,13 +29,11 @@ def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
         ParameterError: the file cannot be read, is not YAML, is empty, or does not have the layout of a parameter file.
     """
     try:
-        tree = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        tree = load_yaml(Path(path))
     except OSError as error:
         raise ParameterError(f"parameter file {path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ParameterError(f"parameter file {path}: byte {error.start} is not UTF-8; name a YAML file") from error
-    except yaml.YAMLError as error:
-        raise ParameterError(f"parameter file {path}: no YAML: {' '.join(str(error).split())}") from error
+    except YamlError as error:
+        raise ParameterError(f"parameter file {path}: {error}") from error
     return _read_tree(tree, f"parameter file {path}")
 
 
@@ -57,7 +54,10 @@ def _read_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
             raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(NODE_PARAMETERS)}, {ALL_NODES}")
         if not isinstance(section, Mapping) or not isinstance(section.get(_PARAMETERS), Mapping):
             raise ParameterError(f"{source}: node '{key}' has no 'ros__parameters:'")
-        given = flatten(section[_PARAMETERS])
+        try:
+            given = flatten(section[_PARAMETERS])
+        except ParameterError as error:
+            raise ParameterError(f"{source}: {error}") from error
         if name != "**":
             values[name].update(given)
             continue
@@ -83,7 +83,7 @@ def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> d
     found: dict[str, dict[str, str]] = {}
     for node, name in _FILES:
         file = values[node].get(name)
-        if isinstance(file, str) and file and (folder / file).is_file():
+        if isinstance(file, str) and file and os.path.isfile(folder / file):
             found.setdefault(node, {})[name] = str(folder / file)
     return found
 
@@ -100,13 +100,6 @@ def shipped_parameters(params_file: str | None = None, stage: str | None = None)
     return values
 
 
-class _ForRcl(yaml.SafeDumper):  # type: ignore[misc, unused-ignore]  # types of PyYAML may be installed or not
-    """Puts in quotes what rcl takes for a boolean and PyYAML does not: a signal may be called Y."""
-
-
-_ForRcl.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("^[yYnN]$"), list("yYnN"))
-
-
 def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     """Text of a ROS 2 parameter file with these values, by node and dotted name."""
     # What is given for all nodes comes last: a parameter on a node's command line joins it, and rcl takes the last.
@@ -121,5 +114,4 @@ def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     sections[ALL_NODES] = {name: value for name, value in described.items() if name not in own}
     # rcl refuses an empty section.
     tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
-    text: str = yaml.dump(tree, Dumper=_ForRcl, sort_keys=False)
-    return text
+    return dump_yaml(tree)

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, VERMILION, save_whole
+from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_BLUE, VERMILION, as_text, save_whole
 from straightcomp_ros.frequency_response.simulated_measurement import ComparedResponse
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ def plot_response(found: ComparedResponse, path: Path, title: str) -> None:
     """
     figure = Figure(figsize=(12.0, 9.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(as_text(title), fontsize=13)
     grid = figure.add_gridspec(3, 3)
     measured, model = found.measured, found.model
     columns = (

@@ -75,6 +75,7 @@ def _evaluated(bag: Path, row: BagRow) -> EvaluatedBag:
         evaluation = evaluate_bag(bag)
         facts = recorded_facts(bag, str(row.checksum), evaluation)
         strokes = rows_of(evaluation, facts)
+        data = parquet(StrokeRow, strokes)
     except (OSError, HistoryError):
         raise
     except (BagError, MetricsError) as error:
@@ -84,7 +85,7 @@ def _evaluated(bag: Path, row: BagRow) -> EvaluatedBag:
     else:
         month = f"{strokes[0].start:%Y-%m}"
         row = replace(row, stage=facts.stage, month=month, strokes=len(strokes))
-        return EvaluatedBag(row, parquet(StrokeRow, strokes))
+        return EvaluatedBag(row, data)
     # Where a copy of a remote bag lay says nothing.
     return EvaluatedBag(replace(row, reason=reason.replace(str(bag), row.location)), None)
 

@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.bags import MAP_ATTACHMENT
@@ -20,6 +21,8 @@ from straightcomp_ros.stage.description import StageParameters
 _IN_THE_LOOP = ("driver", "feedforward", "controller")
 """Nodes whose parameters have an effect on a stroke. The logger's name each bag's folder."""
 _STAGE = "stage."
+_LONGEST_NAME = 240
+"""Bytes; file systems allow 255, of which `stage=` or `.html.part` take some."""
 
 
 def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> Recorded:
@@ -36,7 +39,7 @@ def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> Recor
     return Recorded(
         checksum=checksum,
         bag=recorded_name(bag),
-        stage=str(facts.get("name") or "unknown"),
+        stage=stored_name(str(facts.get("name") or "unknown")),
         identity=_identity(facts),
         parameters_checksum=checksum_of([json.dumps(own, sort_keys=True).encode()]) if own else None,
         map_checksum=None if survey is None else checksum_of([survey]),
@@ -45,6 +48,18 @@ def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> Recor
         # The driver reports on the machine, the others on their computer.
         host=next((one.hardware_id for node in ("logger", "controller") for one in reports.get(node, ())), None),
     )
+
+
+def stored_name(stage: str) -> str:
+    """The name of a stage in a store, where it names a folder and files: the name itself, or where that is too long for
+    a file system once it is quoted, its beginning with a checksum of all of it."""
+    if len(quote(stage, safe="")) <= _LONGEST_NAME:
+        return stage
+    end = f"~{checksum_of([stage.encode('utf-8', 'backslashreplace')])[:12]}"
+    kept = stage
+    while len(quote(kept + end, safe="")) > _LONGEST_NAME:
+        kept = kept[:-1]
+    return kept + end
 
 
 def bag_files(bag: Path) -> list[Path]:

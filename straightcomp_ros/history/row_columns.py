@@ -64,8 +64,13 @@ def schema_of(row: type) -> pyarrow.Schema:
 def table_of(row: type, rows: Sequence[Any]) -> pyarrow.Table:
     """The rows, instances of the class ``row``, as an Arrow table."""
     schema = schema_of(row)
-    columns = {name: [getattr(one, name) for one in rows] for name in schema.names}
+    columns = {name: [_in_utf8(getattr(one, name)) for one in rows] for name in schema.names}
     return arrow().Table.from_pydict(columns, schema)
+
+
+def _in_utf8(value: Any) -> Any:
+    """A text that Parquet can hold: names of files need not be UTF-8."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
 def arrow() -> Any:

@@ -26,7 +26,7 @@ from straightcomp_ros.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.history.bag_row import BagRow
 from straightcomp_ros.history.evaluated_bag import EvaluatedBag, parquet
 from straightcomp_ros.history.month_folder import KEYS
-from straightcomp_ros.history.recorded_facts import checksum_of
+from straightcomp_ros.history.recorded_facts import checksum_of, stored_name
 from straightcomp_ros.history.row_columns import arrow, schema_of
 from straightcomp_ros.history.stroke_row import PARTITIONS, StrokeRow
 from straightcomp_ros.settings.whole_file import write_whole
@@ -71,7 +71,10 @@ class Store:
                 data = self.files.cat_file(self._bag_file(place.location))
         except FileNotFoundError:
             return False
-        found = pyarrow.parquet.read_table(pyarrow.BufferReader(data)).to_pylist()[0]
+        try:
+            found = pyarrow.parquet.read_table(pyarrow.BufferReader(data)).to_pylist()[0]
+        except (pyarrow.ArrowException, LookupError):
+            return False  # a damaged row is written anew
         same = (found["size"], found["modified"]) == (place.size, place.modified)
         return same and place.modified is not None and found["checksum"] is not None
 
@@ -95,7 +98,7 @@ class Store:
         """The strokes of a stage, sorted by ``start``, ``checksum`` and ``stroke``: all columns of
         :class:`straightcomp_ros.history.stroke_row.StrokeRow`, or those named. Raises HistoryError for a stage that the
         store does not have."""
-        folder = f"{self.root}/{STROKES}/stage={quote(stage, safe='')}"
+        folder = f"{self.root}/{STROKES}/stage={quote(stored_name(stage), safe='')}"
         if not self.files.isdir(folder):
             known = ", ".join(self.stages()) or "none"
             raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
@@ -140,7 +143,7 @@ class Store:
             yield str(month.relative_to(root / STROKES)), merged
 
     def _bag_file(self, location: str) -> str:
-        return f"{self.root}/{BAGS}/{checksum_of([location.encode()])}.parquet"
+        return f"{self.root}/{BAGS}/{checksum_of([location.encode('utf-8', 'surrogateescape')])}.parquet"
 
     def _write(self, path: str, data: bytes) -> None:
         if not self.local:

@@ -103,7 +103,8 @@ def faults_over_time(starts: Sequence[datetime], faults: Sequence[Sequence[str]]
             y=[f"{label}: {times}"] * len(at),
             mode="markers",
             marker={"symbol": "line-ns-open", "size": 15, "color": VERMILION, "line": {"width": 1.5}},
-            hovertemplate=f"%{{x}}: {label}<extra></extra>",
+            name=label,
+            hovertemplate="%{x}: %{fullData.name}<extra></extra>",
         )
     figure.update_xaxes(type="date", range=[starts[0].isoformat(), starts[-1].isoformat()])
     figure.update_yaxes(automargin=True, range=[-0.6, len(count) - 0.4])

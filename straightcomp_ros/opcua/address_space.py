@@ -167,10 +167,13 @@ class AddressSpace:
 
     async def _add_method(self, folder: Node, kind: Command | Order, text: str, command: Commander) -> None:
         async def called(_: ua.NodeId, *given: ua.Variant) -> ua.StatusCode | list[ua.Variant]:
+            if len(given) != len(types):
+                fewer = len(given) < len(types)
+                codes = ua.StatusCodes
+                return ua.StatusCode(codes.BadArgumentsMissing if fewer else codes.BadTooManyArguments)
+            # A client may send an array, or no value, of the right type.
             inputs = [variant.Value for variant in given]
-            if len(inputs) != len(arguments):
-                return ua.StatusCode(ua.StatusCodes.BadArgumentsMissing)
-            if [variant.VariantType for variant in given] != types:
+            if [variant.VariantType for variant in given] != types or not all(isinstance(one, int) for one in inputs):
                 return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
             try:
                 refused = await command(kind, *(inputs or [0]))

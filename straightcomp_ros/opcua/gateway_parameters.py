@@ -27,7 +27,11 @@ class OpcuaParameters:
     trusted: str = parameter(
         "", "Folder of certificates (.der, .pem) of the clients, or of their issuers, that may connect; empty: any"
     )
-    max_clients: int = parameter(20, "Largest number of connections at one time", "[1, 1000]")
+    max_clients: int = parameter(
+        20,
+        "Largest number of connections at one time; one more closes the oldest that is no known user's",
+        "[1, 1000]",
+    )
 
     def __post_init__(self) -> None:
         if self.security == NONE and not self.on_loopback:

@@ -3,19 +3,23 @@
 import asyncio
 import contextlib
 import logging
+import math
 import os
 import queue
 import socket
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TextIO
 
 from asyncua import Server, ua
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from asyncua.crypto.truststore import TrustStore
+from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from straightcomp_ros.cell.packml import Command, Order
@@ -41,8 +45,12 @@ _ENCRYPTED = [
     ua.SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
 ]
 _OPEN, _KNOWN = [ua.SecurityPolicyType.NoSecurity], [ua.UserNameIdentityToken]
-# They write a line for whatever a client does wrong: a flood of such would fill the disk.
+# They write a line for whatever a client does wrong.
 _TALKATIVE = ("asyncua.server.uaprocessor", "asyncua.server.binary_server_asyncio", "asyncua.server.internal_session")
+_WAITING = 100
+"""Connections beyond those that may stay: room for clients that are logging in, until the next period."""
+_MOST_UNSENT = 4 << 20
+_LONGEST_LINE = 300
 
 
 @dataclass
@@ -52,6 +60,37 @@ class Request:
     asked: Command | Order
     argument: int
     answer: Future[str] = field(default_factory=Future)
+
+
+class AtMostALineASecond(logging.StreamHandler):  # type: ignore[type-arg]
+    """Writes no more than a line a second to standard error, without a traceback: whatever a client can make asyncua
+    log would else fill the disk."""
+
+    def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(stream)
+        self._clock = clock
+        self._next, self._left_out = -math.inf, 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        now = self._clock()
+        if now < self._next:
+            self._left_out += 1
+            return
+        left_out = f"; {self._left_out} lines before it left out" if self._left_out else ""
+        self._next, self._left_out = now + 1.0, 0
+        super().emit(logging.makeLogRecord({**record.__dict__, "msg": f"{_line_of(record)}{left_out}", "args": ()}))
+
+    def format(self, record: logging.LogRecord) -> str:
+        return str(record.msg)
+
+
+def _line_of(record: logging.LogRecord) -> str:
+    error = record.exc_info[1] if record.exc_info else None
+    line = " ".join(f"OPC UA: {record.getMessage()}{f': {error!r}' if error else ''}".split())
+    return line[:_LONGEST_LINE].encode("unicode_escape").decode()
+
+
+_LOG = AtMostALineASecond()
 
 
 class CertificateError(ValueError):
@@ -76,6 +115,7 @@ class GatewayServer:
         logging.getLogger("asyncua").setLevel(logging.ERROR)
         for name in _TALKATIVE:
             logging.getLogger(name).setLevel(logging.CRITICAL)
+        logging.getLogger().addHandler(_LOG)
         self._thread = threading.Thread(target=self._run, name="opc ua", daemon=True)
         self._thread.start()
         self._started.result(_START_WITHIN_S)
@@ -127,13 +167,14 @@ class GatewayServer:
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
             while not self._stopping.is_set():
                 await self._space.write(self._snapshot)
+                make_room(server.bserver.clients if server.bserver else [], self._parameters.max_clients)
                 await asyncio.sleep(_PERIOD_S)
 
     async def _make_server(self) -> Server:
         parameters = self._parameters
         trust = await _trusted_certificates(parameters.trusted) if parameters.trusted else None
         internal = GuardedServer(Access(self._users, encrypted=parameters.encrypted, trust=trust))
-        internal.max_connections = parameters.max_clients
+        internal.max_connections = parameters.max_clients + _WAITING
         internal.max_pending_activation_seconds = _ACTIVATE_WITHIN_S
         internal.allow_remote_admin = False
         server = Server(iserver=internal)
@@ -164,6 +205,25 @@ class GatewayServer:
         refusal = await asyncio.wait_for(asyncio.wrap_future(request.answer), within)
         await self._space.write(self._snapshot)
         return refusal
+
+
+def make_room(clients: Sequence[OPCUAProtocol], most: int) -> None:
+    """Close connections until at most ``most`` are left: first the oldest of those that are not a known user's, so that
+    whoever knows a password gets in however many others are there. Whoever does not take its answers is closed too."""
+    for client in clients:
+        if client.transport is not None and client.transport.get_write_buffer_size() > _MOST_UNSENT:
+            client.transport.abort()
+    known = [client for client in clients if _is_known(client)]
+    others = [client for client in clients if client not in known]
+    for client in [*others, *reversed(known)][: max(len(clients) - most, 0)]:
+        if client.transport is not None:
+            # To close it properly would wait for a client that may not read.
+            client.transport.abort()
+
+
+def _is_known(client: OPCUAProtocol) -> bool:
+    session = client.processor.session if client.processor else None
+    return session is not None and session.is_activated() and session.user.name is not None
 
 
 async def _own_certificate(folder: str | Path, uri: str) -> tuple[Path, Path]:

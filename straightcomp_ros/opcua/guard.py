@@ -7,6 +7,7 @@ guesses, checks a client's certificate only where the client shows it twice, and
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -28,6 +29,8 @@ _MOST_SUBSCRIPTIONS = 5
 _MOST_MONITORED_ITEMS = 200
 _LOGINS_PER_S = 5.0
 _LOGINS_AT_ONCE = 20.0
+_PAUSE_S = 1.0
+"""After a refused login, on the same connection."""
 
 
 class Access:
@@ -84,8 +87,16 @@ class GuardedServer(InternalServer):
     def __init__(self, access: Access) -> None:
         super().__init__(user_manager=access)
         self.access = access
+        self.refused_until: dict[str, float] = {}
+        self._closing: set[asyncio.Future[None]] = set()
 
     def create_session(self, name: str, user: User | None = None, external: bool = False) -> InternalSession:
+        """A session, of an external client in the place of the one that its connection (``name``) had before: asyncua
+        would keep that for ten minutes, and a thousand of them keep everyone out."""
+        for former in [one for one in self._external_sessions.values() if one.name == name]:
+            closing = asyncio.ensure_future(former.close_session())
+            self._closing.add(closing)
+            closing.add_done_callback(self._closing.discard)
         user = user or User(role=UserRole.Anonymous)
         return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
@@ -122,7 +133,17 @@ class GuardedSession(InternalSession):
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
         self.iserver.access.check_channel(peer_certificate)
-        return super().activate_session(params, peer_certificate)
+        # One connection must not use up the logins of all.
+        now, refused = time.monotonic(), self.iserver.refused_until
+        if now < refused.get(self.name, now):
+            raise ServiceError(ua.StatusCodes.BadTooManyOperations)
+        try:
+            return super().activate_session(params, peer_certificate)
+        except (ServiceError, ua.UaError):
+            for name in [name for name, until in refused.items() if until < now]:
+                del refused[name]
+            refused[self.name] = now + _PAUSE_S
+            raise
 
     async def close_session(self, delete_subs: bool = True) -> None:
         """Subscriptions always end too: nobody could take them over."""

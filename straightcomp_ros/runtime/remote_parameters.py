@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
-import yaml
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
+
+from straightcomp_ros.settings.yaml_text import dump_yaml
 
 _LOOK_EVERY_S = 0.25
 _AGAIN_AFTER = 8
@@ -55,6 +56,4 @@ class RemoteParameters:
 
     def as_yaml(self) -> str:
         """The collected parameters, in the form of a ROS 2 parameter file."""
-        return yaml.safe_dump(
-            {name: {"ros__parameters": values} for name, values in self.values.items()}, sort_keys=False
-        )
+        return dump_yaml({name: {"ros__parameters": values} for name, values in self.values.items()})

@@ -81,6 +81,8 @@ class Declaration:
             raise self._refused(value, f"is not {_KIND_WORDS[self.kind]}")
         if self.choices and value not in self.choices:
             raise self._refused(value, "is not known")
+        if self.kind is str and _CONTROL.search(value):
+            raise self._refused(value, "has control characters")
         if self.kind in (int, float):
             self._check_range(value)
         return value
@@ -101,6 +103,8 @@ class Declaration:
 _KIND_WORDS = {bool: "a truth value", int: "an integer", float: "a number", str: "a text"}
 
 
+_CONTROL = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
+"""No file is called so, and a terminal would obey it."""
 _ALLOWED = re.compile(r"([\[(])(\S+), (\S+)[\])](?: (.+))?")
 
 
@@ -195,13 +199,14 @@ def to_mapping(parameters: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Convert nested mappings, as in a YAML parameter file, to dotted names."""
+    """Convert nested mappings, as in a YAML parameter file, to dotted names; ParameterError for one given twice."""
     flat: dict[str, Any] = {}
     for key, value in tree.items():
-        if isinstance(value, Mapping):
-            flat.update(flatten(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value
+        given = flatten(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+        twice = next(iter(given.keys() & flat.keys()), None)
+        if twice is not None:
+            raise ParameterError(f"parameter '{twice}' is given twice")
+        flat |= given
     return flat
 
 

@@ -26,7 +26,7 @@ def share_path(name: str) -> Path:
     """
     tried = []
     for base in _candidates():
-        if (base / name).exists():
+        if os.path.exists(base / name):  # False for a name that is too long, too
             return base / name
         tried.append(str(base))
     raise FileNotFoundError(f"'{name}' of {PACKAGE} is in none of: {', '.join(tried)}; is the package installed?")

@@ -1,5 +1,6 @@
 """The map of the guide: where the platform must be for each slider position, r(x) = const − δ(x)."""
 
+import os
 from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import dataclass
@@ -126,9 +127,9 @@ def find_survey(name: str) -> Path:
         SurveyError: in none of these places.
     """
     path = Path(name)
-    if path.is_file():
+    if os.path.isfile(path):
         return path.resolve()
-    if path.exists():
+    if os.path.exists(path):
         raise SurveyError(f"survey {name}: is no file; name a CSV file")
     if not path.is_absolute():
         with suppress(FileNotFoundError):

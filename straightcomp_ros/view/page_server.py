@@ -6,8 +6,10 @@ requests of JSON: another site's page can send neither the token nor, without as
 
 import json
 import secrets
+import socket
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -53,7 +55,8 @@ class ViewServer(ThreadingHTTPServer):
         self.token = secrets.token_urlsafe(16)
         self.page = files(__package__).joinpath("page.html").read_bytes()
         self.stopping = threading.Event()
-        self._places = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        self._open: dict[socket.socket, bool] = {}
+        self._changing = threading.Lock()
         self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name="view", daemon=True)
         self._thread.start()
 
@@ -63,16 +66,28 @@ class ViewServer(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_port}/#{self.token}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        if self._places.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
+        """One connection too many ends the oldest that gets no news, or else the oldest: a client that is slow, or says
+        nothing, keeps no other out."""
+        with self._changing:
+            if len(self._open) >= _MOST_CONNECTIONS:
+                oldest = min(self._open, key=self._open.__getitem__)
+                del self._open[oldest]
+                with suppress(OSError):
+                    # Wakes its thread, which closes it.
+                    oldest.shutdown(socket.SHUT_RDWR)
+            self._open[request] = False
+        super().process_request(request, client_address)
 
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._places.release()
+    def gets_news(self, request: socket.socket) -> None:
+        """From now on this connection is a page's."""
+        with self._changing:
+            if request in self._open:
+                self._open[request] = True
+
+    def shutdown_request(self, request: Any) -> None:
+        with self._changing:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A page that was closed is no error, and other errors of a client are its own."""
@@ -133,6 +148,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send_news(self) -> None:
         self.close_connection = True
+        self.server.gets_news(self.connection)
         self._send_head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Cache-Control": "no-store"})
         seen: dict[str, int] = {}
         while not self.server.stopping.wait(_NEWS_EVERY_S):

@@ -4,6 +4,7 @@ Prints one JSON object: by name of what was tried, ``done`` or the name of the s
 """
 
 import asyncio
+import contextlib
 import json
 import logging
 import struct
@@ -101,6 +102,64 @@ async def rights(url):
         }
         await made.disconnect()
     return results
+
+
+async def shapes(url):
+    """Arguments of other types, numbers and shapes than each method declares."""
+    made = await connect(url, OPERATOR)
+    commands, t = made.get_node(path("Commands")), ua.VariantType
+    odd = {
+        "array": [ua.Variant([1, 2], t.UInt32)],
+        "array of one": [ua.Variant([1], t.UInt32)],
+        "no elements": [ua.Variant([], t.UInt32, is_array=True)],
+        "truths": [ua.Variant([True], t.Boolean)],
+        "null": [ua.Variant(None, t.Null)],
+        "text": [ua.Variant("1", t.String)],
+        "double": [ua.Variant(1.0, t.Double)],
+        "object": [ua.Variant(ua.Range(0.0, 1.0), t.ExtensionObject)],
+        "nested": [ua.Variant([[1, 2], [3, 4]], t.UInt32)],
+        "two": [ua.Variant(1, t.UInt32), ua.Variant(1, t.UInt32)],
+        "two hundred": [ua.Variant(1, t.UInt32)] * 200,
+    }
+    methods = [await node.read_browse_name() for node in await commands.get_methods()]
+    results = {}
+    for method in methods:
+        for name, arguments in odd.items():
+            call = commands.call_method(path(f"Commands.{method.Name}"), *arguments)
+            results[f"{method.Name} {name}"] = await outcome(call)
+    results["Start 4294967295"] = await outcome(
+        commands.call_method(path("Commands.Start"), ua.Variant(2**32 - 1, t.UInt32))
+    )
+    await made.disconnect()
+    return results
+
+
+async def crowd(url, count):
+    """Whether an operator gets in, and stays, while others connect without a name."""
+    others = []
+    for _ in range(int(count)):
+        with contextlib.suppress(ua.UaError, OSError, asyncio.TimeoutError):
+            others.append(await connect(url))
+    operator = await connect(url, OPERATOR)
+    for _ in range(int(count)):
+        with contextlib.suppress(ua.UaError, OSError, asyncio.TimeoutError):
+            others.append(await connect(url))
+    await asyncio.sleep(0.5)
+    results = {"operator": await outcome(operator.get_node(path("Commands")).call_method(path("Commands.Reset")))}
+    for one in (operator, *others):
+        one.disconnect_socket()
+    return results
+
+
+async def guess(url, count):
+    """Many wrong passwords and many sessions on one connection; then an operator logs in."""
+    made = await connect(url)
+    wrong = {await outcome(made.activate_session("ann", "wrong horse")) for _ in range(int(count))}
+    for _ in range(int(count)):
+        await outcome(made.create_session())
+        await outcome(made.activate_session())
+    operator = await outcome(connect(url, OPERATOR))
+    return {"wrong": sorted(wrong), "operator": operator}
 
 
 async def around(url):

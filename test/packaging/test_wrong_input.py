@@ -27,6 +27,16 @@ CASES = [
     ("simulate --set stage.guide.file=none.csv", "survey none.csv: there is no such file"),
     ("simulate --set stage.guide.file=folder", "survey folder: is no file"),
     ("simulate --set stage.guide.file=wrong_unit.csv", "no column for x; found: x_kg"),
+    ("simulate --set stage.guide.file=~nosuchuser/x.csv", "there is no such file"),
+    ('simulate --set stage.guide.file="a\\0b"', "has control characters"),
+    ("simulate --set driver.hardware=can --set driver.can.dbc=~nosuchuser/x.dbc", "No such file; name a DBC file"),
+    (f"simulate --set stage.guide.file={'a' * 5000}", "there is no such file"),
+    (f"simulate --set driver.hardware=can --set driver.can.dbc={'a' * 5000}", "No such file; name a DBC file"),
+    (f"simulate --set stage.platform.mass={'9' * 400}", "is not finite"),
+    ("simulate --set stage.rate=2026-02-31", "is not an integer"),
+    ("simulate --params-file twice.yaml", "parameter 'stage.platform.mass' is given twice"),
+    ("simulate --params-file itself.yaml", "contains itself"),
+    (f"evaluate {BAG} --limits limits.yaml", "key 'true_pp_um' is given twice"),
     ("simulate --params-file none.yaml", "none.yaml: cannot be read: No such file"),
     ("simulate --stage none.yaml", "none.yaml: cannot be read: No such file"),
     ("simulate --params-file folder", "folder: cannot be read: Is a directory"),
@@ -94,6 +104,10 @@ def folder_of_wrong_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         (tmp_path / name).touch()
     (tmp_path / "noise.mcap").write_bytes(bytes(range(255, 0, -1)) * 10)
     (tmp_path / "wrong_unit.csv").write_text("x_kg,deviation_um\n0,1\n1,2\n")
+    twice = "/**:\n  ros__parameters:\n    stage.platform.mass: 3.0\n    stage: {platform: {mass: 4.0}}\n"
+    (tmp_path / "twice.yaml").write_text(twice)
+    (tmp_path / "itself.yaml").write_text("driver: {ros__parameters: &x {self: *x}}\n")
+    (tmp_path / "limits.yaml").write_text("true_pp_um: 1\ntrue_pp_um: 2\n")
     monkeypatch.chdir(tmp_path)
 
 
@@ -111,7 +125,7 @@ def refusal(words: str, capsys: pytest.CaptureFixture[str]) -> str:
     return printed.err
 
 
-@pytest.mark.parametrize(("words", "expected"), CASES, ids=[words.replace(BAG, "BAG") for words, _ in CASES])
+@pytest.mark.parametrize(("words", "expected"), CASES, ids=[words.replace(BAG, "BAG")[:90] for words, _ in CASES])
 def test_what_is_wrong_is_said_in_one_sentence(words: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert expected in refusal(words, capsys)
 

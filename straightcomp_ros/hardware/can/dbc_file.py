@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -103,8 +104,8 @@ def modulus(signal: Signal) -> int:
 
 
 def _found(file: str) -> Path:
-    path = Path(file).expanduser()
-    if not path.exists():
+    path = Path(os.path.expanduser(file))
+    if not os.path.exists(path):
         try:
             return share_path(file)
         except FileNotFoundError:

@@ -7,6 +7,7 @@ thread would cost a wake-up and the interpreter's lock for each.
 
 import contextlib
 import errno
+import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -85,7 +86,7 @@ class Link:
     ) -> None:
         check_interface(parameters)
         self._parameters = parameters
-        self.log = FrameLog(Path(parameters.log).expanduser(), parameters.channel) if parameters.log else None
+        self.log = FrameLog(Path(os.path.expanduser(parameters.log)), parameters.channel) if parameters.log else None
         self._identifiers = frozenset(identifiers)
         self._filters = [filter_of(identifier) for identifier in identifiers]
         self._receive = receive

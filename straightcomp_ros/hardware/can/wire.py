@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, modulus
@@ -262,6 +262,6 @@ def _made(file: str, modified: int, meaning: WireParameters, node: int, fd: bool
 
 def _modified(file: str) -> int:
     try:
-        return Path(file).expanduser().stat().st_mtime_ns
+        return os.stat(os.path.expanduser(file)).st_mtime_ns
     except OSError:
         return 0

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, PercentFormatter, StrMethodFormatter
 
+from straightcomp_ros.analysis.pictures import as_text
 from straightcomp_ros.offline.sweep.many_trials import LawSummary
 from straightcomp_ros.offline.sweep.trial import TrialResult
 
@@ -54,7 +55,7 @@ def plot_sweep(results: Sequence[TrialResult], summaries: Sequence[LawSummary], 
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_xlabel("true compensation error, peak to peak / µm")
     axes.set_ylabel("fraction of the machines at or below")
-    axes.set_title(title, fontsize=11)
+    axes.set_title(as_text(title), fontsize=11)
     axes.grid(color="#D8D8D8", linewidth=0.5)
     axes.set_axisbelow(True)
     axes.legend(loc="lower right", fontsize=9)

@@ -136,7 +136,7 @@ def _print(figures: dict[str, Any], options: argparse.Namespace) -> None:
         console.print(_table(figures[second], f"With trigger '{second}'"))
         _print_whole(figures[second])
         shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["ratio"].items())
-        console.print(f"{figures['trigger']} / {second}: {shown}", markup=False)
+        console.print(f"{figures['trigger']} / {second}: {shown}")
     if options.output:
         notes.print(f"bags and logs: {options.output}")
 

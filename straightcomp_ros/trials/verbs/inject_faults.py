@@ -15,7 +15,7 @@ from rich.table import Table
 
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.cli.law_tables import rounded
-from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros, styled
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.trials.faults.rows import summary
 
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
         console.print(_table(figures))
         for row in figures["faults"]:
             for failure in row["failures"]:
-                console.print(f"{row['name']}: {failure}", markup=False)
+                console.print(f"{row['name']}: {failure}")
     return 0 if figures["all_green"] else 1
 
 
@@ -83,6 +83,6 @@ def _table(figures: dict[str, Any]) -> Table:
             str(row["injected"]),
             str(row["detected"]),
             *(rounded(row[key], 3) for key in ("median_ms", "max_ms", "limit_ms")),
-            "[green]ok[/green]" if row["green"] else "[red]RED[/red]",
+            styled(("ok", "green") if row["green"] else ("RED", "red")),
         )
     return table

@@ -78,7 +78,7 @@ def _print(figures: dict[str, Any]) -> None:
         *figures["failures"],
     ]
     for fact in facts:
-        console.print(fact, markup=False)
+        console.print(fact)
     console.print("passed" if figures["passed"] else f"{len(figures['failures'])} failures")
 
 

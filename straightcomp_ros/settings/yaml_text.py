@@ -1,0 +1,127 @@
+"""YAML that anyone may have written, read within a bounded time and memory or refused in one sentence; and written.
+
+Numbers are what YAML 1.2 and rcl take for numbers: ``5e-8`` is one, ``190:20:30`` and ``1_000`` are texts, and so are
+dates. A leading 0 is octal, as for rcl, which reads the same files for nodes.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, ClassVar
+
+import yaml
+
+MOST_BYTES = 4 << 20
+MOST_NODES = 50_000
+"""Largest number of values and keys, each counted as often as aliases repeat it: the largest parameter file has 300."""
+_DEEPEST = 50
+_TAG = "tag:yaml.org,2002:"
+_CORE = {"!", *(_TAG + kind for kind in ("null", "bool", "int", "float", "str", "seq", "map"))}
+_FAST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class YamlError(ValueError):
+    """The text is no YAML, or more than is read; the message says where and why."""
+
+
+def load_yaml(source: Path | str | bytes, most_bytes: int = MOST_BYTES, most_nodes: int = MOST_NODES) -> Any:
+    """The content of a YAML file (a path) or text.
+
+    Raises:
+        YamlError: it is no YAML in UTF-8, larger than ``most_bytes`` or ``most_nodes`` values and keys, nested more
+            than 50 levels deep, contains itself, gives a key twice, or has a type of its own (``!!python/object``).
+        OSError: the file cannot be read.
+    """
+    if isinstance(source, Path):
+        with source.open("rb") as file:
+            source = file.read(most_bytes + 1)
+    try:
+        text = source if isinstance(source, str) else source.decode("utf-8-sig")
+        if len(source) > most_bytes:
+            raise YamlError(f"is larger than {most_bytes / (1 << 20):g} MB")
+        _check(text, most_nodes)
+        return yaml.load(text, Loader=_Loader)
+    except UnicodeDecodeError as error:
+        raise YamlError(f"byte {error.start} is not UTF-8") from error
+    except yaml.YAMLError as error:
+        raise YamlError("no YAML: " + " ".join(str(error).replace(' in "<unicode string>",', " in").split())) from error
+    except (LookupError, ValueError) as error:
+        if isinstance(error, YamlError):
+            raise
+        # The text behind a tag such as !!bool is none.
+        raise YamlError(f"no YAML: {error}") from error
+
+
+def _check(text: str, most_nodes: int) -> None:
+    """Refuse what would not end or not fit, before anything is built."""
+    sizes: dict[str, int] = {}
+    opened: list[tuple[str | None, int]] = []
+    nodes = 0
+    for event in yaml.parse(text, Loader=_FAST):
+        where = f"line {event.start_mark.line + 1}"
+        if isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = opened.pop()
+            if anchor:
+                sizes[anchor] = nodes - before
+            continue
+        if not isinstance(event, yaml.NodeEvent):
+            continue
+        if isinstance(event, yaml.AliasEvent):
+            if any(event.anchor == anchor for anchor, _ in opened):
+                raise YamlError(f"{where}: '*{event.anchor}' contains itself")
+            nodes += sizes.get(event.anchor, 1)
+        else:
+            if event.tag is not None and event.tag not in _CORE:
+                raise YamlError(f"{where}: type {event.tag!r} is not read; allowed: numbers, texts, lists, mappings")
+            nodes += 1
+            if isinstance(event, yaml.CollectionStartEvent):
+                opened.append((event.anchor, nodes - 1))
+            elif event.anchor:
+                sizes[event.anchor] = 1
+        if len(opened) > _DEEPEST:
+            raise YamlError(f"{where}: is nested more than {_DEEPEST} levels deep")
+        if nodes > most_nodes:
+            raise YamlError(f"{where}: has more than {most_nodes} values and keys")
+
+
+class _Loader(_FAST):  # type: ignore[misc]  # types of PyYAML may be installed or not
+    """PyYAML's safe loader, which would let the last of two equal keys win, and knows YAML 1.1's numbers and dates."""
+
+    yaml_implicit_resolvers: ClassVar[dict[str, list[tuple[str, re.Pattern[str]]]]] = {}
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        lines: dict[Any, int] = {}
+        for key_node, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag == f"{_TAG}merge":
+                continue
+            key, line = self.construct_object(key_node), key_node.start_mark.line + 1
+            if key in lines:
+                raise YamlError(f"line {line}: key '{key}' is given twice, first in line {lines[key]}")
+            lines[key] = line
+        return super().construct_mapping(node, deep)  # type: ignore[no-any-return]
+
+
+for _kind in ("bool", "null", "merge"):
+    for _first, _resolvers in _FAST.yaml_implicit_resolvers.items():
+        for _tag, _pattern in _resolvers:
+            if _tag == _TAG + _kind:
+                _Loader.yaml_implicit_resolvers.setdefault(_first, []).append((_tag, _pattern))
+# A number of more digits than an integer has is a floating-point number, as for rcl.
+_INT = r"[-+]?(0x[0-9a-fA-F]{1,16}|0[0-7]{0,21}|[1-9][0-9]{0,18})"
+_FLOAT = r"[-+]?((\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|\.(inf|Inf|INF))|\.(nan|NaN|NAN)"
+_Loader.add_implicit_resolver(_TAG + "int", re.compile(f"(?:{_INT})$"), list("-+0123456789"))
+_Loader.add_implicit_resolver(_TAG + "float", re.compile(f"(?:{_FLOAT})$"), list("-+.0123456789"))
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc, unused-ignore]
+    """Puts in quotes each text that PyYAML, rcl or :func:`load_yaml` would take for something else."""
+
+
+_Dumper.add_implicit_resolver(_TAG + "bool", re.compile("^[yYnN]$"), list("yYnN"))
+_Dumper.add_implicit_resolver(_TAG + "float", re.compile(f"(?:{_FLOAT})$"), list("-+.0123456789"))
+
+
+def dump_yaml(tree: Any) -> str:
+    """The YAML text of plain values, in their order."""
+    return str(yaml.dump(tree, Dumper=_Dumper, sort_keys=False))

@@ -1,0 +1,106 @@
+"""Texts of users are never markup, a control sequence, HTML or mathematics, and print in every encoding."""
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.table import Table
+
+from straightcomp_ros.analysis.html_document import html_plot, line_figure
+from straightcomp_ros.analysis.pictures import as_text
+from straightcomp_ros.cli.law_tables import doubtful, titled_table
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.cli.output import console, notes, printable, styled
+
+BAG = Path(__file__).resolve().parents[2] / "bags" / "smc"
+NAMES = ["gantry[left]", "[/x]", "[red]", "a[bold]b[/bold]", ":smile:", "[link=http://x]y[/]", "\\[x]"]
+
+
+@pytest.fixture
+def printed(monkeypatch):
+    def printed(*texts, of=console):
+        file = io.StringIO()
+        monkeypatch.setattr(of, "_file", file)
+        for text in texts:
+            of.print(text)
+        return file.getvalue()
+
+    return printed
+
+
+@pytest.mark.parametrize("of", [console, notes])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_text_is_printed_as_it_is(name, of, printed):
+    table = titled_table(name, name, name, rows=[(name, doubtful(name))])
+    bare = Table(title=name)
+    bare.add_column(name)
+    bare.add_row(name)
+    assert printed(name, of=of) == f"{name}\n"
+    assert printed(table, of=of).count(name) == 5 and printed(bare, of=of).count(name) == 3
+    assert printed(styled(("ok", "green"), name), of=of) == f"ok{name}\n"
+
+
+@pytest.mark.parametrize("control", ["\x1b[2J", "\x1b]0;x\x07", "\r", "\x08", "\x9b2J", "\u202e", "\x7f"])
+def test_no_text_controls_the_terminal(control, printed, capsys):
+    table = titled_table(f"a{control}b", f"a{control}b", rows=[(f"a{control}b",), (doubtful(f"a{control}b"),)])
+    told = printed(f"a{control}b", styled(f"a{control}b"), table)
+    assert control not in told and printable(f"a{control}b") in told
+    for words in (["evaluate", f"a{control}b"], ["simulate", "--plot", f"a{control}b/run.png"]):
+        assert main(words) in (1, 2)
+        assert control not in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([f"a{control}b"])
+    assert control not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "evaluate BAG",
+        "evaluate none-µ-\udcff-轴",
+        "map show",
+        "doctor --json",
+        "history query SELECT",
+        "stage show SHIPPED",
+    ],
+)
+def test_every_text_prints_in_every_encoding(words, encoding, tmp_path):
+    stage = Path(__file__).resolve().parents[2] / "config" / "stage_synthetic.yaml"
+    command = words.replace("BAG", str(BAG)).replace("SHIPPED", str(stage)).split()
+    told = subprocess.run(
+        [sys.executable, "-m", "straightcomp_ros.cli.main", *map(os.fsencode, command)],
+        env={**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"},
+        capture_output=True,
+        cwd=tmp_path,
+        timeout=120,
+    )
+    assert b"Traceback" not in told.stderr and told.returncode in (0, 1, 2)
+    assert told.stdout or told.stderr
+    (told.stdout + told.stderr).decode(encoding)
+
+
+def test_plotly_takes_no_text_for_html():
+    figure = line_figure("x", "<b>y</b>")
+    figure.add_scatter(x=[0, 1], y=["<i>fault</i>", "a&lt;b"], name="<a href='x'>bag</a>", text=["<b>", "</script>"])
+    figure.add_annotation(text="<b>corner</b>")
+    page = html_plot(figure)
+    assert not any(
+        tag in page for tag in ("<b>", "<i>", "<a href", "\\u003cb\\u003e", "\\u003ci\\u003e", "\\u003ca href")
+    )
+    assert page.count("</script>") == page.count("<script")
+
+
+@pytest.mark.parametrize("name", ["a$b$", "a$b", "$$", r"\frac{$", r"$\frac{1}$", r"\$x$", "a\\b", "$_$^{"])
+def test_matplotlib_draws_a_text_as_it_is(name, tmp_path):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    FigureCanvasAgg(figure)
+    drawn = figure.suptitle(as_text(name))
+    figure.savefig(tmp_path / "picture.png")
+    assert drawn._preprocess_math(as_text(name)) == (name, False)
