@@ -82,9 +82,9 @@ class DriverComponent:
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)
         limit = parameters.stage.actuator.current_limit
-        self._commands = CommandIntake(self._hardware, self._command_timeout_ns, limit, self._trip)
+        self._commands = CommandIntake(self._hardware, self._command_timeout_ns, period_ns, limit, self._trip)
         self._sample_watch = SampleWatch(parameters.watch, parameters.stage)
-        self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._sample_watch.switched)
+        self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._begin_anew)
         self._stage_watch = StageWatch(parameters.watch)
         self._clock_watch = ClockWatch(parameters.watch, now_ns, system_ns)
         self._newest: Sample | None = None
@@ -114,6 +114,7 @@ class DriverComponent:
         self._started = False
         self._clock_watch.restart()
         self._sample_watch.restart()
+        self._commands.restart()
         if self.loop:
             self._queue.fetch()
 
@@ -190,6 +191,7 @@ class DriverComponent:
         finding = self._sample_watch.check(sample, self._hardware.applied_current)
         if finding is not None:
             self._trip(*finding)
+        self._commands.hand_out(sample.stamp_ns)
         self._publish_sample(*sample[:3], math.nan, sample.current)
         self._newest = sample
         return (now_ns() - sample.stamp_ns) * 1e-9
@@ -223,6 +225,12 @@ class DriverComponent:
             finding = self._stage_watch.check(self._newest.stamp_ns, self._newest.x)
             if finding is not None:
                 self._trip(*finding)
+
+    def _begin_anew(self) -> None:
+        """The amplifier is about to be switched on, or a fault to be cleared."""
+        self._sample_watch.switched()
+        if self._safety.fault:
+            self._commands.restart()
 
     def _enable_refusal(self) -> str:
         """Why the amplifier may not be switched on now, apart from faults; empty if it may."""
