@@ -22,11 +22,11 @@ from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.contract import COMMAND, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
-from straightcomp_ros.model.motion import Waypoint, trapezoid
+from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
-from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints, trajectory_from_message
+from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, unspun_node
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
@@ -177,7 +177,7 @@ class Stand:
 
     def move(self) -> None:
         """Start the motion. The driver refuses it unless the stage is at the motion's start, e.g. while it moves."""
-        self._trajectory.publish(_MOTION)
+        self._trajectory.publish(message_from_waypoints(MOTION.waypoints))
 
     def kill(self, name: str) -> None:
         """Kill a node's process, if it runs."""
@@ -259,13 +259,12 @@ class Stand:
         self.injected_ns = int(message.values[0].value)
 
 
-def _strokes() -> JointTrajectory:
+def _strokes() -> list[Waypoint]:
     points = [Waypoint(0, 0.0, 0.0)]
     for stroke in range(MOTION_STROKES):
         points += trapezoid(points[-1], 0.0 if stroke % 2 else _STROKE, _SPEED, ACCELERATION)
-    return message_from_waypoints(points)
+    return points
 
 
-_MOTION = _strokes()
-MOTION = trajectory_from_message(_MOTION)
+MOTION = Trajectory(_strokes())
 """The motion that :meth:`Stand.move` starts."""
