@@ -210,7 +210,7 @@ class Stand:
 
     def move(self) -> None:
         """Start the motion. The driver refuses it unless the stage is at the motion's start, e.g. while it moves."""
-        self._trajectory.publish(message_from_waypoints(MOTION.waypoints))
+        self._trajectory.publish(_MOTION)
 
     def kill(self, name: str) -> None:
         """Kill a node's process, if it runs."""
@@ -304,3 +304,4 @@ def _strokes() -> list[Waypoint]:
 
 MOTION = Trajectory(_strokes())
 """The motion that :meth:`Stand.move` starts."""
+_MOTION = message_from_waypoints(MOTION.waypoints)
