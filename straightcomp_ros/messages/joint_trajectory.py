@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS
-from straightcomp_ros.model.motion import Trajectory
 
 MOST_POINTS = 10_000
 """The most strokes of a cycle, 1000, have 10 points each."""
@@ -20,20 +19,23 @@ _ARRAYS = ("positions", "velocities", "accelerations", "effort")
 _LENGTH = struct.Struct("<I")
 
 
-def read_trajectory(data: bytes, joint: str) -> Trajectory:
-    """The trajectory of ``joint``; a point without a velocity is at rest. The number of points is checked first.
+Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def read_trajectory(data: bytes, joint: str) -> Columns:
+    """Times in ns, positions in m and velocities in m/s of ``joint``, (n,) each; a point without a velocity is at rest.
+
+    The number of points is checked before any is read.
 
     Raises:
-        ValueError: the joint or a position is missing, there are too many points, the message is incomplete, or its
-            points are no trajectory.
+        ValueError: the joint or a position is missing, there are too many points, or the message is incomplete.
     """
     if data[:2] != ENCAPSULATION[:2]:
         raise ValueError(f"stage trajectory: encapsulation {data[:2].hex()} is not little-endian CDR")
     try:
-        columns = _columns(_Cursor(data[len(ENCAPSULATION) :]), joint)
+        return _columns(_Cursor(data[len(ENCAPSULATION) :]), joint)
     except struct.error:
         raise ValueError(f"stage trajectory: {len(data)} bytes are no whole message") from None
-    return Trajectory.from_columns(*columns)
 
 
 class _Cursor:
@@ -87,15 +89,14 @@ class _Cursor:
         return points
 
 
-def _columns(cursor: _Cursor, joint: str) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Time in ns, position in m and velocity in m/s of each point."""
+def _columns(cursor: _Cursor, joint: str) -> Columns:
     cursor.text()  # frame
     count = cursor.length()
     if count > _MOST_JOINTS:
         raise ValueError(f"stage trajectory has {count} joints; allowed: <= {_MOST_JOINTS}")
     joints = [cursor.text() for _ in range(count)]
     if joint not in joints:
-        raise ValueError(f"stage trajectory: joints {joints} do not include '{joint}'")
+        raise ValueError(f"stage trajectory: joints {str(joints)[:200]} do not include '{joint}'")
     place, count = joints.index(joint), cursor.length()
     if count > MOST_POINTS:
         raise ValueError(f"stage trajectory has {count} points; allowed: <= {MOST_POINTS}")

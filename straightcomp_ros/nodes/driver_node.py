@@ -24,7 +24,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.messages.joint_trajectory import read_trajectory
-from straightcomp_ros.model.motion import StageLimits
+from straightcomp_ros.model.motion import StageLimits, Trajectory
 from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, CopiedPublisher
 from straightcomp_ros.runtime.clock import from_monotonic, now_ns
 from straightcomp_ros.runtime.command_intake import CommandIntake
@@ -250,7 +250,7 @@ class DriverComponent:
         if not self._node.active:
             return
         try:
-            trajectory = read_trajectory(message, STAGE)
+            trajectory = Trajectory.from_columns(*read_trajectory(message, STAGE))
             self._stage_limits.check(trajectory)
             start_ns = now_ns()
             if self._lockstep:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS, read_trajectory
-from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.model.motion import Trajectory, Waypoint
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 KIND = "trajectory_msgs/msg/JointTrajectory"
@@ -51,19 +51,19 @@ def test_points_are_read_however_long_their_arrays_are(data, frame):
             expected.append(Waypoint(points[-1][0], arrays[0][place], velocity))
     points.append((10**12, [1.0] * len(joints), [], [], []))
     read = read_trajectory(message(points, joints, frame) + bytes(data.draw(st.integers(0, 9))), JOINT)
-    assert list(read.waypoints) == [*expected, Waypoint(10**12, 1.0, 0.0)]
+    assert Trajectory.from_columns(*read).waypoints == [*expected, Waypoint(10**12, 1.0, 0.0)]
 
 
 def test_each_cut_off_message_is_refused():
     whole = message(straight(3))
-    assert len(read_trajectory(whole, JOINT).waypoints) == 3
+    assert len(read_trajectory(whole, JOINT)[0]) == 3
     for length in range(len(whole)):
         with pytest.raises(ValueError, match=r"no whole message|encapsulation"):
             read_trajectory(whole[:length], JOINT)
 
 
 def test_as_many_points_as_the_longest_cycle_has_are_read_and_one_more_is_refused_before_any():
-    assert len(read_trajectory(message(straight(MOST_POINTS)), JOINT).times) == MOST_POINTS
+    assert len(read_trajectory(message(straight(MOST_POINTS)), JOINT)[0]) == MOST_POINTS
     more = message(straight(MOST_POINTS + 1))
     with pytest.raises(ValueError, match=f"{MOST_POINTS + 1} points; allowed: <= {MOST_POINTS}"):
         read_trajectory(more[:100], JOINT)
@@ -75,10 +75,8 @@ def test_as_many_points_as_the_longest_cycle_has_are_read_and_one_more_is_refuse
         (message(straight(2), ["turret"]), "do not include 'stage_x'"),
         (message(straight(2), [*"abcdefgh"] * 9), "72 joints; allowed: <= 64"),
         (message([*straight(1), (10**9, [], [], [], [])]), "point 1 has no position"),
-        (message([]), "no points"),
         (message([(k, [0.0] * (1 + k % 2), [], [], []) for k in range(40)]), "17 times"),
         (b"\0\0" + message(straight(2))[2:], "not little-endian"),
-        (message([(0, [np.nan], [], [], [])]), "point 0.*not finite"),
     ],
 )
 def test_what_is_no_motion_of_the_stage_is_refused(data, words):
