@@ -16,12 +16,15 @@ from straightcomp_ros.contract import (
     ENCODER,
     POSITION,
     POSITION_EVERY,
+    STAGE,
     STAGE_TRAJECTORY,
     TRUTH,
 )
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.messages.joint_trajectory import read_trajectory
+from straightcomp_ros.model.motion import StageLimits, Trajectory
 from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, CopiedPublisher
 from straightcomp_ros.runtime.clock import from_monotonic, now_ns
 from straightcomp_ros.runtime.command_intake import CommandIntake
@@ -32,7 +35,6 @@ from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.periodic import Loop, PeriodicLoop
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import SafetyPanel
-from straightcomp_ros.runtime.stage_trajectory import trajectory_from_message
 from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subscribe, unspun_node
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
@@ -82,14 +84,15 @@ class DriverComponent:
         self._started = self._gives_way = False
         self._safety = SafetyMachine(self._hardware)
         limit = parameters.stage.actuator.current_limit
-        self._commands = CommandIntake(self._hardware, self._command_timeout_ns, limit, self._trip)
+        self._commands = CommandIntake(self._hardware, self._command_timeout_ns, period_ns, limit, self._trip)
         self._sample_watch = SampleWatch(parameters.watch, parameters.stage)
-        self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._sample_watch.switched)
+        self._panel = SafetyPanel(node, self._safety, self._enable_refusal, self._begin_anew)
         self._stage_watch = StageWatch(parameters.watch)
         self._clock_watch = ClockWatch(parameters.watch, now_ns, system_ns)
         self._newest: Sample | None = None
         self._lockstep: Lockstep | None = None
-        node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10)
+        self._stage_limits = stage_limits(parameters)
+        node.create_subscription(JointTrajectory, STAGE_TRAJECTORY, self._on_stage_trajectory, 10, raw=True)
         node.create_timer(_SLOW_WATCH_S, self._watch_slowly)
         self.loop: Loop | None = None
         self._answer_within_ns = _ANSWER_SAMPLES * period_ns
@@ -114,6 +117,7 @@ class DriverComponent:
         self._started = False
         self._clock_watch.restart()
         self._sample_watch.restart()
+        self._commands.restart()
         if self.loop:
             self._queue.fetch()
 
@@ -190,6 +194,7 @@ class DriverComponent:
         finding = self._sample_watch.check(sample, self._hardware.applied_current)
         if finding is not None:
             self._trip(*finding)
+        self._commands.hand_out(sample.stamp_ns)
         self._publish_sample(*sample[:3], math.nan, sample.current)
         self._newest = sample
         return (now_ns() - sample.stamp_ns) * 1e-9
@@ -224,6 +229,12 @@ class DriverComponent:
             if finding is not None:
                 self._trip(*finding)
 
+    def _begin_anew(self) -> None:
+        """The amplifier is about to be switched on, or a fault to be cleared."""
+        self._sample_watch.switched()
+        if self._safety.fault:
+            self._commands.restart()
+
     def _enable_refusal(self) -> str:
         """Why the amplifier may not be switched on now, apart from faults; empty if it may."""
         if not self._node.active:
@@ -235,11 +246,13 @@ class DriverComponent:
             return "no fresh command from the controller; is it running, and is its map loaded?"
         return ""
 
-    def _on_stage_trajectory(self, message: JointTrajectory) -> None:
+    def _on_stage_trajectory(self, message: bytes) -> None:
         if not self._node.active:
             return
         try:
-            trajectory, start_ns = trajectory_from_message(message), now_ns()
+            trajectory = Trajectory.from_columns(*read_trajectory(message, STAGE))
+            self._stage_limits.check(trajectory)
+            start_ns = now_ns()
             if self._lockstep:
                 self._lockstep.start(trajectory, start_ns)
             else:
@@ -281,6 +294,19 @@ def make_hardware(parameters: DriverNodeParameters) -> Hardware:
     if parameters.hardware == "can":
         return CanHardware(parameters.can, parameters.stage, now_ns)
     return SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide())
+
+
+def stage_limits(parameters: DriverNodeParameters) -> StageLimits:
+    """What a trajectory of the simulated stage may ask for; a real one has a controller of its own.
+
+    Raises:
+        SurveyError: the guide's survey cannot be used.
+    """
+    motion, guide = parameters.stage.motion, parameters.stage.guide
+    if parameters.hardware == "can" and not parameters.can.simulated_stage:
+        return StageLimits.of(motion, motion.start, motion.start)
+    first, last = parameters.guide().span
+    return StageLimits.of(motion, first - guide.runout, last + guide.runout)
 
 
 def main() -> int:

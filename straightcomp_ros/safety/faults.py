@@ -45,7 +45,8 @@ class Fault(enum.Enum):
     )
     TWO_CONTROLLERS = Description(
         4,
-        "commands for samples already answered: each adds 4 to an error counter, a good one subtracts 1; at 16",
+        "a command for a sample that the driver did not take, whatever its stamp; or four within 10 s for samples that "
+        "have their command already (10 ms: from 400 a second)",
         "driver",
         10.0,
     )

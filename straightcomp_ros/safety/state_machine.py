@@ -78,9 +78,10 @@ class SafetyMachine:
 
     def trip(self, fault: Fault, reason: str, time_ns: int) -> None:
         """Switch the amplifier off until :meth:`reset`."""
-        self._hardware.disable()
         self.trips += 1
         if self.fault is None:
+            # Once: a board gets a frame with each, and a foreign publisher can cause thousands of faults in a second.
+            self._hardware.disable()
             self.fault = Latched(fault, reason, time_ns)
             self._go(Event.TRIP)
 

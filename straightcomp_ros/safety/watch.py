@@ -2,6 +2,7 @@
 
 import math
 import sys
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,7 +15,8 @@ from straightcomp_ros.stage.description import StageParameters
 _MEAN_TIME = 0.005
 """s, time constant of the mean control current, which suppresses a law's switching."""
 _BEYOND = 1.2
-_ERROR_STEP, _ERROR_LIMIT = 4, 16
+_REPEATS, _REPEATS_WITHIN_NS = 4, 10_000_000_000
+"""Commands for samples already answered that are a fault, and the time in ns within which they come."""
 
 
 @dataclass(frozen=True)
@@ -217,18 +219,20 @@ class ErrorWatch:
 
 
 class CommandWatch:
-    """Error counter of commands that answer a sample again, which a single controller never does."""
+    """Counts commands for samples that have their command already.
 
-    _errors = 0
+    A single controller sends one command for each sample, in order. The middleware might repeat one; good commands do
+    not cancel repeated ones, or a slow second controller would never be found.
+    """
 
-    def good(self) -> None:
-        if self._errors:
-            self._errors -= 1
+    def __init__(self) -> None:
+        self._times_ns: deque[int] = deque(maxlen=_REPEATS)
 
-    def again(self) -> Finding | None:
-        """Count a command for a sample that was answered already; returns the fault, if any."""
-        self._errors += _ERROR_STEP
-        if self._errors < _ERROR_LIMIT:
+    def again(self, time_ns: int) -> Finding | None:
+        """Count one that arrived at ``time_ns``; returns the fault, if any."""
+        times_ns = self._times_ns
+        times_ns.append(time_ns)
+        if len(times_ns) < _REPEATS or time_ns - times_ns[0] > _REPEATS_WITHIN_NS:
             return None
-        self._errors = 0
-        return Fault.TWO_CONTROLLERS, "samples are answered twice: somebody else publishes commands too"
+        times_ns.clear()
+        return Fault.TWO_CONTROLLERS, "samples are answered twice: another node publishes commands too"

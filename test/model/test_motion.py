@@ -4,7 +4,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles, forward_and_back, trapezoid
+from straightcomp_ros.model.motion import (
+    MotionParameters,
+    StageLimits,
+    Trajectory,
+    Waypoint,
+    cycles,
+    forward_and_back,
+    trapezoid,
+)
 
 MOTION = MotionParameters()
 CYCLE = Trajectory(forward_and_back(MOTION))
@@ -120,3 +128,50 @@ def test_each_cycle_begins_where_and_when_the_one_before_ended():
     assert thrice.end_ns == 3 * once.end_ns
     for at in range(0, once.end_ns, 500_000_000):
         assert [thrice.position(at + k * once.end_ns) for k in range(3)] == [once.position(at)] * 3
+
+
+LIMITS = StageLimits(low=-0.02, high=1.5, speed=2.0, acceleration=2.0)
+S, MS, US = 10**9, 10**6, 10**3
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        ([(0, 0.0, 0.0), (S, 1e300, 0.0)], r"point 1: 1e\+300 m; allowed.* -0\.02 to 1\.5 m"),
+        ([(0, 0.0, 0.0), (S, 1.7e308, 0.0), (2 * S, -1.7e308, 0.0)], r"point 1: 1\.7e\+308 m"),
+        ([(0, 0.0, 0.0), (100 * S, 1.6, 0.0)], r"point 1: 1\.6 m"),
+        ([(0, 0.0, 0.0), (100 * S, -0.03, 0.0), (200 * S, 0.0, 0.0)], r"point 1: -0\.03 m"),
+        # Beyond the range between two points that are within it.
+        ([(0, 0.0, 0.0), (2 * S, 1.4, 1.0), (3 * S, 1.4, 0.0)], r"point 2: 1\.73\d* m"),
+        ([(0, 0.0, 0.0), (US, 1e-3, 0.0)], r"point 1: 1499\.\d* m/s; allowed.* 0 to 2 m/s"),
+        ([(0, 0.0, 0.0), (S, 1e-3, 1e300), (2 * S, 0.0, 0.0)], r"allowed"),
+        ([(0, 0.0, 0.0), (5 * S, 0.5, -1e308), (9 * S, 0.0, 0.0)], "allowed"),
+        ([(0, 0.0, 0.0), (MS, 1e-3, 0.0)], r"point 1: 5999\.\d* m/s²; allowed.* 0 to 2 m/s²"),
+        ([(0, 0.0, 0.0), (1000, 1e-9, 1.9), (S // 2, 0.5, 0.0)], "m/s²"),
+        ([(0, 0.0, 1.0), (2 * S, 1.0, 1.0), (2 * S + MS, 1.001, 0.0)], "point 2: .* m/s²"),
+    ],
+)
+def test_a_trajectory_beyond_the_stage_is_refused_at_the_point_where_it_leaves_it(points, words):
+    with pytest.raises(ValueError, match=words):
+        LIMITS.check(Trajectory([Waypoint(*point) for point in points]))
+
+
+@given(
+    st.floats(-0.01, 1.4),
+    st.floats(1e-9, 1.4),
+    st.floats(0.001, 2.0 / 1.5),
+    st.floats(0.01, 2.0),
+    st.floats(0.0, 1e-7),
+)
+def test_every_trapezoid_within_the_limits_is_taken(start, goal, speed, acceleration, excess):
+    first = Waypoint(0, start, 0.0)
+    LIMITS.check(Trajectory([first, *trapezoid(first, goal, speed, acceleration)]))
+    # A cruise of some nanoseconds, of which the rounded times say little.
+    edge = min(start + speed * speed / acceleration + speed * excess, 1.5)
+    LIMITS.check(Trajectory([first, *trapezoid(first, edge, speed, acceleration)]))
+
+
+def test_the_limits_hold_the_described_strokes_and_the_guide():
+    motion = MotionParameters(start=-0.5, stroke=1.0, speed=0.3, acceleration=0.2, highest_speed=2.0)
+    assert StageLimits.of(motion, -0.1, 0.9) == StageLimits(-0.5, 0.9, 2.0, 2.0)
+    StageLimits.of(motion, 0.0, 0.0).check(Trajectory(cycles(motion, 1000)))

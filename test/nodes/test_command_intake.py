@@ -7,7 +7,7 @@ import pytest
 from straightcomp_ros.runtime.command_intake import CommandIntake
 from straightcomp_ros.safety.faults import Fault
 
-TIMEOUT_NS, LIMIT = 20_000_000, 0.9
+TIMEOUT_NS, PERIOD_NS, LIMIT = 20_000_000, 500_000, 0.9
 
 
 class Machine:
@@ -30,7 +30,10 @@ def machine():
 
 @pytest.fixture
 def intake(machine, trips):
-    return CommandIntake(machine, TIMEOUT_NS, LIMIT, lambda name, reason: trips.append((name, reason)))
+    """With one sample handed out, of time 1000."""
+    intake = CommandIntake(machine, TIMEOUT_NS, PERIOD_NS, LIMIT, lambda name, reason: trips.append((name, reason)))
+    intake.hand_out(1000)
+    return intake
 
 
 def test_a_command_goes_to_the_machine_with_its_sample_and_its_latency(intake, machine, trips):
@@ -73,14 +76,80 @@ def test_a_command_that_no_machine_may_get_trips_and_leaves_its_sample_unanswere
     assert intake.counters()["commands"] == 0
 
 
-def test_samples_answered_again_and_again_mean_two_controllers(intake, machine, trips):
-    for sample in range(1, 100):
-        intake.accept(sample * 500_000, 0.1, sample * 500_000 + 1000)
-        intake.accept(sample * 500_000, 0.2, sample * 500_000 + 2000)
-        if trips:
-            break
-    assert trips[0][0] == Fault.TWO_CONTROLLERS
+def answered(intake, samples, between=lambda stamp_ns: None):
+    """Samples of some number answered by a sound controller, with what else comes after each; the newest stamp."""
+    for sample in range(1, samples + 1):
+        stamp_ns = sample * PERIOD_NS
+        intake.hand_out(stamp_ns)
+        intake.accept(stamp_ns, 0.1, stamp_ns + 60_000)
+        between(stamp_ns)
+    return stamp_ns
+
+
+@pytest.mark.parametrize("every", [1, 200])
+def test_samples_answered_again_mean_two_controllers_however_many_are_answered_once(intake, machine, trips, every):
+    def repeat(stamp_ns):
+        if stamp_ns // PERIOD_NS % every == 0:
+            intake.accept(stamp_ns, 0.2, stamp_ns + 70_000)
+
+    answered(intake, 4 * every - 1, repeat)
+    assert not trips
+    answered(intake, 4 * every, repeat)
+    assert trips[0][0] is Fault.TWO_CONTROLLERS
     assert all(current == 0.1 for _, _, current in machine.written)
+
+
+HOUR_NS = 3600 * 10**9
+
+
+@pytest.mark.parametrize("offset_ns", [-HOUR_NS, -300_000_000, -1, 1, 60_000, 50_000_000, HOUR_NS, None])
+def test_one_command_for_a_sample_that_was_not_handed_out_is_a_fault_and_stops_no_later_command(
+    intake, machine, trips, offset_ns
+):
+    newest_ns = answered(intake, 2000)
+    foreign_ns = -5 if offset_ns is None else newest_ns + offset_ns
+    intake.accept(foreign_ns, 0.5, newest_ns + 70_000)
+    assert [fault for fault, _ in trips] == [Fault.TWO_CONTROLLERS]
+    assert (intake.stamp_ns, machine.written[-1][0]) == (newest_ns, newest_ns)
+    assert intake.counters()["foreign_commands"] == 1
+    intake.restart()
+    assert intake.stamp_ns == 0
+    newest_ns += PERIOD_NS
+    intake.hand_out(newest_ns)
+    intake.accept(newest_ns, 0.1, newest_ns + 60_000)
+    assert (intake.stamp_ns, len(trips)) == (newest_ns, 1)
+
+
+def test_an_older_sample_is_not_answered_after_a_newer_one(intake, machine, trips):
+    intake.hand_out(2000)
+    intake.accept(2000, 0.1, 3000)
+    intake.accept(1000, 0.2, 3000)
+    assert [stamp_ns for stamp_ns, *_ in machine.written] == [2000] and not trips
+
+
+def test_a_controller_that_was_stopped_answers_late_and_that_is_no_fault(intake, machine, trips):
+    answered(intake, 10)
+    stamps = [k * PERIOD_NS for k in range(11, 1000)]
+    for stamp_ns in stamps:
+        intake.hand_out(stamp_ns)
+    for stamp_ns in stamps:
+        intake.accept(stamp_ns, 0.1, stamps[-1])
+    assert not trips and machine.written[-1][0] == stamps[-1]
+    # The newest 20 ms, and nothing older, were still in time.
+    assert intake.counters()["stale_commands"] == len(stamps) - TIMEOUT_NS // PERIOD_NS - 1
+
+
+@pytest.mark.parametrize("taken_since", [0, 3])
+def test_commands_for_samples_of_before_a_fresh_start_are_stale_and_no_fault(intake, machine, trips, taken_since):
+    newest_ns = answered(intake, 10)
+    intake.hand_out(newest_ns + PERIOD_NS)
+    intake.restart()
+    machine.written.clear()
+    for k in range(2, 2 + taken_since):
+        intake.hand_out(newest_ns + k * PERIOD_NS)
+    for stamp_ns in (newest_ns, newest_ns + PERIOD_NS):
+        intake.accept(stamp_ns, 0.1, stamp_ns + 60_000)
+    assert (machine.written, trips, intake.stamp_ns) == ([], [], 0)
 
 
 def test_a_limit_that_changes_holds_from_the_next_command_on(intake, machine, trips):

@@ -11,9 +11,13 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from participant import Participant
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.launcher import Graph
-from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, TRIP
+from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, STAGE_TRAJECTORY, TRIP
+from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
+from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 from straightcomp_ros.runtime.streams import publisher, subscribe
 
 pytestmark = pytest.mark.live
@@ -29,7 +33,8 @@ class Peer(Participant):
         self.samples: list[tuple[int, list[float]]] = []
         self.states: list[list[float]] = []
         self.current: float | None = 0.0
-        self._command = publisher(self.node, COMMAND)
+        self.command = publisher(self.node, COMMAND)
+        self.trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self.trip = self.node.create_publisher(DiagnosticStatus, TRIP, 10)
         subscribe(self.node, ENCODER, self._on_sample)
         subscribe(self.node, DRIVER_STATE, lambda _, numbers: self.states.append(numbers))
@@ -37,7 +42,7 @@ class Peer(Participant):
     def _on_sample(self, stamp_ns, numbers):
         self.samples.append((stamp_ns, numbers))
         if self.current is not None:
-            self._command(stamp_ns, self.current)
+            self.command(stamp_ns, self.current)
 
     def spin(self, seconds):
         end = time.monotonic() + seconds
@@ -126,6 +131,41 @@ def test_commands_that_cease_switch_the_amplifier_off_until_a_reset(peer):
     peer.spin(0.2)
     refusal = peer.enable()
     assert not refusal.success and "no command for" in refusal.message
+
+
+def test_one_command_stamped_an_hour_ahead_is_a_fault_and_a_reset_forgets_it(peer):
+    peer.until(lambda: len(peer.samples) > 20)
+    peer.until(lambda: peer.enable().success)
+    peer.until(peer.amplifier_on)
+    peer.command(peer.samples[-1][0] + 3600 * 10**9, 0.0)
+    peer.until(lambda: not peer.amplifier_on())
+    refusal = peer.enable()
+    assert not refusal.success and "two_controllers" in refusal.message
+    peer.call(Trigger, "driver/reset_fault", Trigger.Request())
+    peer.until(lambda: peer.enable().success)
+    peer.until(peer.amplifier_on)
+    assert peer.enable(False).success
+    peer.current = None
+    # For longer than the timeout: a stamp in the future must not seem fresh.
+    peer.spin(1.0)
+    assert not peer.enable().success
+
+
+def test_trajectories_that_no_stage_can_follow_are_refused_and_the_driver_goes_on(pushing_peer):
+    peer, rest, second = pushing_peer, Waypoint(0, 0.0, 0.0), 10**9
+    peer.until(lambda: len(peer.samples) > 20 and peer.trajectory.get_subscription_count())
+    for *points, end in (
+        [Waypoint(second, 1e300, 0.0)],
+        [Waypoint(second, 1.7e308, 0.0), Waypoint(2 * second, -1.7e308, 0.0)],
+        [Waypoint(1000, 1e-3, 0.0)],
+        [Waypoint(k * 10**6, 0.0, 0.0) for k in range(1, MOST_POINTS + 1)],
+    ):
+        peer.trajectory.publish(message_from_waypoints([rest, *points, end]))
+        seen = len(peer.samples)
+        peer.until(lambda seen=seen: len(peer.samples) > seen + 20)
+    assert {sample[0] for _, sample in peer.samples} == {0.0}
+    peer.trajectory.publish(message_from_waypoints([rest, Waypoint(second, 1e-3, 0.0)]))
+    peer.until(lambda: peer.samples[-1][1][0] == pytest.approx(1e-3))
 
 
 @pytest.mark.parametrize("switch_off", ["disable", "trip"])

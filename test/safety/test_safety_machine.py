@@ -68,5 +68,14 @@ def test_a_latched_fault_is_told_by_its_name_and_its_reason():
     assert safety.reason == "x_jump: x went away" and safety.trips == 2
 
 
+def test_faults_after_the_first_ask_nothing_more_of_the_machine(monkeypatch):
+    safety, hardware = machine()
+    requests = []
+    monkeypatch.setattr(hardware, "disable", lambda: requests.append("off"))
+    for _ in range(5000):
+        safety.trip(Fault.TWO_CONTROLLERS, "a reason", 5)
+    assert (requests, safety.trips) == (["off"], 5000)
+
+
 def test_the_documented_table_is_the_code_s():
     assert table() in DOCUMENT.read_text(), "put the output of straightcomp_ros.safety.faults.table() there"

@@ -208,30 +208,15 @@ def test_the_mean_current_follows_a_step_to_63_percent_in_five_milliseconds():
     assert [bool(finding) for finding in findings].index(True) in (9, 10)
 
 
-def test_four_repeated_answers_in_a_row_are_a_second_controller_and_three_are_none():
+@pytest.mark.parametrize(
+    ("every", "found"), [(0.0002, 3), (0.1, 3), (3.3, 3), (3.4, None)], ids=["5000/s", "10/s", "0.3/s", "seldom"]
+)
+def test_four_repeated_answers_within_ten_seconds_are_a_second_controller(every, found):
     commands = CommandWatch()
-    assert [bool(commands.again()) for _ in range(9)] == [False, False, False, True] * 2 + [False]
-    commands.good()
-    # Each good answer makes up for a quarter of a repeated one.
-    assert [bool(commands.again()) for _ in range(3)] == [False, False, False]
-    commands = CommandWatch()
-    for _ in range(1000):
-        commands.good()
-    assert [bool(commands.again()) for _ in range(4)] == [False, False, False, True]
-
-
-def test_a_second_controller_is_found_and_now_and_then_a_repetition_is_none():
-    commands = CommandWatch()
-    findings = []
-    for _ in range(10):
-        commands.good()
-        findings.append(commands.again())
-    assert [bool(finding) for finding in findings].index(True) == 4
-    commands = CommandWatch()
-    for _ in range(100):
-        assert commands.again() is None
-        for _ in range(5):
-            commands.good()
+    findings = [commands.again(round(k * every * 1e9)) for k in range(7)]
+    assert next((k for k, finding in enumerate(findings) if finding), None) == found
+    # Those of a fault do not count for the next one.
+    assert sum(map(bool, findings)) == (found is not None)
 
 
 class Clocks:

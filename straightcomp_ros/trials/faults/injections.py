@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import signal
 import time
@@ -99,6 +100,41 @@ def _latched_and_silent(stand: Stand, fault: Fault, failures: list[str]) -> int 
     return found
 
 
+_RATES = (10, 100, 500, 2000, 5000)
+"""Commands a second of a foreign publisher."""
+_MS, _HOUR = 1_000_000, 3600 * 10**9
+_STAMPS = {
+    "now": (True, 0),
+    "1 ms ago": (True, -_MS),
+    "100 ms ago": (True, -100 * _MS),
+    "10 s ago": (True, -10_000 * _MS),
+    "an hour ago": (True, -_HOUR),
+    "1 ms ahead": (True, _MS),
+    "100 ms ahead": (True, 100 * _MS),
+    "an hour ahead": (True, _HOUR),
+    "0": (False, 0),
+    "before 1970": (False, -_HOUR),
+}
+_DRIFT_S = 0.2
+
+
+def _foreign(clock: bool, offset_ns: int) -> Callable[[Stand], int]:
+    rates = itertools.cycle(_RATES)
+    return lambda stand: stand.begin_foreign(next(rates), clock, offset_ns)
+
+
+def _latched_in_the_middle(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+    """The same, and the platform may not have come to its stop, nor come there later."""
+    found = latched(stand, fault, failures)
+    stand.spin(_DRIFT_S)
+    sent = stand.end_foreign()
+    if stand.fault is None:
+        failures.append(f"{sent} foreign commands were not found")
+    if stand.farthest >= stand.stop:
+        failures.append(f"the platform came to its stop: |y| = {stand.farthest * 1e6:.0f} µm")
+    return found
+
+
 def _disk_full(stand: Stand) -> int:
     return _set(stand, "logger", "min_free_bytes", 10**18)
 
@@ -150,6 +186,10 @@ TRIALS = (
     Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0), latched),
     Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS), latched),
     Trial("two controllers on one topic", Fault.TWO_CONTROLLERS, _echoed, _latched_and_silent),
+    *(
+        Trial(f"foreign commands, stamp {name}", Fault.TWO_CONTROLLERS, _foreign(*stamp), _latched_in_the_middle)
+        for name, stamp in _STAMPS.items()
+    ),
     Trial("following error", Fault.FOLLOWING_ERROR, _error_limited, _latched_and_unlimited),
     *(
         Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), latched_and_going_on(name))

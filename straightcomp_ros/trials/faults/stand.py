@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,19 +21,23 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
+from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
-from straightcomp_ros.contract import COMMAND, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
-from straightcomp_ros.model.motion import Waypoint, trapezoid
+from straightcomp_ros.contract import COMMAND, POSITION, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
+from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
-from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints, trajectory_from_message
-from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, unspun_node
+from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subscribe, unspun_node
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters
 from straightcomp_ros.trials.faults.faulty_driver import INJECT, INJECTED, NEW_MACHINE, FaultyDriver
 
+_FOREIGN = (sys.executable, "-m", "straightcomp_ros.trials.faults.foreign_publisher")
+_FOREIGN_CURRENT = 0.5
+"""A, within the limit: nothing but its stamp shows that a command is foreign."""
 _FAULTY_DRIVER = (sys.executable, "-m", FaultyDriver.__module__)
 _START_S = 90.0
 """Time limit, since a busy computer takes long to start a node, and the middleware to connect it."""
@@ -81,6 +86,9 @@ class Stand:
         self.injected_ns = 0
         self._sends = 0
         self._echoed: SubscriptionQueue | None = None
+        self._foreign: subprocess.Popen[str] | None = None
+        self.farthest, self.stop = 0.0, node_parameters("driver", values).stage.platform.stop
+        """Largest |y| in m since foreign commands began, and |y| at the mechanical stop."""
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             self.node = Node("fault_stand")
@@ -93,6 +101,7 @@ class Stand:
         self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
         self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
         self.command = publisher(self.node, COMMAND)
+        subscribe(self.node, POSITION, self._on_position)
         self._clients: dict[str, Any] = {}
 
     def __enter__(self) -> Stand:
@@ -103,6 +112,9 @@ class Stand:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._foreign is not None:
+            self._foreign.kill()
+            self._foreign.communicate()
         self._graph.stop()
         self.node.destroy_node()
         rclpy.try_shutdown()
@@ -165,6 +177,27 @@ class Stand:
         elif self._echoed is not None:
             self._echoed = None
             self._unspun.destroy_node()
+
+    def begin_foreign(self, rate: float, clock: bool, offset_ns: int) -> int:
+        """Let a foreign process publish ``rate`` commands a second until :meth:`end_foreign`.
+
+        Their stamps are ``offset_ns`` from the present time, or without ``clock`` from time 0. Returns when the first
+        was sent, ns since the epoch.
+        """
+        if self._foreign is None:
+            pipe = subprocess.PIPE
+            self._foreign = subprocess.Popen(_FOREIGN, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
+        self.farthest = 0.0
+        return self._ask_foreign(f"{rate} {clock:d} {offset_ns} {_FOREIGN_CURRENT}")
+
+    def end_foreign(self) -> int:
+        """End the foreign commands; returns their number."""
+        return self._ask_foreign("")
+
+    def _ask_foreign(self, line: str) -> int:
+        assert self._foreign is not None and self._foreign.stdin is not None and self._foreign.stdout is not None
+        print(line, file=self._foreign.stdin, flush=True)
+        return int(self._foreign.stdout.readline())
 
     def inject(self, kind: str) -> None:
         """Request a fault from the driver; an empty text ends it."""
@@ -252,6 +285,9 @@ class Stand:
         if message.name:
             self.fault = Seen(LABELLED[message.name], int(values["time_ns"]))
 
+    def _on_position(self, _: int, numbers: Sequence[float]) -> None:
+        self.farthest = max(self.farthest, abs(numbers[1]))
+
     def _on_trip(self, message: DiagnosticStatus) -> None:
         self.tripped = Seen(LABELLED[message.name], time.time_ns())
 
@@ -259,13 +295,13 @@ class Stand:
         self.injected_ns = int(message.values[0].value)
 
 
-def _strokes() -> JointTrajectory:
+def _strokes() -> list[Waypoint]:
     points = [Waypoint(0, 0.0, 0.0)]
     for stroke in range(MOTION_STROKES):
         points += trapezoid(points[-1], 0.0 if stroke % 2 else _STROKE, _SPEED, ACCELERATION)
-    return message_from_waypoints(points)
+    return points
 
 
-_MOTION = _strokes()
-MOTION = trajectory_from_message(_MOTION)
+MOTION = Trajectory(_strokes())
 """The motion that :meth:`Stand.move` starts."""
+_MOTION = message_from_waypoints(MOTION.waypoints)
