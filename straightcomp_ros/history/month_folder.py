@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import os
 import shutil
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING
 from straightcomp_ros.history.recorded_facts import checksum_of
 from straightcomp_ros.history.row_columns import schema_of
 from straightcomp_ros.history.stroke_row import StrokeRow
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.settings.whole_file import locked, write_whole
 
 if TYPE_CHECKING:
     import pyarrow
@@ -39,13 +38,12 @@ _EXCHANGE = 2
 @contextmanager
 def alone(root: Path) -> Iterator[None]:
     """Wait until no other process writes strokes to the store in ``root``, which is there, and keep them waiting."""
-    with (root / _LOCK).open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+    with locked(root / _LOCK):
         yield
 
 
-def write_bag(month: Path, checksum: str, data: bytes, part: Path) -> None:
-    """Write the strokes of a bag, a Parquet file, through ``part``. Only with :func:`alone`."""
+def write_bag(month: Path, checksum: str, data: bytes, parts: Path) -> None:
+    """Write the strokes of a bag, a Parquet file, through the folder ``parts``. Only with :func:`alone`."""
     import pyarrow
     import pyarrow.compute as compute
     import pyarrow.parquet as parquet
@@ -58,9 +56,9 @@ def write_bag(month: Path, checksum: str, data: bytes, part: Path) -> None:
         if there.filter(ours).equals(new):
             return
         kept = there.filter(compute.invert(ours))
-        write_whole(compacted, _file_of(pyarrow.concat_tables([kept, new])), part)
+        write_whole(compacted, _file_of(pyarrow.concat_tables([kept, new])), parts)
     else:
-        write_whole(month / f"{checksum}.parquet", data, part)
+        write_whole(month / f"{checksum}.parquet", data, parts)
 
 
 def compact(month: Path, part: Path) -> int:
@@ -80,11 +78,8 @@ def compact(month: Path, part: Path) -> int:
     part.mkdir()
     try:
         data = _file_of(_table(files))
-        with (part / _COMPACTED.format(checksum_of([data]))).open("wb") as file:
-            file.write(data)
-            file.flush()
-            # The old files go next: a power failure must not leave neither.
-            os.fsync(file.fileno())
+        # On the disk when this returns. The old files go next: a power failure must leave either.
+        write_whole(part / _COMPACTED.format(checksum_of([data])), data)
         for other in month.iterdir():
             if other not in files:
                 os.link(other, part / other.name)

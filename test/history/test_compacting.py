@@ -65,7 +65,7 @@ def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(store, month
     (month,) = (store / "strokes" / "stage=stage_0").iterdir()
     other = month_folder._file_of(month_folder._table([file]).slice(0, 1))
     with month_folder.alone(store):
-        month_folder.write_bag(month, file.stem, other, store / "part")
+        month_folder.write_bag(month, file.stem, other, store)
     found = strokes(store)
     assert len(found) == 2 * COUNT - 1
     assert [row for row in found if row["checksum"] != file.stem] == [
