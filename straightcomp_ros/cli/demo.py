@@ -5,6 +5,7 @@ cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the out
 code is 1 for a run that is not in order."""
 
 import argparse
+import dataclasses
 import importlib.util
 import tempfile
 from datetime import datetime
@@ -56,20 +57,21 @@ def run(options: argparse.Namespace) -> None:
     output = output_folder("--output", options.output)
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
-    # The path of a socket has room for about a hundred characters: too few for some output folders.
     picture = output / "run.png"
     names, reads = ("bag", "logs", "parameters.yaml", picture.name), named_files(options, "--output")
     made = making(output, names, reads=reads, force=options.force)
-    with made, tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
+    # The path of a socket has room for about a hundred characters: too few for some output folders.
+    with made as place, tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
         if options.hardware == "can":
             values["driver"].update(on_hub(values, str(Path(folder) / "bus")))
         elif options.hardware:
             values["driver"]["hardware"] = options.hardware
         opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0
-        result = demonstrate(values, output, advance, opcua_strokes, options.namespace)
+        result = demonstrate(values, place, advance, opcua_strokes, options.namespace)
+        result = dataclasses.replace(result, bag=output / result.bag.name)
         figures = result.figures()
         title = f"Recorded stroke, law '{figures['law']}'"
-        plot_run(result.evaluation.record, result.map, result.metrics, picture, title=title)
+        plot_run(result.evaluation.record, result.map, result.metrics, place / picture.name, title=title)
     if options.json:
         print_json(figures)
     else:

@@ -95,7 +95,8 @@ def _measure_running(
         if options.output:
             plot = Path(options.output)
             folder = output_folder("--output", str(plot.with_name(f"{plot.stem}_graph"))).resolve()
-            stack.enter_context(making(folder, ("bags", "logs", "parameters.yaml"), force=options.force))
+            names = ("bags", "logs", "parameters.yaml")
+            folder = stack.enter_context(making(folder, names, force=options.force))
         else:
             folder = Path(stack.enter_context(TemporaryDirectory()))
         access = stack.enter_context(graph_access(options, values, folder))

@@ -97,10 +97,11 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> Non
     output = output_folder("--output", options.output)
     try:
         made = making(output, ("bag", "logs"), reads=[bag], force=options.force)
-        with made, working("playing to the graph"):
-            found = replay_through_graph(bag, output, remap)
+        with made as place, working("playing to the graph"):
+            found = replay_through_graph(bag, place, remap)
     except LaunchError as error:
-        raise CommandFailed(f"{error} (logs in {output}/logs)") from error
+        raise CommandFailed(f"{error} (logs in {place}/logs)") from error
+    found = dataclasses.replace(found, bag=output / found.bag.name)
     if options.json:
         print_json({**vars(found), "bag": str(found.bag)})
     else:

@@ -29,11 +29,11 @@ def run(options: argparse.Namespace) -> None:
     values = shipped_parameters()
     values["stage"]["drive.delay"] = DELAY
     machine = machine_from(values)
-    with making(output, PICTURES, force=options.force), working("computing the figures") as advance:
-        result = reproduce(machine, output, advance)
+    with making(output, PICTURES, force=options.force) as place, working("computing the figures") as advance:
+        result = reproduce(machine, place, advance)
     if options.json:
         claims = [claim.to_display() for claim in result.claims]
-        print_json({"claims": claims, "figures": [str(path) for path in result.figures]})
+        print_json({"claims": claims, "figures": [str(output / path.name) for path in result.figures]})
     else:
         _print(result, output)
 

@@ -7,8 +7,6 @@ from a process that is killed. A bag that is evaluated again after that changes 
 
 from __future__ import annotations
 
-import ctypes
-import errno
 import os
 import shutil
 from collections.abc import Iterator
@@ -19,7 +17,7 @@ from typing import TYPE_CHECKING
 from straightcomp_ros.history.recorded_facts import checksum_of
 from straightcomp_ros.history.row_columns import schema_of
 from straightcomp_ros.history.stroke_row import StrokeRow
-from straightcomp_ros.settings.whole_file import locked, write_whole
+from straightcomp_ros.settings.whole_file import exchange, locked, write_whole
 
 if TYPE_CHECKING:
     import pyarrow
@@ -30,9 +28,6 @@ another one that has strokes twice that he has read already."""
 KEYS = [(name, "ascending") for name in ("start", "checksum", "stroke")]
 """Order of the strokes of a stage."""
 _LOCK = ".lock"
-_THIS_FOLDER = -100
-_EXCHANGE = 2
-"""AT_FDCWD and RENAME_EXCHANGE of Linux."""
 
 
 @contextmanager
@@ -83,7 +78,7 @@ def compact(month: Path, part: Path) -> int:
         for other in month.iterdir():
             if other not in files:
                 os.link(other, part / other.name)
-        _exchange(month, part)
+        exchange(month, part)
     finally:
         # The old files, or a new one that did not come to be.
         shutil.rmtree(part, ignore_errors=True)
@@ -109,11 +104,3 @@ def _file_of(strokes: pyarrow.Table) -> bytes:
     out = pyarrow.BufferOutputStream()
     pyarrow.parquet.write_table(strokes.sort_by(KEYS), out, compression="zstd", store_schema=False)
     return out.getvalue().to_pybytes()  # type: ignore[no-any-return]
-
-
-def _exchange(one: Path, other: Path) -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.renameat2(_THIS_FOLDER, os.fsencode(one), _THIS_FOLDER, os.fsencode(other), _EXCHANGE):
-        code = ctypes.get_errno()
-        known = {errno.EINVAL: "its file system cannot exchange two folders"}
-        raise OSError(code, known.get(code, os.strerror(code)), str(one))

@@ -8,16 +8,15 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.settings.whole_file import exchange, write_whole
 
-MARK = ".straightcomp_made.json"
-_UNFINISHED = None
-"""In place of the files under a name that is being written: after a kill they are anything."""
+MARK, UNFINISHED = ".straightcomp_made.json", "unfinished"
+"""Names in an output folder: of the mark, and of the folder of what is not finished yet, or has failed."""
 
 
 class OutputRefused(ValueError):
@@ -27,7 +26,7 @@ class OutputRefused(ValueError):
 @contextmanager
 def making(
     folder: Path, names: Iterable[str], *, reads: Iterable[Path] = (), force: bool = False, anew: bool = True
-) -> Iterator[None]:
+) -> Iterator[Path]:
     """Make files or folders called ``names`` in ``folder`` during the block, and mark them as made here.
 
     Args:
@@ -35,40 +34,67 @@ def making(
         names: of all that the block may write in the folder.
         reads: what the block reads: never replaced, not even with ``force``.
         force: replace what was not made here, too.
-        anew: what was there is removed first; otherwise the block changes it.
+        anew: the block writes into a new folder, whose content takes the place of what was there when all has gone
+            well; otherwise it changes what is there.
+
+    Returns:
+        Where the block is to write: ``folder`` itself unless ``anew``.
 
     Raises:
         OutputRefused: a name is there that was not made here, or is read, or another process writes there.
         OSError: the folder cannot be written.
     """
     folder, names = Path(folder), list(dict.fromkeys(names))
+    place = folder / UNFINISHED if anew else folder
     folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
         made = _marked(folder)
-        for name in names:
-            path = folder / name
+        for path in [folder / name for name in names] + [place] * anew:
             for read in reads:
                 if same_or_within(read, path):
                     raise OutputRefused(f"{path}: would be replaced, but is read: {read}; name another output folder")
-            if force or not os.path.lexists(path):
-                continue
-            if name not in made or made[name] not in (_UNFINISHED, _files(path)):
+            if os.path.lexists(path) and not force and not _made_here(path, made):
                 raise OutputRefused(
                     f"{path}: was not made by straightcomp, or was changed since; name another output folder, or give "
                     "--force to replace it"
                 )
-        # First: a kill between the two leaves what is marked, not what is not.
-        _mark(folder, made | dict.fromkeys(names, _UNFINISHED))
+        # Before a change: a kill leaves what is marked. Under a name that the mark has without files may be anything.
+        made |= dict.fromkeys([UNFINISHED] if anew else names)
+        _mark(folder, made)
         if anew:
-            for name in names:
-                remove(folder / name)
+            remove(place)
+            place.mkdir()
         try:
-            yield
+            yield place
         except BaseException:
             with suppress(OSError):
-                _mark(folder, made, names)
+                _mark(folder, made | _found(folder, made))
             raise
-        _mark(folder, made, names)
+        if anew:
+            made |= dict.fromkeys(names)
+            _mark(folder, made)
+            for name in names:
+                _put(place / name, folder / name)
+            remove(place)
+        _mark(folder, made | _found(folder, names))
+
+
+def _made_here(path: Path, made: Mapping[str, Any]) -> bool:
+    return path.name in made and made[path.name] in (None, _files(path))
+
+
+def _put(new: Path, path: Path) -> None:
+    """Move ``new`` to ``path``, or remove what is there if there is no new one."""
+    if os.path.lexists(new) and os.path.lexists(path):
+        try:
+            exchange(new, path)
+        except OSError:  # not every file system can
+            os.rename(path, new.with_name(f"former_{new.name}"))
+            os.rename(new, path)
+    elif os.path.lexists(new):
+        os.rename(new, path)
+    else:
+        remove(path)
 
 
 def same_or_within(read: Path, path: Path) -> bool:
@@ -101,10 +127,12 @@ def _marked(folder: Path) -> dict[str, Any]:
     return made if isinstance(made, dict) else {}
 
 
-def _mark(folder: Path, made: dict[str, Any], finished: Collection[str] = ()) -> None:
-    found = {name: _files(folder / name) for name in finished if os.path.lexists(folder / name)}
-    others = {name: files for name, files in made.items() if name not in finished}
-    write_whole(folder / MARK, json.dumps({**others, **found}, indent=1, sort_keys=True) + "\n")
+def _found(folder: Path, names: Iterable[str]) -> dict[str, Any]:
+    return {name: _files(folder / name) for name in names if os.path.lexists(folder / name)}
+
+
+def _mark(folder: Path, made: Mapping[str, Any]) -> None:
+    write_whole(folder / MARK, json.dumps(made, indent=1, sort_keys=True) + "\n")
 
 
 @contextmanager

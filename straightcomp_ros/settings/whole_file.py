@@ -1,5 +1,7 @@
 """Files that are written whole or not at all."""
 
+import ctypes
+import errno
 import fcntl
 import os
 import secrets
@@ -8,6 +10,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _NEW, _PRIVATE = 0o666, 0o600
+_THIS_FOLDER, _EXCHANGE = -100, 2
+"""AT_FDCWD and RENAME_EXCHANGE of Linux."""
 
 
 def write_whole(
@@ -66,6 +70,15 @@ def sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Let two files or folders of one file system change places in one step; OSError where it cannot do that."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.renameat2(_THIS_FOLDER, os.fsencode(one), _THIS_FOLDER, os.fsencode(other), _EXCHANGE):
+        code = ctypes.get_errno()
+        known = {errno.EINVAL: "its file system cannot exchange two folders"}
+        raise OSError(code, known.get(code, os.strerror(code)), str(one))
 
 
 @contextmanager

@@ -115,12 +115,12 @@ def test_a_process_that_is_killed_beside_the_exchange_leaves_each_stroke_once(st
 import os, signal
 from straightcomp_ros.history import month_folder
 from straightcomp_ros.history.store import Store
-exchange = month_folder._exchange
+exchange = month_folder.exchange
 def killed(one, other):
     if {moment!r} == "after":
         exchange(one, other)
     os.kill(os.getpid(), signal.SIGKILL)
-month_folder._exchange = killed
+month_folder.exchange = killed
 list(Store({str(store)!r}).compact())
 """
     done = subprocess.run([sys.executable, "-c", program], check=False)
