@@ -1,8 +1,9 @@
 """A verb that is killed, or whose disk is full, at each of its writes in turn.
 
-The program runs the verb in forks of itself: to start Python for each would take minutes. What counts as a write is each
-call that changes a file or a folder below the working folder: to open for writing, to write, to bring to the disk, to
-rename, to remove, to make. A full disk stays full: from the call on all fail that need room, after half of the bytes.
+The program runs the verb in forks of itself: to start Python for each would take minutes. What counts as a write is
+each call that changes a file or a folder below the working folder: to open for writing, to write, to bring to the disk,
+to rename, to remove, to make. A full disk stays full: from the call on all fail that need room, half of the bytes
+written.
 """
 
 import builtins
@@ -54,7 +55,9 @@ class Fault:
         elif event in _CHANGES:
             self.see(event, arguments[0])
 
-    def _opened(self, file, mode="r", buffering=-1, encoding=None, errors=None, newline=None, closefd=True, opener=None):
+    def _opened(
+        self, file, mode="r", buffering=-1, encoding=None, errors=None, newline=None, closefd=True, opener=None
+    ):
         if not set(mode) & set("wax+") or (not isinstance(file, int) and str(file).startswith("/proc/")):
             return self._open(file, mode, buffering, encoding, errors, newline, closefd, opener)
         raw = _Raw(file, re.sub("[bt]", "", mode), closefd, opener)
@@ -132,8 +135,9 @@ def outcomes(words: Sequence[str], template: Path, work: Path, most: int) -> Ite
     code, writes, said = run(words, fresh(), FULL, 0)
     after = {name: _steady(data) for name, data in content(work / "here").items()}
     yield {"at": 0, "kind": "none", "code": code, "writes": writes, "said": said}
-    places = range(1, writes + 1)
-    chosen = places if not most or most >= writes else sorted({places[i * (writes - 1) // (most - 1)] for i in range(most)})
+    chosen = range(1, writes + 1)
+    if 0 < most < writes:
+        chosen = [chosen[number * (writes - 1) // (most - 1)] for number in range(most)]
     for kind in (FULL, KILL):
         for at in chosen:
             folder = fresh()
