@@ -143,15 +143,23 @@ def outcomes(words: Sequence[str], template: Path, work: Path, most: int) -> Ite
             folder = fresh()
             code, _, said = run(words, folder, kind, at)
             now = content(folder)
-            # Under a name is what was there, or all of what was to come.
+            done = {name: _steady(data) for name, data in now.items()} == after
+            # Under a name is what was there, or all of what was to come; nothing only where nothing is to come.
             spoiled = [
                 name
                 for name in {*before, *now}
-                if now.get(name) != before.get(name) and (name not in now or _steady(now[name]) != after.get(name))
+                if now.get(name) != before.get(name)
+                and not done
+                and not (name in after and name in now and _steady(now[name]) == after[name])
+                # A new bag without metadata.yaml is known to be unfinished, and what it has can be read.
+                and not (name.endswith(".mcap") and name not in before and not metadata_of(name) & now.keys())
             ]
             left = [path.name for path in folder.rglob(".*.part")] if kind == FULL else []
-            done = {name: _steady(data) for name, data in now.items()} == after
             yield {"at": at, "kind": kind, "code": code, "spoiled": spoiled, "left": left, "done": done, "said": said}
+
+
+def metadata_of(name: str) -> set[str]:
+    return {str(Path(name).parent / "metadata.yaml")}
 
 
 def _steady(data: bytes) -> bytes:

@@ -28,7 +28,7 @@ CASES = {
     ),
     "design --output": ([NEW], "design mine/stage.yaml -o mine/stage.yaml --evaluations 1 --machines 1"),
     "evaluate --report": (["evaluate smc --report r.html"], "evaluate smc --report r.html --force"),
-    "frequency-response --output": ([], "frequency-response -o r.png --force --lines 5 --draws 1 --period 0.2"),
+    "frequency-response --output": ([], "frequency-response -o r.png --force --lines 5 --draws 3 --period 0.2"),
     "friction --output": ([], "friction smc -o p.yaml --force"),
     "friction --excitation": ([], "friction --excitation p.yaml --force"),
     "history add --store": ([OLD_STORE], "history add uncompensated smc -o store --jobs 1 --again"),
@@ -62,6 +62,8 @@ READ = re.compile(
     "socket|stage|survey)|bag|bags|file|log|source|stage|store"
 )
 PATHS = {"BAG", "BAG2", "CSV", "DIR", "FILE", "FOLDER", "LOG", "PATH", "SOURCE", "STAGE", "STORE"}
+LONG = {"reproduce --output": 5}
+"""So many of its writes are spoiled, evenly spread: each takes half a minute of computing."""
 QUICK = ("can firmware -o", "map convert --output", "opcua user file", "stage new folder")
 
 
@@ -137,6 +139,6 @@ def test_a_fault_at_some_writes_spoils_nothing(tmp_path, case, monkeypatch):
 @pytest.mark.soak
 @pytest.mark.parametrize("case", CASES)
 def test_a_fault_at_any_write_spoils_nothing(tmp_path, case, monkeypatch):
-    first, facts = outcomes(tmp_path, case, 0, monkeypatch)
+    first, facts = outcomes(tmp_path, case, LONG.get(case, 0), monkeypatch)
     print(f"{case}: {first['writes']} writes, {len(facts)} faults")
     judge(first, facts)
