@@ -111,13 +111,18 @@ def output_file(
 
 
 def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
-    """Files and folders that are there and that options or arguments name, also as ``NAME=FILE``, but for one's."""
+    """Files and folders that are there and that options or arguments name, also as ``NAME=FILE``, but for one's; with
+    those that a YAML file among them names."""
     own = {without.strip("-").replace("-", "_")}
     values = [value for name, value in vars(options).items() if name not in own]
     values += [one for value in values if isinstance(value, list) for one in value]
     names = [str(value) for value in values if isinstance(value, (str, Path)) and str(value)]
     names += [name.partition("=")[2] for name in names if "=" in name]
-    return [Path(name) for name in names if name and os.path.exists(name)]
+    found = [Path(name) for name in names if name and os.path.exists(name)]
+    for file in [path for path in found if path.is_file() and path.suffix in (".yaml", ".yml")]:
+        words = re.findall(r":\s*[\"']?([^\s\"'#]+)", file.read_text(encoding="utf-8", errors="replace"))
+        found += [place / word for word in words for place in (Path(), file.parent) if (place / word).is_file()]
+    return found
 
 
 def _value(options: argparse.Namespace, option: str) -> Any:
