@@ -14,34 +14,31 @@ _THIS_FOLDER, _EXCHANGE = -100, 2
 """AT_FDCWD and RENAME_EXCHANGE of Linux."""
 
 
-def write_whole(
-    path: str | Path, content: str | bytes, folder: Path | None = None, *, private: bool = False, follow: bool = True
-) -> None:
+def write_whole(path: str | Path, content: str | bytes, folder: Path | None = None, *, private: bool = False) -> None:
     """Write ``content`` to ``path``: whoever reads it, or whatever interrupts, finds the old file or the new one.
 
     It is written to a new file, brought to the disk, and renamed. A file that was there keeps its mode and owner, and
-    the link that leads to it. A pipe or a device gets the content as it is.
+    the link that leads to it; write only where no other user can make one. A pipe or a device gets the content as it is.
 
     Args:
         path: the file.
         content: text as UTF-8, or bytes.
         folder: of the new file until it is whole, on the same file system; that of ``path`` by default.
         private: readable for its owner only, whatever it was before.
-        follow: whether a link at ``path`` is followed; where other users may make one, it has to be replaced.
 
     Raises:
         OSError: it cannot be written; ``filename`` is ``path``, and what was there is untouched.
     """
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
-    target = Path(os.path.realpath(path)) if follow else path
+    target = Path(os.path.realpath(path))
     # Short enough for every file system. Readers of a folder leave out names with a dot.
     part = (folder or target.parent) / f".{target.name[:40]}.{secrets.token_hex(8)}.part"
     try:
-        if follow and path.exists() and not path.is_file():
+        if path.exists() and not path.is_file():
             path.write_bytes(data)
             return
-        before = target.stat() if follow and target.exists() else None
+        before = target.stat() if target.exists() else None
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         with open(os.open(part, flags, _PRIVATE if private or before else _NEW), "wb") as file:
             if before is not None and not private:

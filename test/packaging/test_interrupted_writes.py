@@ -28,7 +28,7 @@ CASES = {
     ),
     "design --output": ([NEW], "design mine/stage.yaml -o mine/stage.yaml --evaluations 1 --machines 1"),
     "evaluate --report": (["evaluate smc --report r.html"], "evaluate smc --report r.html --force"),
-    "frequency-response --output": ([], "frequency-response -o r.png --force --lines 5 --draws 3 --period 0.2"),
+    "frequency-response --output": ([], "frequency-response -o r.png --force --lines 5 --draws 3 --lowest 10"),
     "friction --output": ([], "friction smc -o p.yaml --force"),
     "friction --excitation": ([], "friction --excitation p.yaml --force"),
     "history add --store": ([OLD_STORE], "history add uncompensated smc -o store --jobs 1 --again"),

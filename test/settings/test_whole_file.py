@@ -40,13 +40,6 @@ def test_a_file_keeps_its_mode_and_the_link_that_leads_to_it(tmp_path):
     assert stat.S_IMODE((tmp_path / "real").stat().st_mode) == 0o600
 
 
-def test_a_link_that_others_may_have_made_is_replaced(tmp_path):
-    (tmp_path / "real").write_text("old")
-    (tmp_path / "link").symlink_to("real")
-    write_whole(tmp_path / "link", "new", follow=False)
-    assert (tmp_path / "real").read_text() == "old" and not (tmp_path / "link").is_symlink()
-
-
 def test_a_pipe_gets_what_is_written(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
