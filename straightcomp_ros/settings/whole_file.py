@@ -18,7 +18,7 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
     """Write ``content`` to ``path``: whoever reads it, or whatever interrupts, finds the old file or the new one.
 
     It is written to a new file, brought to the disk, and renamed. A file that was there keeps its mode and owner, and
-    the link that leads to it; write only where no other user can make one. A pipe or a device gets the content as it is.
+    the link that leads to it; write only where no other user can make one. A pipe or a device gets the content itself.
 
     Args:
         path: the file.
