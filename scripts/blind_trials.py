@@ -12,7 +12,6 @@ that DIR has already is not repeated. Exit code 1 if the machines do not show wh
 import argparse
 import json
 import math
-import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -35,6 +34,7 @@ from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.starts import runs_of_starts, spread
+from straightcomp_ros.settings.output_folder import making
 from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.trials.faults.faulty_machine import FaultyHardware
@@ -212,11 +212,11 @@ def main(arguments: list[str]) -> None:
         answer = folder / "trial.json"
         if not answer.exists():
             # From its beginning: strokes of an interrupted trial would not be counted.
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
-            row = {"machine": number, "count_um": count * 1e6}
-            row |= trial(values, folder, options.evaluations, options.checked)
-            write_whole(answer, json.dumps(row))
+            with making(options.output, [folder.name]):
+                folder.mkdir()
+                row = {"machine": number, "count_um": count * 1e6}
+                row |= trial(values, folder, options.evaluations, options.checked)
+                write_whole(answer, json.dumps(row))
         rows.append(json.loads(answer.read_text()))
         print(f"| {number} | {count * 1e6:.2f} | {_shown(rows[-1])} |", flush=True)
     sys.exit(0 if _holds(rows) else 1)

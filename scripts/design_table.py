@@ -25,6 +25,7 @@ from straightcomp_ros.design.prepared_stroke import prepared_stroke
 from straightcomp_ros.design.searched_gains import starts, with_gains
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.offline.sweep.starts import spread
+from straightcomp_ros.settings.whole_file import write_whole
 
 FOUND = STAGES / "found_gains.json"
 LAW = "smc_observer"
@@ -55,7 +56,7 @@ def best_found(name: str, scenario: Scenario, gains: Mapping[str, float]) -> Fig
     ours, theirs = figures_with(scenario, rounded), figures_with(scenario, kept) if kept else None
     if theirs is not None and theirs.pp <= ours.pp:
         return theirs
-    FOUND.write_text(json.dumps({**found_gains(), name: rounded}, indent=1) + "\n", encoding="utf-8")
+    write_whole(FOUND, json.dumps({**found_gains(), name: rounded}, indent=1) + "\n")
     return ours
 
 

@@ -9,7 +9,6 @@ logs and certificates are in DIR. Exit code 1 unless every machine gets its cert
 import argparse
 import json
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 from straightcomp_ros.cli.graph_option import EMULATED, START
 from straightcomp_ros.commissioning import STEP_NAMES
 from straightcomp_ros.commissioning.procedure import RECORD
+from straightcomp_ros.settings.output_folder import making
 
 ALLOWED_S = 300.0
 _LONGEST_S = 600.0
@@ -43,8 +43,6 @@ TRIALS = {
 
 def commissioned(stage: str, trial: Trial, folder: Path, domain: int) -> float:
     """Commission one machine; the seconds that it took."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "straightcomp_ros.cli.main", "commission", stage, "-o", str(folder)]
     command += ["--graph", trial.graph]
     for name, factor in trial.truth.items():
@@ -93,7 +91,8 @@ def main(arguments: list[str]) -> None:
     good = []
     for name in options.only:
         trial, folder = TRIALS[name], options.output / name
-        took = commissioned(options.stage, trial, folder, options.domain)
+        with making(options.output, [name]):
+            took = commissioned(options.stage, trial, folder, options.domain)
         told, passed = shown(folder, took)
         good.append(passed)
         truth = ", ".join(f"{key} {factor:g}" for key, factor in trial.truth.items())

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
+from straightcomp_ros.settings.whole_file import write_whole
 
 FOLDER = Path(__file__).resolve().parent.parent / "firmware" / "generated"
 
@@ -16,4 +17,4 @@ def texts() -> dict[str, str]:
 if __name__ == "__main__":
     FOLDER.mkdir(parents=True, exist_ok=True)
     for file_name, text in texts().items():
-        (FOLDER / file_name).write_text(text, encoding="utf-8")
+        write_whole(FOLDER / file_name, text)

@@ -28,6 +28,7 @@ from straightcomp_ros.contract import (
     TRUTH,
     Stream,
 )
+from straightcomp_ros.settings.whole_file import write_whole
 
 # Okabe and Ito's palette: told apart with any colour vision.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
@@ -214,11 +215,11 @@ def _place(stream: Stream, column: str) -> tuple[str, int]:
 def make(directory: Path) -> None:
     """Write both files into ``directory``."""
     text = json.dumps(foxglove(), indent=1, ensure_ascii=False)
-    (directory / "foxglove.json").write_text(text + "\n", encoding="utf-8")
+    write_whole(directory / "foxglove.json", text + "\n")
     root = plotjuggler()
     ElementTree.indent(root, " ")
     xml = ElementTree.tostring(root, encoding="unicode")
-    (directory / "plotjuggler.xml").write_text(f"<?xml version='1.0' encoding='UTF-8'?>\n{xml}\n", encoding="utf-8")
+    write_whole(directory / "plotjuggler.xml", f"<?xml version='1.0' encoding='UTF-8'?>\n{xml}\n")
 
 
 if __name__ == "__main__":

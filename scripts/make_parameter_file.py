@@ -7,6 +7,7 @@ from straightcomp_ros.configuration.commented_file import commented
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.configuration.parameter_file import ALL_NODES, DEFAULT_FILE, DEFAULT_STAGE
 from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.stage.description import StageParameters
 
 FOLDER = Path(__file__).resolve().parent.parent
@@ -57,5 +58,5 @@ def stage_file() -> str:
 
 
 if __name__ == "__main__":
-    (FOLDER / DEFAULT_FILE).write_text(parameter_file())
-    (FOLDER / DEFAULT_STAGE).write_text(stage_file())
+    write_whole(FOLDER / DEFAULT_FILE, parameter_file())
+    write_whole(FOLDER / DEFAULT_STAGE, stage_file())

@@ -20,6 +20,7 @@ from straightcomp_ros.history.store import BAGS, STROKES
 from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.messages.batch import BATCH_TYPE
 from straightcomp_ros.settings.declaration import Declaration, declarations
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -197,4 +198,4 @@ def _default(value: object) -> str:
 
 
 if __name__ == "__main__":
-    FILE.write_text(reference(), encoding="utf-8")
+    write_whole(FILE, reference())

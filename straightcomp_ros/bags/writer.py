@@ -17,6 +17,7 @@ from straightcomp_ros.bags.information import ROOT_KEY, BagFile, Topic, as_yaml,
 from straightcomp_ros.bags.intake import Message
 from straightcomp_ros.bags.mcap_output import COMPRESSORS, McapOutput
 from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.settings.whole_file import write_whole
 
 CHUNK_SIZE = 512 * 1024
 """Bytes of messages in a chunk: about a fifth of a second of all streams at 2 kHz."""
@@ -230,11 +231,12 @@ class BagWriter:
         self._output.close()
 
     def _finish_bag(self) -> None:
-        # Renamed when it is whole: a folder with metadata.yaml is a finished bag.
-        unfinished = self.directory / "metadata.yaml.part"
+        # A folder with metadata.yaml is a finished bag: all else must be on the disk before.
+        for file in self._finished_files:
+            with open(self.directory / file.name, "rb") as written:
+                os.fsync(written.fileno())
         information = bag_information(self._finished_files, self._topics.values(), self._custom_data)
-        unfinished.write_text(as_yaml({ROOT_KEY: information}), encoding="utf-8")
-        os.replace(unfinished, self.directory / "metadata.yaml")
+        write_whole(self.directory / "metadata.yaml", as_yaml({ROOT_KEY: information}))
 
     def _check_open(self) -> None:
         if self._closed:

@@ -2,7 +2,6 @@
 
 import os
 import secrets
-import shutil
 import socket
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.users import OPERATOR, add_user
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, blamed, summarise
 
@@ -81,7 +81,8 @@ def demonstrate(
 
     Args:
         values: parameters of all nodes.
-        output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; an earlier bag there is replaced.
+        output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; made if need be. There must be no
+            bag.
         progress: called with the finished fraction of the cycle.
         opcua_strokes: number of strokes run by a client of the OPC UA gateway; 0: the cell runs one stroke.
         namespace: of all nodes.
@@ -97,10 +98,9 @@ def demonstrate(
     duration = cycles(motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
     straightness = load_map(cell.stage.guide)
     output.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(bag, ignore_errors=True)
     try:
         with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client):
-            parameter_file.write_text(as_parameter_file(values))
+            write_whole(parameter_file, as_parameter_file(values))
             beside = {**emulated_machine(values, parameter_file), **gateway}
             run_cycle(
                 bag,

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.graph_option import RUNNING, add_graph_option, graph_access, refuse_parameters_of_running
-from straightcomp_ros.cli.options import check_range, output_folder
+from straightcomp_ros.cli.options import add_force, check_range, named_files, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, styled, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
 from straightcomp_ros.commissioning import STEP_NAMES
+from straightcomp_ros.commissioning.step_files import MADE
 from straightcomp_ros.configuration.parameter_sets import CommissioningNodeParameters
+from straightcomp_ros.settings.output_folder import making
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 
@@ -65,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="independent measurement of the guide at some places, at least twice: acceptance checks the map by it",
     )
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -84,10 +87,12 @@ def run(options: argparse.Namespace) -> None:
     )
     # Nodes that run may have been started in another folder.
     folder = output_folder("--output", options.output).resolve()
-    if options.graph:
-        with graph_access(options, values, folder) as (machine, found, tell):
-            _commission(options, folder, check, machine, found, tell)
-    else:
+    # A record that is there is taken up again.
+    with making(folder, MADE, reads=named_files(options, "--output"), force=options.force, anew=False):
+        if options.graph:
+            with graph_access(options, values, folder) as (machine, found, tell):
+                _commission(options, folder, check, machine, found, tell)
+            return
         # Only here: the steps import all of the design.
         from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 

@@ -5,6 +5,7 @@ cell.launch.py` does. Writes bag/, run.png, logs/ and parameters.yaml to the out
 code is 1 for a run that is not in order."""
 
 import argparse
+import dataclasses
 import importlib.util
 import tempfile
 from datetime import datetime
@@ -13,10 +14,11 @@ from pathlib import Path
 from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cli.law_tables import results_table, timing_table
-from straightcomp_ros.cli.options import add_namespace, output_folder
+from straightcomp_ros.cli.options import add_force, add_namespace, named_files, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
+from straightcomp_ros.settings.output_folder import making
 
 SUMMARY = "run the node graph for one stroke, record and evaluate it"
 
@@ -36,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_namespace(parser)
     add("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -54,18 +57,21 @@ def run(options: argparse.Namespace) -> None:
     output = output_folder("--output", options.output)
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
+    picture = output / "run.png"
+    names, reads = ("bag", "logs", "parameters.yaml", picture.name), named_files(options, "--output")
+    made = making(output, names, reads=reads, force=options.force)
     # The path of a socket has room for about a hundred characters: too few for some output folders.
-    with tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
+    with made as place, tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
         if options.hardware == "can":
             values["driver"].update(on_hub(values, str(Path(folder) / "bus")))
         elif options.hardware:
             values["driver"]["hardware"] = options.hardware
         opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0
-        result = demonstrate(values, output, advance, opcua_strokes, options.namespace)
-    picture = output / "run.png"
-    figures = result.figures()
-    title = f"Recorded stroke, law '{figures['law']}'"
-    plot_run(result.evaluation.record, result.map, result.metrics, picture, title=title)
+        result = demonstrate(values, place, advance, opcua_strokes, options.namespace)
+        result = dataclasses.replace(result, bag=output / result.bag.name)
+        figures = result.figures()
+        title = f"Recorded stroke, law '{figures['law']}'"
+        plot_run(result.evaluation.record, result.map, result.metrics, place / picture.name, title=title)
     if options.json:
         print_json(figures)
     else:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.options import check_range, output_file
+from straightcomp_ros.cli.options import add_force, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
 from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
 from straightcomp_ros.configuration.commented_file import as_yaml
@@ -20,6 +20,7 @@ from straightcomp_ros.design.automatic_design import SHIPPED_QUIET, Design, Desi
 from straightcomp_ros.offline.sweep.many_trials import PERCENTILES
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.starts import Spread
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.settings.yaml_text import load_yaml
 
 SUMMARY = "design the gains of a law for a stage"
@@ -38,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--machines", type=int, default=200, metavar="N", help="uncertain machines of the check (default: %(default)s)")
     add("--evaluations", type=int, default=400, metavar="N", help="candidates of a search (default: %(default)s)")
     add("--seed", type=int, default=1, metavar="N", help="of all that is drawn (default: 1)")
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -46,10 +48,10 @@ def run(options: argparse.Namespace) -> int:
     for name in ("machines", "evaluations"):
         check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
     check_range("--seed", options.seed, 0, 2**31)
-    source, output = Path(options.file), None
+    source = Path(options.file)
     values = stage_values(options)
-    if options.output:
-        output = output_file("--output", options.output)
+    output = output_file(options, "--output", updates=options.file)
+    if output is not None:
         _writable(source, output)
     scenario, began = make_scenario(values, [options.law]), time.monotonic()
     with progress_bar() as bar:
@@ -64,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
             progress=lambda part, fraction: bar.update(task, description=part, completed=fraction),
         )
     if output is not None:
-        output.write_text(_with_gains(source.read_text(encoding="utf-8"), design), encoding="utf-8")
+        write_whole(output, _with_gains(source.read_text(encoding="utf-8"), design))
     if options.json:
         name = scenario.description.name
         print_json({"stage": name, **_in_json(design), "seconds": time.monotonic() - began, "output": options.output})

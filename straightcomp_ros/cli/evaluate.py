@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from straightcomp_ros.cli.law_tables import marked, shown, titled_table
-from straightcomp_ros.cli.options import add_repeatable, output_file
+from straightcomp_ros.cli.options import add_force, add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, working
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
+from straightcomp_ros.settings.whole_file import write_whole
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.assessment import Assessment
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--report", metavar="FILE", help="also write a report with interactive plots (one HTML file)")
     add_remap_option(parser)
+    add_force(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -36,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.analysis.assessment import judged, read_limits
 
     remap = parsed_remap(options.remap)
-    report = output_file("--report", options.report) if options.report else None
+    report = output_file(options, "--report")
     assessment = _assessed(Path(options.bag), remap)
     other = _assessed(Path(options.compare), remap) if options.compare else None
     figures = assessment.figures()
@@ -45,7 +47,7 @@ def run(options: argparse.Namespace) -> None:
     if report is not None:
         from straightcomp_ros.analysis.html_report import report_html
 
-        report.write_text(report_html(assessment, other, checks), encoding="utf-8")
+        write_whole(report, report_html(assessment, other, checks))
         notes.print(f"report: {report}")
     if options.json:
         found = assessment.as_json()

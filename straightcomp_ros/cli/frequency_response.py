@@ -15,7 +15,7 @@ from typing import Any
 
 from straightcomp_ros.cli.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.options import PICTURES, output_file, output_folder
+from straightcomp_ros.cli.options import PICTURES, add_force, output_file, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
@@ -28,6 +28,7 @@ from straightcomp_ros.frequency_response.simulated_measurement import (
     measure_simulated,
 )
 from straightcomp_ros.settings.declaration import Declaration, declarations, from_mapping
+from straightcomp_ros.settings.output_folder import making
 
 SUMMARY = "measure plant, open loop, sensitivity and margins"
 _WORDS = {
@@ -55,13 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_graph_option(parser)
     add("--moving", action="store_true", help="measure while the stage makes strokes, not at rest")
     add("--output", "-o", metavar="FILE", help="save Bode and Nyquist plots (PNG, SVG or PDF)")
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:
     refuse_parameters_of_running(options, "--stage", "--law", "--params-file", "--set")
     values = chosen_parameters(options)
-    plot = output_file("--output", options.output, PICTURES) if options.output else None
+    plot = output_file(options, "--output", PICTURES)
     excitation = from_mapping(MultisineParameters, {one.name: getattr(options, one.name) for one in _excitation()})
     with working("measuring") as advance:
         if options.graph is None:
@@ -93,6 +95,8 @@ def _measure_running(
         if options.output:
             plot = Path(options.output)
             folder = output_folder("--output", str(plot.with_name(f"{plot.stem}_graph"))).resolve()
+            names = ("bags", "logs", "parameters.yaml")
+            folder = stack.enter_context(making(folder, names, force=options.force))
         else:
             folder = Path(stack.enter_context(TemporaryDirectory()))
         access = stack.enter_context(graph_access(options, values, folder))

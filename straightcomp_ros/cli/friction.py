@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.options import add_repeatable, output_file
+from straightcomp_ros.cli.options import add_force, add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.identification.estimate import UNITS, Estimate, Estimated, estimate_from_bag, parameter_file
 from straightcomp_ros.identification.excitation import excitation_survey
 from straightcomp_ros.identification.untold import untold
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.straightness.survey import write_survey
 
 SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_repeatable(parser, "--known", "NAME", known)
     parser.add_argument("--output", "-o", metavar="FILE", help="write the parameters as a stage file")
     parser.add_argument("--excitation", metavar="FILE", help="write a map (CSV) that excites all parameters, and stop")
+    add_force(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -50,14 +52,14 @@ def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
     if options.excitation is not None:
         stroke = node_parameters("cell", values).stage.motion.stroke
-        write_survey(output_file("--excitation", options.excitation), excitation_survey(stroke), _EXCITATION_COMMENTS)
+        write_survey(output_file(options, "--excitation"), excitation_survey(stroke), _EXCITATION_COMMENTS)
         return
-    output = output_file("--output", options.output) if options.output else None
+    output = output_file(options, "--output")
     start = node_parameters("driver", values).stage
     with working("estimating") as advance:
         estimate = estimate_from_bag(Path(options.bag), start, options.known or [_DEFAULT_KNOWN], advance)
     if output is not None:
-        output.write_text(parameter_file(estimate), encoding="utf-8")
+        write_whole(output, parameter_file(estimate))
     if options.json:
         print_json(_figures(estimate))
     else:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.options import add_force, output_folder
 from straightcomp_ros.cli.output import console, notes, print_json
 from straightcomp_ros.cli.stored_stages import add_stages, file_of, stored_stages
 
@@ -21,6 +21,7 @@ SUMMARY = "what changed on a stage, why, and what helps"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_stages(parser)
     parser.add_argument("--output", "-o", metavar="DIR", help="write STAGE.json for each stage into this folder")
+    add_force(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -29,6 +30,7 @@ def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.maintenance.advice_file import advice_json, write_advice
     from straightcomp_ros.maintenance.day_levels import COLUMNS, day_levels
     from straightcomp_ros.maintenance.level_change import BASELINE
+    from straightcomp_ros.settings.output_folder import making
 
     folder = output_folder("--output", options.output) if options.output else None
     told: dict[str, Any] = {}
@@ -36,9 +38,7 @@ def run(options: argparse.Namespace) -> None:
         levels = day_levels(strokes)
         days = len(levels.day)
         advice = advice_of(levels)
-        content = told[stage] = advice_json(stage, levels.date(-1), advice)
-        if folder is not None:
-            write_advice(folder / file_of(stage, ".json"), content)
+        told[stage] = advice_json(stage, levels.date(-1), advice)
         if options.json:
             continue
         if days <= BASELINE:
@@ -52,5 +52,10 @@ def run(options: argparse.Namespace) -> None:
             console.print(f"  found {one.found}: {one.text}", soft_wrap=True, highlight=False)
             what = one.remedy if one.due else "nothing: it is back where it was"
             console.print(f"    → {what}", soft_wrap=True, highlight=False)
+    if folder is not None:
+        files = {file_of(stage, ".json"): content for stage, content in told.items()}
+        with making(folder, files, force=options.force, anew=False):
+            for name, content in files.items():
+                write_advice(folder / name, content)
     if options.json:
         print_json({"stages": told})

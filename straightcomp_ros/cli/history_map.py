@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from straightcomp_ros.cli.law_tables import figures_table
-from straightcomp_ros.cli.options import PICTURES, check_range, output_file
+from straightcomp_ros.cli.options import PICTURES, add_force, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
 
 SUMMARY = "propose a map from the strokes of the last days"
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("stage", metavar="STAGE", help="name of the stage")
     add("--map", required=True, metavar="FILE", help="the survey that the strokes used")
     add("--output", "-o", metavar="FILE", help="write the proposed map (CSV); without it nothing is written")
-    add("--force", action="store_true", help="replace FILE if it exists")
+    add_force(parser)
     add("--days", type=float, default=7.0, metavar="N", help="before the last stroke (default: %(default)g)")
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
     add("--json", action="store_true", help="print one JSON object and nothing else")
@@ -36,13 +36,9 @@ def run(options: argparse.Namespace) -> None:
 
     check_range("--days", options.days, 0.01, 3650.0, "days")
     old = find_survey(options.map)
-    output = output_file("--output", options.output) if options.output else None
-    plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
-    if output is not None and output.exists():
-        if output.resolve() == old:
-            raise CommandFailed(f"--output {options.output}: is the present map; name another file", exit_code=2)
-        if not options.force:
-            raise CommandFailed(f"map {options.output} is there already; name another file, or give --force")
+    output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
+    if output is not None and output.resolve() == old:
+        raise CommandFailed(f"--output {output}: is the present map; name another file", exit_code=2)
     proposal = proposed_map(Store(options.store).strokes(options.stage, COLUMNS), Path(old), options.days)
     if output is not None:
         proposal.built.write(output)

@@ -18,6 +18,7 @@ from typing import Any
 
 from straightcomp_ros.cli.history_add import DEFAULT_STORE
 from straightcomp_ros.cli.law_tables import figures_table, shown, titled_table
+from straightcomp_ros.cli.options import add_force
 from straightcomp_ros.cli.output import console, print_json
 
 SUMMARY = "ask a store in SQL"
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("store", nargs="?", default=DEFAULT_STORE, metavar="STORE", help="folder or URL (default: %(default)s)")
     add("sql", metavar="SQL", help="the query")
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -36,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.history.queries import query
     from straightcomp_ros.history.store import Store
 
-    found = query(Store(options.store), options.sql)
+    found = query(Store(options.store), options.sql, options.force)
     rows = [{name: _plain(value) for name, value in row.items()} for row in found.to_pylist()]
     if options.json:
         print_json({"rows": rows})

@@ -6,8 +6,9 @@ Advice with its evidence, trends of all figures, the error over x and time, faul
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.options import add_force, output_folder
 from straightcomp_ros.cli.output import console, print_json
 from straightcomp_ros.cli.stored_stages import add_stages, file_of, stored_stages
 
@@ -17,20 +18,22 @@ SUMMARY = "a page for each stage: trends, advice, error over x and time"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_stages(parser)
     parser.add_argument("--output", "-o", metavar="DIR", default="report", help="folder (default: %(default)s)")
+    add_force(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.maintenance.stage_report import COLUMNS, stage_report
+    from straightcomp_ros.settings.output_folder import making
     from straightcomp_ros.settings.whole_file import write_whole
 
     folder = output_folder("--output", options.output)
-    files = {}
-    for stage, strokes in stored_stages(options, COLUMNS):
-        path = folder / file_of(stage, ".html")
-        write_whole(path, stage_report(stage, strokes))
-        files[stage] = str(path)
-        if not options.json:
-            console.print(f"{stage}: {path}", soft_wrap=True, highlight=False)
+    pages = {stage: stage_report(stage, strokes) for stage, strokes in stored_stages(options, COLUMNS)}
+    files = {stage: str(folder / file_of(stage, ".html")) for stage in pages}
+    with making(folder, [Path(path).name for path in files.values()], force=options.force, anew=False):
+        for stage, path in files.items():
+            write_whole(path, pages[stage])
+            if not options.json:
+                console.print(f"{stage}: {path}", soft_wrap=True, highlight=False)
     if options.json:
         print_json({"reports": files})

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli.law_tables import figures_table
-from straightcomp_ros.cli.options import PICTURES, check_range, output_file
+from straightcomp_ros.cli.options import PICTURES, add_force, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
 
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("source", metavar="SOURCE", help="bag, or CSV file")
     add("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
-    add("--force", action="store_true", help="replace FILE if it exists")
+    add_force(parser)
     add("--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)")
     add("--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)")
     add("--level", action="store_true", help="take the least squares line out, not only the mean")
@@ -50,10 +50,7 @@ def run(options: argparse.Namespace) -> None:
 
     for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
         check_range(f"--{name}", getattr(options, name), low, high)
-    output = output_file("--output", options.output) if options.output else None
-    plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
-    if output is not None and output.exists() and not options.force:
-        raise CommandFailed(f"map {options.output} is there already; name another file, or give --force")
+    output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     with noted_warnings(UserWarning) as texts:
         try:
             built = _built(options)

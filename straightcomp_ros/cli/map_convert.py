@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Collection
 from pathlib import Path
 
-from straightcomp_ros.cli.options import check_range, output_file
+from straightcomp_ros.cli.options import add_force, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json
 from straightcomp_ros.straightness.survey import Survey, write_survey
 from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions
@@ -20,12 +20,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="what the instrument or the controller has written")
     parser.add_argument("--output", "-o", required=True, metavar="FILE", help="survey to write (CSV)")
     add_table_options(parser)
+    add_force(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:
     conventions = chosen_conventions(options)
-    source, output = Path(options.file), output_file("--output", options.output)
+    source, output = Path(options.file), output_file(options, "--output")
     found = format_of(source, options.format).read(source, conventions)
     survey = found if isinstance(found, Survey) else found.to_survey(str(source))
     if options.negate:

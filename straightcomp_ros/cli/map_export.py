@@ -6,8 +6,9 @@ compare its sign with a dial gauge; use --negate if the controller's axis counts
 import argparse
 
 from straightcomp_ros.cli.map_convert import add_table_options, chosen_conventions
-from straightcomp_ros.cli.options import check_range, output_file
+from straightcomp_ros.cli.options import add_force, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.tables.error_table import sampled
 from straightcomp_ros.straightness.tables.formats import WRITTEN, format_of
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)")
     add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
     add_table_options(parser, tuple(WRITTEN))
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -29,13 +31,13 @@ def run(options: argparse.Namespace) -> None:
     """Export and print how well the table stands for the map."""
     conventions = chosen_conventions(options)
     check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
-    output = output_file("--output", options.output)
+    output = output_file(options, "--output")
     table, error = sampled(load_map(MapParameters(file=options.survey)), options.spacing * 1e-3)
     write = format_of(output, options.format).write
     if write is None:
         raise CommandFailed(f"--output {output}: an instrument's file; allowed: {', '.join(WRITTEN)}", exit_code=2)
     written = write(table.negated() if options.negate else table, conventions)
-    output.write_text(written, encoding="utf-8")
+    write_whole(output, written)
     figures = {
         "output": str(output),
         "points": len(table.x),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.output import CommandFailed
+from straightcomp_ros.settings.output_folder import same_or_within
 
 
 def check_range(option: str, value: float, least: float, most: float = math.inf, unit: str = "") -> None:
@@ -68,8 +69,26 @@ PICTURES = (".png", ".svg", ".pdf")
 """Endings of the files that plots are saved to."""
 
 
-def output_file(option: str, name: str, endings: tuple[str, ...] = ()) -> Path:
-    """The file that an option names; CommandFailed with exit code 2 if it cannot be written or has another ending."""
+def add_force(parser: argparse._ActionsContainer) -> None:
+    """Declare ``--force``, which verbs that write need to replace what they find."""
+    text = "replace what is there, also what this tool did not make; never what the command reads"
+    parser.add_argument("--force", action="store_true", help=text)
+
+
+def output_file(
+    options: argparse.Namespace, option: str, endings: tuple[str, ...] = (), *, updates: str | None = None
+) -> Path | None:
+    """The file that an option names, None where it is not given.
+
+    A file that is there is replaced with ``--force`` only; one that another option or argument names, or that lies in a
+    folder that one names, never. That of the name ``updates`` is read and written again.
+
+    Raises:
+        CommandFailed: exit code 2: it would replace a file, cannot be written, or has another ending.
+    """
+    name = _value(options, option)
+    if not name:
+        return None
     path = Path(name)
     if endings and path.suffix.lower() not in endings:
         raise CommandFailed(f"{option} {name}; allowed: a file name that ends with {', '.join(endings)}", exit_code=2)
@@ -77,17 +96,48 @@ def output_file(option: str, name: str, endings: tuple[str, ...] = ()) -> Path:
         raise CommandFailed(f"{option} {name}: is a folder; name a file", exit_code=2)
     if not path.parent.is_dir():
         raise CommandFailed(f"{option} {name}: there is no folder {path.parent}; make it first", exit_code=2)
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    if path.is_file() and not (updates and same_or_within(path, Path(updates))):
+        for read in named_files(options, option):
+            if same_or_within(path, read):
+                raise CommandFailed(f"{option} {name}: is an input ({read}); name another file", exit_code=2)
+        if not options.force:
+            raise CommandFailed(f"{option} {name}: is there already; name another file, or give --force", exit_code=2)
+    # A file is replaced by a new one, so that its folder counts, too; a pipe or a device is not.
+    folder = Path(os.path.realpath(path)).parent
+    places = [path] if path.exists() and not path.is_file() else [folder, *([path] if path.exists() else [])]
+    if not all(os.access(place, os.W_OK) for place in places):
         raise CommandFailed(f"{option} {name}: cannot be written; check its permissions", exit_code=2)
     return path
 
 
-def output_folder(option: str, name: str) -> Path:
-    """The folder that an option names, made if need be; CommandFailed with exit code 2 if it cannot be made."""
+def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
+    """Files and folders that are there and that options or arguments name, also as ``NAME=FILE``, but for one's; with
+    those that a YAML file among them names."""
+    own = {without.strip("-").replace("-", "_")}
+    values = [value for name, value in vars(options).items() if name not in own]
+    values += [one for value in values if isinstance(value, list) for one in value]
+    names = [str(value) for value in values if isinstance(value, (str, Path)) and str(value)]
+    names += [name.partition("=")[2] for name in names if "=" in name]
+    found = [Path(name) for name in names if name and os.path.exists(name)]
+    for file in [path for path in found if path.is_file() and path.suffix in (".yaml", ".yml")]:
+        words = re.findall(r":\s*[\"']?([^\s\"'#]+)", file.read_text(encoding="utf-8", errors="replace"))
+        found += [place / word for word in words for place in (Path(), file.parent) if (place / word).is_file()]
+    return found
+
+
+def _value(options: argparse.Namespace, option: str) -> Any:
+    return getattr(options, option.strip("-").replace("-", "_"))
+
+
+def output_folder(option: str, name: str, *, empty: bool = False) -> Path:
+    """The folder that an option names, made if need be; CommandFailed with exit code 2 if it cannot be made, or is not
+    ``empty`` where it has to be."""
     path = Path(name)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         why = "is a file" if path.exists() else f"cannot be made: {error.strerror}"
         raise CommandFailed(f"{option} {name}: {why}; name another folder", exit_code=2) from error
+    if empty and any(path.iterdir()):
+        raise CommandFailed(f"{option} {name}: the folder is not empty; name another", exit_code=2)
     return path

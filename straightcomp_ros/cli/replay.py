@@ -11,7 +11,7 @@ from pathlib import Path
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
 from straightcomp_ros.cli.law_tables import marked, shown, titled_table
-from straightcomp_ros.cli.options import add_repeatable, output_folder
+from straightcomp_ros.cli.options import add_force, add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict
 
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--graph", action="store_true", help="play the samples to feedforward, controller and logger")
     add("--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)")
     add_remap_option(parser)
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -90,14 +91,17 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> N
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
     from straightcomp_ros.cell.launcher import LaunchError
     from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
+    from straightcomp_ros.settings.output_folder import making
 
     require_ros()
     output = output_folder("--output", options.output)
     try:
-        with working("playing to the graph"):
-            found = replay_through_graph(bag, output, remap)
+        made = making(output, ("bag", "logs"), reads=[bag], force=options.force)
+        with made as place, working("playing to the graph"):
+            found = replay_through_graph(bag, place, remap)
     except LaunchError as error:
-        raise CommandFailed(f"{error} (logs in {output}/logs)") from error
+        raise CommandFailed(f"{error} (logs in {place}/logs)") from error
+    found = dataclasses.replace(found, bag=output / found.bag.name)
     if options.json:
         print_json({**vars(found), "bag": str(found.bag)})
     else:

@@ -6,11 +6,12 @@ import argparse
 from pathlib import Path
 
 from straightcomp_ros.cli.law_tables import shown, titled_table
-from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.options import add_force, output_folder
 from straightcomp_ros.cli.output import console, notes, print_json, working
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
-from straightcomp_ros.paper.all_figures import Reproduction, reproduce
+from straightcomp_ros.paper.all_figures import PICTURES, Reproduction, reproduce
 from straightcomp_ros.paper.ideal_machine import DELAY, machine_from
+from straightcomp_ros.settings.output_folder import making
 
 SUMMARY = "compute the paper's figures, and its numbers beside ours"
 
@@ -18,6 +19,7 @@ SUMMARY = "compute the paper's figures, and its numbers beside ours"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--output", "-o", metavar="DIR", default="reproduce_output", help="folder for the PNGs (default: %(default)s)")
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -27,11 +29,11 @@ def run(options: argparse.Namespace) -> None:
     values = shipped_parameters()
     values["stage"]["drive.delay"] = DELAY
     machine = machine_from(values)
-    with working("computing the figures") as advance:
-        result = reproduce(machine, output, advance)
+    with making(output, PICTURES, force=options.force) as place, working("computing the figures") as advance:
+        result = reproduce(machine, place, advance)
     if options.json:
         claims = [claim.to_display() for claim in result.claims]
-        print_json({"claims": claims, "figures": [str(path) for path in result.figures]})
+        print_json({"claims": claims, "figures": [str(output / path.name) for path in result.figures]})
     else:
         _print(result, output)
 

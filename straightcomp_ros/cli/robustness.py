@@ -11,7 +11,7 @@ import time
 
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.cli.law_tables import doubtful, titled_table
-from straightcomp_ros.cli.options import PICTURES, add_dask, add_repeatable, output_file, whole_number
+from straightcomp_ros.cli.options import PICTURES, add_dask, add_force, add_repeatable, output_file, whole_number
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict, warn_of_missing_margin
@@ -38,13 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--jobs", type=whole_number(1), metavar="N", help="processes on this machine (default: all cores)")
     add_dask(parser)
     add("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
     laws = list(dict.fromkeys(options.laws or LAWS))
-    plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
+    plot = output_file(options, "--plot", PICTURES)
     started = time.perf_counter()
     scenario = make_scenario(values, laws)
     for control in scenario.controls.values():

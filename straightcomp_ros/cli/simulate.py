@@ -12,7 +12,7 @@ from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.law_tables import cycles_table, results_table
-from straightcomp_ros.cli.options import PICTURES, check_range, output_file
+from straightcomp_ros.cli.options import PICTURES, add_force, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict, warn_of_missing_margin
@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--learned", metavar="FILE", help=learned)
     add("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    add_force(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -51,11 +52,11 @@ def run(options: argparse.Namespace) -> None:
     if options.starts > 1 and (options.strokes > 1 or options.learn or options.learned or options.bag):
         excluded = "--strokes, --learn, --learned and --bag"
         raise CommandFailed(f"--starts: is of single cycles; leave out {excluded}", exit_code=2)
-    plot = output_file("--plot", options.plot, PICTURES) if options.plot else None
+    plot = output_file(options, "--plot", PICTURES)
     if options.learn or options.learned:
         values["controller"]["learning.learn"] = True
     if options.learned:
-        values["controller"]["learning.file"] = str(output_file("--learned", options.learned))
+        values["controller"]["learning.file"] = str(output_file(options, "--learned", updates=options.learned))
     over_starts: dict[str, Spread] = {}
     try:
         record, straightness, cycles, verdicts = _run_cycles(options, values)

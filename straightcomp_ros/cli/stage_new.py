@@ -4,17 +4,17 @@ On a terminal the most important facts are asked for; --set gives them without a
 of all others. The strokes are those of the survey. What is not known well says so in `stage.uncertainty`."""
 
 import argparse
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.options import add_repeatable, output_folder
+from straightcomp_ros.cli.options import add_force, add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console
 from straightcomp_ros.configuration.commented_file import commented
 from straightcomp_ros.configuration.node_parameters import STAGE
 from straightcomp_ros.configuration.parameter_file import ALL_NODES
 from straightcomp_ros.settings.declaration import Declaration, ParameterError, declarations, from_mapping
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
@@ -51,17 +51,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--survey", metavar="FILE", help="survey of the guide (default: the synthetic one, to be replaced)")
     add_repeatable(parser, "--set", "NAME=VALUE", "a fact, e.g. stage.platform.mass=8")
     add("--yes", action="store_true", help="ask nothing: what --set does not give takes its default")
-    add("--force", action="store_true", help="write over a description that is there")
+    add_force(parser)
 
 
 def run(options: argparse.Namespace) -> None:
     folder = output_folder("DIR", str(options.folder))
-    file = folder / FILE
-    if file.exists() and not options.force:
-        raise CommandFailed(f"{file} is there already; name another folder, or give --force", exit_code=2)
+    file, survey = folder / FILE, folder / SURVEY
     declared = {one.name: one for one in declarations(StageParameters)}
     values: dict[str, Any] = {"name": folder.resolve().name, **dict(map(_assignment, options.set))}
     source = find_survey(options.survey or MapParameters().file)
+    for path in (file, survey):
+        if path.exists() and not options.force and not path.samefile(source):
+            raise CommandFailed(f"{path}: is there already; name another folder, or give --force", exit_code=2)
     x = [run.x for run in read_survey(source).runs]
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
     values = {"motion.start": first, "motion.stroke": last - first, **values, "guide.file": SURVEY}
@@ -69,15 +70,15 @@ def run(options: argparse.Namespace) -> None:
         values |= {name: _asked(declared[name]) for name in _ASKED if name not in values}
     # Refused before anything is written.
     from_mapping(StageParameters, values)
-    if source.resolve() != (folder / SURVEY).resolve():
-        shutil.copyfile(source, folder / SURVEY)
+    if not (survey.exists() and survey.samefile(source)):
+        write_whole(survey, source.read_bytes())
     described = {f"{STAGE}.{name}": value for name, value in values.items()}
     text = commented(ALL_NODES, declarations(StageParameters, f"{STAGE}."), described)
-    file.write_text(_HEAD.format(name=values["name"]) + "\n" + text, encoding="utf-8")
+    write_whole(file, _HEAD.format(name=values["name"]) + "\n" + text)
     given = len(values)
     console.print(f"{file}: {given} facts given, {len(declared) - given} with their defaults", highlight=False)
     if options.survey is None:
-        console.print(f"{folder / SURVEY} is the synthetic survey: replace it by that of your guide", highlight=False)
+        console.print(f"{survey} is the synthetic survey: replace it by that of your guide", highlight=False)
     console.print(f"next: straightcomp stage check {file}", highlight=False)
 
 

@@ -18,7 +18,7 @@ from straightcomp_ros.commissioning.machine import Machine
 from straightcomp_ros.commissioning.outcome import Outcome, Work
 from straightcomp_ros.commissioning.safe_loop import safe_loop
 from straightcomp_ros.commissioning.signs_and_scales import signs_and_scales
-from straightcomp_ros.commissioning.step_files import STEP_FILES
+from straightcomp_ros.commissioning.step_files import RECORD, STEP_FILES
 from straightcomp_ros.configuration.node_parameters import Values, node_parameters
 from straightcomp_ros.settings.plain_json import plain
 from straightcomp_ros.settings.whole_file import write_whole
@@ -36,7 +36,6 @@ _DONE_BY = (
 )
 STEPS: Mapping[str, Callable[[Work], Outcome]] = dict(zip(STEP_NAMES, _DONE_BY, strict=True))
 """The steps by name, in their order."""
-RECORD = "commission.json"
 
 
 class Procedure:

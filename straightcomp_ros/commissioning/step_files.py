@@ -1,5 +1,6 @@
-"""The files that the steps leave in the folder beside the record and the bags."""
+"""The files that commissioning leaves in its folder."""
 
+import itertools
 from collections.abc import Mapping
 
 LOOP, LIMITS, STROKE, LEARNED = "loop.png", "limits.yaml", "stroke.png", "learned.csv"
@@ -10,3 +11,6 @@ STEP_FILES: Mapping[str, tuple[str, ...]] = {
     "certificate": (PAGE, FIGURES, TUNED),
 }
 """By the step that writes them."""
+RECORD = "commission.json"
+MADE = (RECORD, "bags", "logs", "parameters.yaml", *itertools.chain(*STEP_FILES.values()))
+"""All of them."""

@@ -7,9 +7,6 @@ from a process that is killed. A bag that is evaluated again after that changes 
 
 from __future__ import annotations
 
-import ctypes
-import errno
-import fcntl
 import os
 import shutil
 from collections.abc import Iterator
@@ -20,7 +17,7 @@ from typing import TYPE_CHECKING
 from straightcomp_ros.history.recorded_facts import checksum_of
 from straightcomp_ros.history.row_columns import schema_of
 from straightcomp_ros.history.stroke_row import StrokeRow
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.settings.whole_file import exchange, locked, write_whole
 
 if TYPE_CHECKING:
     import pyarrow
@@ -31,21 +28,17 @@ another one that has strokes twice that he has read already."""
 KEYS = [(name, "ascending") for name in ("start", "checksum", "stroke")]
 """Order of the strokes of a stage."""
 _LOCK = ".lock"
-_THIS_FOLDER = -100
-_EXCHANGE = 2
-"""AT_FDCWD and RENAME_EXCHANGE of Linux."""
 
 
 @contextmanager
 def alone(root: Path) -> Iterator[None]:
     """Wait until no other process writes strokes to the store in ``root``, which is there, and keep them waiting."""
-    with (root / _LOCK).open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+    with locked(root / _LOCK):
         yield
 
 
-def write_bag(month: Path, checksum: str, data: bytes, part: Path) -> None:
-    """Write the strokes of a bag, a Parquet file, through ``part``. Only with :func:`alone`."""
+def write_bag(month: Path, checksum: str, data: bytes, parts: Path) -> None:
+    """Write the strokes of a bag, a Parquet file, through the folder ``parts``. Only with :func:`alone`."""
     import pyarrow
     import pyarrow.compute as compute
     import pyarrow.parquet as parquet
@@ -58,9 +51,9 @@ def write_bag(month: Path, checksum: str, data: bytes, part: Path) -> None:
         if there.filter(ours).equals(new):
             return
         kept = there.filter(compute.invert(ours))
-        write_whole(compacted, _file_of(pyarrow.concat_tables([kept, new])), part)
+        write_whole(compacted, _file_of(pyarrow.concat_tables([kept, new])), parts)
     else:
-        write_whole(month / f"{checksum}.parquet", data, part)
+        write_whole(month / f"{checksum}.parquet", data, parts)
 
 
 def compact(month: Path, part: Path) -> int:
@@ -80,15 +73,12 @@ def compact(month: Path, part: Path) -> int:
     part.mkdir()
     try:
         data = _file_of(_table(files))
-        with (part / _COMPACTED.format(checksum_of([data]))).open("wb") as file:
-            file.write(data)
-            file.flush()
-            # The old files go next: a power failure must not leave neither.
-            os.fsync(file.fileno())
+        # On the disk when this returns. The old files go next: a power failure must leave either.
+        write_whole(part / _COMPACTED.format(checksum_of([data])), data)
         for other in month.iterdir():
             if other not in files:
                 os.link(other, part / other.name)
-        _exchange(month, part)
+        exchange(month, part)
     finally:
         # The old files, or a new one that did not come to be.
         shutil.rmtree(part, ignore_errors=True)
@@ -114,11 +104,3 @@ def _file_of(strokes: pyarrow.Table) -> bytes:
     out = pyarrow.BufferOutputStream()
     pyarrow.parquet.write_table(strokes.sort_by(KEYS), out, compression="zstd", store_schema=False)
     return out.getvalue().to_pybytes()  # type: ignore[no-any-return]
-
-
-def _exchange(one: Path, other: Path) -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.renameat2(_THIS_FOLDER, os.fsencode(one), _THIS_FOLDER, os.fsencode(other), _EXCHANGE):
-        code = ctypes.get_errno()
-        known = {errno.EINVAL: "its file system cannot exchange two folders"}
-        raise OSError(code, known.get(code, os.strerror(code)), str(one))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import glob
+import os
+import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.history import HistoryError
@@ -10,6 +13,7 @@ from straightcomp_ros.history.bag_row import BagRow
 from straightcomp_ros.history.row_columns import schema_of
 from straightcomp_ros.history.store import BAGS, STROKES, Store
 from straightcomp_ros.history.stroke_row import BIN_MM, PARTITIONS, StrokeRow
+from straightcomp_ros.settings.output_folder import same_or_within
 
 if TYPE_CHECKING:
     import pyarrow
@@ -24,12 +28,18 @@ CREATE VIEW bins AS
 """
 
 
-def query(store: Store, sql: str) -> pyarrow.Table:
+_WRITTEN = re.compile(r"\b(?:TO|DATABASE)\s+'((?:[^']|'')*)'", re.IGNORECASE)
+"""The file or folder that COPY or EXPORT writes."""
+
+
+def query(store: Store, sql: str, force: bool = False) -> pyarrow.Table:
     """What a query gives; a table without columns for a statement that gives nothing.
 
     Its tables are ``strokes``, with the columns of :class:`straightcomp_ros.history.stroke_row.StrokeRow` and its
     partitions, ``bags``, of :class:`straightcomp_ros.history.bag_row.BagRow`, ``refused``, the bags among them that
     have no strokes in the store, and ``bins``, one row for each bin of each stroke.
+
+    A file that COPY names is replaced with ``force`` only, and one of the store never.
 
     Raises:
         HistoryError: DuckDB is not installed, there is no store, or the query is refused.
@@ -50,10 +60,22 @@ def query(store: Store, sql: str) -> pyarrow.Table:
         _add_table(database, store, STROKES, StrokeRow, PARTITIONS)
         database.execute(_VIEWS)
         try:
+            for statement in database.extract_statements(sql):
+                if statement.type != duckdb.StatementType.SELECT:
+                    _keep_files(statement.query, store, force)
             found = database.sql(sql)
             return pyarrow.table({}) if found is None else found.to_arrow_table()
         except duckdb.Error as error:
             raise HistoryError(f"query: {' '.join(str(error).split())}") from error
+
+
+def _keep_files(statement: str, store: Store, force: bool) -> None:
+    for name in _WRITTEN.findall(statement):
+        path = Path(name.replace("''", "'"))
+        if store.local and same_or_within(path, Path(store.root)):
+            raise HistoryError(f"query: '{path}' is in the store; name another file")
+        if os.path.lexists(path) and not force and not path.is_char_device():
+            raise HistoryError(f"query: '{path}' is there already; name another file, or give --force")
 
 
 def _add_table(database: Any, store: Store, name: str, row: type, partitions: tuple[str, ...]) -> bool:

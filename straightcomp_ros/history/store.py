@@ -134,7 +134,7 @@ class Store:
         self.clear_abandoned()
         root = Path(self.root)
         for month in sorted(root.glob(f"{STROKES}/stage=*/month=*")):
-            part = self._part()
+            part = self._parts() / f"{os.getpid()}-{secrets.token_hex(8)}"
             try:
                 with month_folder.alone(root):
                     merged = month_folder.compact(month, part)
@@ -155,7 +155,7 @@ class Store:
                 raise StorageError(f"store {self.url} cannot be written: {error}") from error
             return
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        write_whole(Path(path), data, self._part())
+        write_whole(Path(path), data, self._parts())
 
     def _write_strokes(self, month: str, checksum: str, data: bytes) -> None:
         if not self.local:
@@ -163,13 +163,13 @@ class Store:
             return
         Path(month).mkdir(parents=True, exist_ok=True)
         with month_folder.alone(Path(self.root)):
-            month_folder.write_bag(Path(month), checksum, data, self._part())
+            month_folder.write_bag(Path(month), checksum, data, self._parts())
 
-    def _part(self) -> Path:
-        """Where to write what is to appear whole."""
+    def _parts(self) -> Path:
+        """Folder of what is to appear whole."""
         parts = Path(self.root, _PARTS)
         parts.mkdir(parents=True, exist_ok=True)
-        return parts / f"{os.getpid()}-{secrets.token_hex(8)}"
+        return parts
 
 
 def _sorted_strokes(files: Any, folder: str, columns: list[str] | None) -> pyarrow.Table:

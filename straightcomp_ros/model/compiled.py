@@ -3,12 +3,12 @@ compiled: numba notices a change in the file of the compiled function, but not i
 """
 
 import hashlib
-import os
-import tempfile
 from collections.abc import Callable
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
+
+from straightcomp_ros.settings.share import private_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -20,21 +20,14 @@ _marked: list[Callable[..., Any]] = []
 
 @cache
 def cache_directory() -> Path:
-    """Folder for the machine code of these sources: in the user's cache, or in the temporary folder."""
+    """Folder for the machine code of these sources, which no other user can write to."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
     for source in sorted(source for folder in _FOLDERS for source in package.glob(f"{folder}/*.py")):
         digest.update(source.read_bytes())
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    name = f"numba-{digest.hexdigest()[:16]}"
-    for place in (home / "straightcomp_ros", Path(tempfile.gettempdir()) / f"straightcomp_ros-{os.getuid()}"):
-        try:
-            (place / name).mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(place / name, os.W_OK):
-            return place / name
-    return Path(tempfile.mkdtemp(prefix="straightcomp_ros-"))
+    folder = private_folder() / f"numba-{digest.hexdigest()[:16]}"
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 def compilable(function: F) -> F:

@@ -68,7 +68,7 @@ class CommissioningNode(Runnable):
     def _on_measure_response(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Measure the frequency response under the controller's present law, with plots in the output folder."""
         plot = self._folder / "frequency_response.png"
-        return self._begin("measure_response", ["frequency-response", "--output", str(plot)], response)
+        return self._begin("measure_response", ["frequency-response", "--output", str(plot), "--force"], response)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """End what is going on, with the amplifier off."""

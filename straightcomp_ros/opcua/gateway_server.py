@@ -2,10 +2,12 @@
 
 import asyncio
 import contextlib
+import filecmp
 import logging
 import math
 import os
 import queue
+import shutil
 import socket
 import sys
 import threading
@@ -14,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TextIO
 
 from asyncua import Server, ua
@@ -30,6 +33,7 @@ from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
 from straightcomp_ros.opcua.snapshot import Snapshot
 from straightcomp_ros.opcua.users import Users
+from straightcomp_ros.settings.whole_file import write_whole
 
 _PERIOD_S = 0.1
 _ANSWER_WITHIN_S = 2.0
@@ -234,7 +238,15 @@ async def _own_certificate(folder: str | Path, uri: str) -> tuple[Path, Path]:
         certificate.parent.mkdir(parents=True, exist_ok=True)
         usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
         subject = {"organizationName": PACKAGE}
-        await setup_self_signed_certificate(key, certificate, uri, socket.gethostname(), usage, subject)
+        # asyncua would write them in place.
+        with TemporaryDirectory() as place:
+            new = {file: Path(place) / file.name for file in (key, certificate)}
+            for file in filter(Path.is_file, new):
+                shutil.copyfile(file, new[file])
+            await setup_self_signed_certificate(new[key], new[certificate], uri, socket.gethostname(), usage, subject)
+            for file in new:
+                if not (file.is_file() and filecmp.cmp(file, new[file], shallow=False)):
+                    write_whole(file, new[file].read_bytes(), private=True)
     except (OSError, ValueError) as error:
         raise CertificateError(f"certificates in {folder}: {error}") from error
     finally:

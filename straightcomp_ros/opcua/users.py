@@ -2,10 +2,11 @@
 
 import hashlib
 import hmac
-import os
 import re
 import secrets
 from pathlib import Path
+
+from straightcomp_ros.settings.whole_file import locked, write_whole
 
 VIEWER, OPERATOR = "viewer", "operator"
 ROLES = (VIEWER, OPERATOR)
@@ -49,24 +50,33 @@ def add_user(path: Path, name: str, password: str, role: str) -> None:
         raise UsersError(f"role {role!r}: allowed: {', '.join(ROLES)}")
     if len(password) < SHORTEST_PASSWORD:
         raise UsersError(f"password of user '{name}': too short; allowed: at least {SHORTEST_PASSWORD} characters")
-    entries = _read(path) if path.exists() else {}
     salt = secrets.token_bytes(16)
-    entries[name] = (role, salt, _hash(password, salt))
-    lines = [f"{user}:{role}:{salt.hex()}:{hashed.hex()}\n" for user, (role, salt, hashed) in entries.items()]
+    hashed = _hash(password, salt)
     try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="utf-8") as file:
-            file.writelines(lines)
+        real = path.resolve()
+        with locked(real.with_name(f".{real.name}.lock")):
+            text = path.read_text(encoding="utf-8") if path.exists() else ""
+            _users(path, text)
+            # Comments and the order of the lines are the administrator's.
+            kept = [line for line in text.splitlines() if line.startswith("#") or line.split(":")[0].strip() != name]
+            lines = [*kept, f"{name}:{role}:{salt.hex()}:{hashed.hex()}"]
+            write_whole(path, "\n".join(lines) + "\n", private=True)
+    except UnicodeDecodeError as error:
+        raise UsersError(f"users file {path}: byte {error.start} is not UTF-8") from error
     except OSError as error:
         raise UsersError(f"users file {path}: {error.strerror}") from error
 
 
 def _read(path: Path) -> dict[str, tuple[str, bytes, bytes]]:
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        return _users(path, path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise UsersError(f"users file {path}: cannot be read: {error}") from error
+
+
+def _users(path: Path, text: str) -> dict[str, tuple[str, bytes, bytes]]:
     entries = {}
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.startswith("#"):
             continue
         try:

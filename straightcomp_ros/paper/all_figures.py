@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from straightcomp_ros.analysis.pictures import save_whole
 from straightcomp_ros.paper import (
     beyond_figure_4,
     figure_2,
@@ -21,6 +22,8 @@ from straightcomp_ros.paper.ideal_machine import Machine
 
 FIGURES = (figure_2, figure_3, figure_4, beyond_figure_4, figure_5, figure_6, figure_7, figure_8, figure_9)
 """Modules of the figures; each has compute(machine), with the claims in its answer, and draw(answer)."""
+PICTURES = tuple(f"{module.__name__.rpartition('.')[2]}.png" for module in FIGURES)
+"""Names of their files."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +50,11 @@ def reproduce(
     """
     folder.mkdir(parents=True, exist_ok=True)
     claims, paths = list(poles.claims(machine)), []
-    for number, module in enumerate(FIGURES):
+    for number, (module, name) in enumerate(zip(FIGURES, PICTURES, strict=True)):
         progress(number / len(FIGURES))
         data = module.compute(machine)
-        path = folder / f"{module.__name__.rsplit('.', 1)[-1]}.png"
-        module.draw(data).savefig(path)
+        path = folder / name
+        save_whole(module.draw(data), path)
         claims += data.claims
         paths.append(path)
     progress(1.0)

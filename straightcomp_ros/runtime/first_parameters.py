@@ -6,16 +6,13 @@ the controller. The next client must not take these for the machine's.
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.settings.share import private_folder
 from straightcomp_ros.settings.whole_file import write_whole
-
-_FOLDER = Path(tempfile.gettempdir())
 
 
 class FirstParameters:
@@ -24,7 +21,7 @@ class FirstParameters:
     Args:
         found: parameters as the nodes tell them now, by node and dotted name.
         processes: by node, what no other process has.
-        folder: of the files, the same for all clients of the user.
+        folder: of the files, the same for all clients of the user; no other user may write to it.
 
     Attributes:
         values: the first parameters, by node and dotted name: those that a client which was killed has kept, otherwise
@@ -32,19 +29,16 @@ class FirstParameters:
     """
 
     def __init__(
-        self, found: Mapping[str, Mapping[str, Any]], processes: Mapping[str, str], folder: Path = _FOLDER
+        self, found: Mapping[str, Mapping[str, Any]], processes: Mapping[str, str], folder: Path | None = None
     ) -> None:
-        user = os.getuid()
         self._files = {
-            node: folder / f"straightcomp_{user}_{hashlib.sha256(process.encode()).hexdigest()[:24]}.json"
+            node: (folder or private_folder()) / f"parameters_{hashlib.sha256(process.encode()).hexdigest()[:24]}.json"
             for node, process in processes.items()
         }
         self.values = {node: dict(section) for node, section in found.items()}
         for node, file in self._files.items():
             with suppress(FileNotFoundError, ValueError):
-                # Others may write to the folder too.
-                if file.stat().st_uid == user:
-                    self.values[node] |= json.loads(file.read_text(encoding="utf-8"))
+                self.values[node] |= json.loads(file.read_text(encoding="utf-8"))
 
     def keep(self) -> None:
         """Write the files; call it before any parameter is changed."""

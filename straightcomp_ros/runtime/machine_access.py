@@ -21,6 +21,8 @@ from straightcomp_ros.runtime.first_parameters import FirstParameters
 from straightcomp_ros.runtime.graph_client import GraphClient, GraphError
 from straightcomp_ros.runtime.running_machine import RunningMachine
 from straightcomp_ros.settings.declaration import belongs_to_ros
+from straightcomp_ros.settings.share import make_private
+from straightcomp_ros.settings.whole_file import write_whole
 
 
 class Access(NamedTuple):
@@ -78,7 +80,7 @@ def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> It
         if emulated:
             values = {**values, "driver": {**values.get("driver", {}), **on_hub(values, str(bus / "bus"))}}
         parameter_file = folder / "parameters.yaml"
-        parameter_file.write_text(as_parameter_file(values))
+        write_whole(parameter_file, as_parameter_file(values))
         beside = emulated_machine(values, parameter_file)
         try:
             with Graph(folder / "logs") as graph:
@@ -108,7 +110,10 @@ def _bus_folder(folder: Path) -> Iterator[Path]:
     """
     name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
     bus = Path(tempfile.gettempdir()) / f"straightcomp_bus_{name}"
-    bus.mkdir(mode=0o700, exist_ok=True)
+    try:
+        make_private(bus)
+    except OSError as error:
+        raise CommissioningError(f"folder of the bus {bus}: {error.strerror}; remove it") from error
     try:
         yield bus
     finally:

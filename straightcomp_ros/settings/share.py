@@ -1,8 +1,12 @@
-"""Finds the files that the package installs: config/, launch/."""
+"""Finds the files that the package installs (config/, launch/), and a folder for those of the user that it keeps."""
 
+import errno
 import os
+import stat
 import sys
+import tempfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from straightcomp_ros.contract import PACKAGE
@@ -30,3 +34,31 @@ def share_path(name: str) -> Path:
             return base / name
         tried.append(str(base))
     raise FileNotFoundError(f"'{name}' of {PACKAGE} is in none of: {', '.join(tried)}; is the package installed?")
+
+
+@cache
+def private_folder() -> Path:
+    """A folder that only this user can write to, the same for all processes: in the user's cache, else in the temporary
+    folder, else a new one for this process.
+
+    What another user may have put there is never taken: machine code in it would run, a link would lead elsewhere.
+    """
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    for place in (home / PACKAGE, Path(tempfile.gettempdir()) / f"{PACKAGE}-{os.getuid()}"):
+        try:
+            make_private(place)
+        except OSError:
+            continue
+        return place
+    return Path(tempfile.mkdtemp(prefix=f"{PACKAGE}-"))
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder for this user alone, unless it is there; OSError if others made it or may write to it."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise PermissionError(errno.EPERM, "is not this user's alone", str(folder))
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(folder))

@@ -22,6 +22,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.straightness.survey_columns import DEVIATION, X, read_table
 from straightcomp_ros.straightness.text import SurveyError, decimal
 
@@ -134,7 +135,7 @@ def _passages(groups: Groups, min_points: int) -> Groups:
 def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ()) -> None:
     """Write ``survey`` in mm and µm, to 0.1 µm in x and 1 nm in deviation; backward runs as driven, x falling.
 
-    ``path`` is replaced if it exists; ``comments`` are the lines at its head, without the ``#``.
+    ``path`` is replaced in one step if it exists; ``comments`` are the lines at its head, without the ``#``.
     """
     lines = [*(f"# {comment}" for comment in comments), "run,direction,x_mm,deviation_um"]
     for run in survey.runs:
@@ -143,9 +144,7 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
             f"{run.name},{run.direction},{decimal(x * 1e3, 4)},{decimal(deviation * 1e6, 3)}"
             for x, deviation in zip(run.x[order].tolist(), run.deviation[order].tolist(), strict=True)
         ]
-    # newline="" keeps the bytes the same on every system.
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
-        file.write("\n".join(lines) + "\n")
+    write_whole(path, "\n".join(lines) + "\n")
 
 
 def orient(where: str, name: str, direction: Direction | None, points: Sequence[tuple[int, float, float]]) -> Run:

@@ -174,7 +174,7 @@ def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys)
 def test_an_existing_map_is_not_replaced_unasked(tmp_path, capsys):
     output = tmp_path / "map.csv"
     output.write_text("mine")
-    assert main(["map", "build", str(SAMPLE), "-o", str(output)]) == 1
+    assert main(["map", "build", str(SAMPLE), "-o", str(output)]) == 2
     assert output.read_text() == "mine"
     assert "--force" in capsys.readouterr().err
 

@@ -13,6 +13,7 @@ from straightcomp_ros.commissioning.outcome import Outcome
 from straightcomp_ros.commissioning.procedure import RECORD, STEPS, Procedure
 from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
 from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.settings.output_folder import making
 
 
 @pytest.fixture
@@ -74,7 +75,8 @@ def done_before(stage: str, folder: Path, outcomes: dict[str, Outcome]) -> None:
     (folder / RECORD).unlink(missing_ok=True)
     procedure = Procedure(SimulatedMachine(values), values, folder, evaluations=1, machines=1)
     procedure.outcomes.update(outcomes)
-    procedure._write()
+    with making(folder, [RECORD], anew=False):
+        procedure._write()
 
 
 def test_the_choices_of_only_are_the_steps() -> None:

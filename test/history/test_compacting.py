@@ -65,7 +65,7 @@ def test_a_bag_that_gives_other_strokes_than_before_changes_its_own(store, month
     (month,) = (store / "strokes" / "stage=stage_0").iterdir()
     other = month_folder._file_of(month_folder._table([file]).slice(0, 1))
     with month_folder.alone(store):
-        month_folder.write_bag(month, file.stem, other, store / "part")
+        month_folder.write_bag(month, file.stem, other, store)
     found = strokes(store)
     assert len(found) == 2 * COUNT - 1
     assert [row for row in found if row["checksum"] != file.stem] == [
@@ -115,12 +115,12 @@ def test_a_process_that_is_killed_beside_the_exchange_leaves_each_stroke_once(st
 import os, signal
 from straightcomp_ros.history import month_folder
 from straightcomp_ros.history.store import Store
-exchange = month_folder._exchange
+exchange = month_folder.exchange
 def killed(one, other):
     if {moment!r} == "after":
         exchange(one, other)
     os.kill(os.getpid(), signal.SIGKILL)
-month_folder._exchange = killed
+month_folder.exchange = killed
 list(Store({str(store)!r}).compact())
 """
     done = subprocess.run([sys.executable, "-c", program], check=False)

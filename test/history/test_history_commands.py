@@ -52,6 +52,13 @@ def test_a_statement_may_write_a_table_elsewhere(alone, tmp_path, capsys):
     file = tmp_path / "figures.csv"
     assert main(["history", "query", str(alone[0]), f"COPY (SELECT stroke FROM strokes) TO '{file}'"]) == 0
     assert len(file.read_text().split()) == 1 + 2 * COUNT
+    file.write_text("mine")
+    inside = next(alone[0].rglob("*.parquet"))
+    for name, *more in ((file,), (inside, "--force")):
+        before = name.read_bytes()
+        copy = f"SELECT 1; copy (SELECT stroke FROM strokes)\nto  '{name}'"
+        assert main(["history", "query", str(alone[0]), copy, *more]) == 2
+        assert name.read_bytes() == before
     assert main(["history", "query", str(alone[0]), "CREATE TABLE mine (a INTEGER)"]) == 0
 
 

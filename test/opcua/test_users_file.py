@@ -1,6 +1,7 @@
 """Users, and who is let in by which parameters."""
 
 import stat
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -94,3 +95,14 @@ def test_alarms_come_and_go():
     assert set(alarms.active(bad, State.STOPPED, 5.0)) == {"Fault", "ErrorLimit", "SampleLoss"}
     assert "SampleLoss" not in alarms.active(bad, State.IDLE, 12.0)
     assert alarms.active(well, State.IDLE, 30.0, "as of today: worn") == {"MaintenanceDue": "as of today: worn"}
+
+
+def test_users_that_are_added_at_once_are_all_there_and_only_the_owner_can_read_them(tmp_path):
+    path = tmp_path / "users"
+    path.write_text("# ours\n")
+    path.chmod(0o644)
+    names = [f"user{number}" for number in range(10)]
+    with ThreadPoolExecutor(10) as pool:
+        list(pool.map(lambda name: add_user(path, name, f"password of {name}", "viewer"), names))
+    assert all(Users(path).role(name, f"password of {name}") == "viewer" for name in names)
+    assert path.read_text().startswith("# ours\n") and stat.S_IMODE(path.stat().st_mode) == 0o600

@@ -110,7 +110,7 @@ def _found(file: str) -> Path:
             return share_path(file)
         except FileNotFoundError:
             raise DbcError(f"'{file}': No such file; name a DBC file") from None
-    return path
+    return path.absolute()  # it is read later, perhaps from another folder
 
 
 def _database(path: Path) -> Database:

@@ -7,6 +7,7 @@ Frames take no time on this bus.
 
 import contextlib
 import enum
+import errno
 import select
 import socket
 import struct
@@ -130,9 +131,9 @@ class Hub:
     def _bind(self) -> None:
         if self._path.is_socket():
             with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
-                if probe.connect_ex(str(self._path)) == 0:
+                # Otherwise it was left by a hub that was killed.
+                if probe.connect_ex(str(self._path)) != errno.ECONNREFUSED:
                     raise HardwareError(f"hub: another one listens on '{self._path}'")
-            # It was left by a hub that was killed.
             self._path.unlink()
         self._listener.bind(str(self._path))
 

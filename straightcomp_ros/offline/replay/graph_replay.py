@@ -1,5 +1,7 @@
 """Plays recorded samples to the real feedforward, controller and logger, without a driver."""
 
+import os
+import random
 import shutil
 import tempfile
 import time
@@ -7,16 +9,21 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
-from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words
+from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words, isolated_environment
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.contract import COMMAND, ENCODER
+from straightcomp_ros.settings.whole_file import write_whole
 
 _PLAYED_TO = ("feedforward", "controller", "logger")
+_NAMESPACE = "replay"
+_LEARNED = "learning.file"
+"""The only parameter of feedforward and controller that names a file which they write."""
 _SLACK_S = 90.0
 
 
@@ -44,9 +51,12 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
     The controller waits for each sample's reference (trigger ``lockstep``): its answers then depend on the samples
     alone, not on this machine's speed.
 
+    The nodes are in a namespace and a ROS domain of their own, so that no driver that runs hears them, and they write
+    to the output folder only: a table that was learned is read from a copy.
+
     Args:
         bag: rosbag2 folder or MCAP file.
-        output: folder for ``bag/`` and ``logs/``; an earlier bag there is replaced.
+        output: folder for ``bag/`` and ``logs/``. There must be no bag.
         remap: the bag's topic for each of our topics that has another name there.
 
     Raises:
@@ -60,9 +70,8 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
     duration = float(np.ptp(stamps)) * 1e-9
     new = output / "bag"
     output.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(new, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
-        values = {name: dict(recorded.get(name, {})) for name in _PLAYED_TO[:2]}
+        values = {name: _of_no_machine(recorded.get(name, {}), Path(folder)) for name in _PLAYED_TO[:2]}
         survey = unpacked_map(attachments, Path(folder))
         if survey is not None:
             values["feedforward"]["stage.guide.file"] = str(survey)
@@ -75,12 +84,9 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
             "subscribers": len(_PLAYED_TO),
             "ahead": 50,
         }
-        # Real-time priority is of no use here: nothing is late.
-        for section in values.values():
-            section["realtime.priority"] = 0
         values["logger"] = {"output": str(new), "nodes": "feedforward controller"}
         file = Path(folder) / "parameters.yaml"
-        file.write_text(as_parameter_file(values))
+        write_whole(file, as_parameter_file(values))
         _play(file, output / "logs", duration)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -91,8 +97,27 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
     return GraphReplay(new, len(stamps), len(common), equal, len(common) - equal)
 
 
+def _of_no_machine(recorded: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Recorded parameters of a node without what reaches the machine that was recorded.
+
+    Nothing is late here, so that the node needs no CPUs of a machine that runs. What the node writes, it writes into
+    ``folder``.
+    """
+    values = {name: value for name, value in recorded.items() if not name.startswith("realtime.")}
+    learned = values.get(_LEARNED)
+    if learned:
+        copy = folder / "learned.csv"
+        if Path(str(learned)).is_file():
+            shutil.copyfile(str(learned), copy)
+        values[_LEARNED] = str(copy)
+    return values
+
+
 def _play(parameter_file: Path, logs: Path, duration: float) -> None:
-    with Graph(logs) as graph:
+    here = os.environ.get("ROS_DOMAIN_ID", "0")
+    domain = random.SystemRandom().choice([str(number) for number in range(1, 102) if str(number) != here])
+    environment = {**isolated_environment(), "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    with Graph(logs, environment, namespace=_NAMESPACE) as graph:
         for name in _PLAYED_TO:
             graph.start(name, {}, parameter_file)
         player = graph.start("player", {}, parameter_file)

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, PercentFormatter, StrMethodFormatter
 
-from straightcomp_ros.analysis.pictures import as_text
+from straightcomp_ros.analysis.pictures import as_text, save_whole
 from straightcomp_ros.offline.sweep.many_trials import LawSummary
 from straightcomp_ros.offline.sweep.trial import TrialResult
 
@@ -59,5 +59,5 @@ def plot_sweep(results: Sequence[TrialResult], summaries: Sequence[LawSummary], 
     axes.grid(color="#D8D8D8", linewidth=0.5)
     axes.set_axisbelow(True)
     axes.legend(loc="lower right", fontsize=9)
-    figure.savefig(path)
+    save_whole(figure, Path(path))
     return Path(path)

@@ -9,6 +9,7 @@ from pathlib import Path
 from straightcomp_ros.history.evaluated_bag import parquet
 from straightcomp_ros.history.store import STROKES
 from straightcomp_ros.history.stroke_row import StrokeRow
+from straightcomp_ros.settings.whole_file import write_whole
 from straightcomp_ros.trials.bench.known_wear import SOUND, WEARS
 from straightcomp_ros.trials.bench.worn_stage import StrokePool, months, rows_of_months
 
@@ -33,5 +34,5 @@ def write_store(
         for month, group in groupby(rows, key=lambda row: f"{row.start:%Y-%m}"):
             place = folder / STROKES / f"stage={wear.name}" / f"month={month}"
             place.mkdir(parents=True, exist_ok=True)
-            (place / f"simulated_{month}.parquet").write_bytes(parquet(StrokeRow, list(group)))
+            write_whole(place / f"simulated_{month}.parquet", parquet(StrokeRow, list(group)))
         progress((number + 1) / len(stages))

@@ -33,7 +33,7 @@ def add_rounds(parser: argparse.ArgumentParser) -> None:
 def results_folder(options: argparse.Namespace) -> Iterator[Path]:
     """The folder that ``--output`` names, or one that is removed in the end."""
     if options.output:
-        yield output_folder("--output", options.output).absolute()
+        yield output_folder("--output", options.output, empty=True).absolute()
         return
     with tempfile.TemporaryDirectory(prefix="straightcomp_bench_") as folder:
         yield Path(folder)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.law_tables import rounded, titled_table
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import console, print_json, progress_bar
 
 SUMMARY = "how soon wear is found, and by how many false alarms"
@@ -37,6 +37,7 @@ def run(options: argparse.Namespace) -> int:
     check_range("--years", options.years, 1, 10_000)
     check_range("--sound", options.sound, 1, 10_000)
     check_range("--moved", options.moved, 0.0, 50.0, "µm")
+    store = output_folder("--store", options.store, empty=True) if options.store else None
     with progress_bar() as bar, tempfile.TemporaryDirectory(prefix="straightcomp_wear_") as folder:
 
         def step(text: str) -> Any:
@@ -44,8 +45,8 @@ def run(options: argparse.Namespace) -> int:
             return lambda fraction: bar.update(task, completed=fraction)
 
         pool = stroke_pool(_STARTS, step("strokes of the machines"))
-        if options.store:
-            write_store(Path(options.store), pool, step("store"))
+        if store is not None:
+            write_store(store, pool, step("store"))
         figures = wear_found.measure(pool, options.years, options.sound, step("stage-years"))
         figures["map"] = followed_map.measure(Path(folder), options.moved, progress=step("map"))
     if options.json:

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.cli.law_tables import rounded
+from straightcomp_ros.cli.options import output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros, styled
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.trials.faults.rows import summary
@@ -43,7 +44,10 @@ def run(options: argparse.Namespace) -> int:
         raise CommandFailed(f"--only {options.only!r}: no fault has this in its name; known: {names}", exit_code=2)
     values = trial_parameters(chosen_parameters(options))
     begin = time.monotonic()
-    folder = Path(options.output or tempfile.mkdtemp(prefix="straightcomp_faults_"))
+    if options.output:
+        folder = output_folder("--output", options.output, empty=True)
+    else:
+        folder = Path(tempfile.mkdtemp(prefix="straightcomp_faults_"))
     with ExitStack() as end, progress_bar() as bar:
         if not options.output:
             end.callback(shutil.rmtree, folder, ignore_errors=True)

@@ -13,6 +13,7 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.cli.law_tables import rounded, titled_table
+from straightcomp_ros.cli.options import output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 
@@ -38,8 +39,8 @@ def run(options: argparse.Namespace) -> int:
     require_ros()
     if not 0.0 < options.minutes <= 7 * 24 * 60:
         raise CommandFailed(f"--minutes {options.minutes:g}: allowed: above 0, up to a week", exit_code=2)
-    if options.output and Path(options.output).is_dir() and any(Path(options.output).iterdir()):
-        raise CommandFailed(f"--output {options.output}: the folder is not empty; name another", exit_code=2)
+    if options.output:
+        output_folder("--output", options.output, empty=True)
     from straightcomp_ros.trials.faults.injections import trial_parameters
     from straightcomp_ros.trials.soak.long_run import run_soak
 

@@ -398,7 +398,7 @@ def test_the_verb_writes_the_frames_of_a_stage_and_says_how_they_are_built(tmp_p
     assert main(["can", "firmware", stage, "-o", str(folder)]) == 0
     assert f"make -C firmware GENERATED={folder} BUILD={folder / 'build'}" in capsys.readouterr().out
     texts = frames_in_c([FOREIGN.make_wire()])
-    assert {file.name: file.read_text() for file in folder.iterdir()} == texts
+    assert {file.name: file.read_text() for file in folder.glob("*.[ch]")} == texts
     assert main(["can", "firmware", stage, "-o", str(folder), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["source"] == FOREIGN.make_wire().source()
     (tmp_path / "file").touch()

@@ -1,0 +1,142 @@
+"""A kill or a full disk at any write of any verb leaves the inputs as they were, and each output old or new."""
+
+import argparse
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import interrupted
+import pytest
+
+from straightcomp_ros.cli.main import main, make_parser
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = "--set stage.motion.stroke=0.02"
+NEW = "stage new mine --yes"
+OLD_STORE = "history add smc -o store --jobs 1"
+CASES = {
+    # verb and the options of what it writes: (what comes before it, its words)
+    "can firmware -o": ([NEW, "can firmware mine/stage.yaml -o c"], "can firmware mine/stage.yaml -o c"),
+    "commission --output": (
+        [NEW, "commission mine/stage.yaml -o out --only connection"],
+        "commission mine/stage.yaml -o out --only connection",
+    ),
+    "design --output": ([NEW], "design mine/stage.yaml -o mine/stage.yaml --evaluations 1 --machines 1"),
+    "evaluate --report": (["evaluate smc --report r.html"], "evaluate smc --report r.html --force"),
+    "frequency-response --output": ([], "frequency-response -o r.png --force --lines 5 --draws 3 --lowest 10"),
+    "friction --output": ([], "friction smc -o p.yaml --force"),
+    "friction --excitation": ([], "friction --excitation p.yaml --force"),
+    "history add --store": ([OLD_STORE], "history add uncompensated smc -o store --jobs 1 --again"),
+    "history compact store": ([OLD_STORE, "history add uncompensated -o store --jobs 1"], "history compact store"),
+    "history advise --output": ([OLD_STORE, "history advise store -o out"], "history advise store -o out"),
+    "history report --output": ([OLD_STORE, "history report store -o out"], "history report store -o out"),
+    "map build --output --plot": ([], "map build survey -o p.yaml --plot r.png --force"),
+    "map convert --output": (["map export -o t.cal"], "map convert t.cal -o p.yaml --force"),
+    "map export --output": ([], "map export -o t.cal --force"),
+    "opcua user file": (["opcua user users ann"], "opcua user users bob"),
+    "recover --output": ([], "recover cut_off -o new"),
+    "reproduce --output": ([], "reproduce -o out --force"),
+    "robustness --plot": ([], f"robustness --trials 2 --jobs 1 --plot r.png --force {SHORT}"),
+    "simulate --learned --bag --plot": (
+        [f"simulate --learned table.csv {SHORT}"],
+        f"simulate --learned table.csv --bag new --plot r.png --force {SHORT}",
+    ),
+    "stage new folder": ([NEW], "stage new mine --yes --force --survey s.csv"),
+}
+SAME = {"history map --output --plot"}
+"""It writes as map build does."""
+LIVE = {"demo --output", "replay --output"}
+"""These start nodes; test/nodes/test_interrupted_runs.py has them."""
+EMPTY = {"bench boards --output", "bench graph --output", "bench stages --output", "bench wear --store"}
+EMPTY |= {"faults --output", "soak --output"}
+"""They write into a new or empty folder."""
+READ = re.compile(
+    "--(bag|board|certificates|check-survey|compare|firmware|limits|maintenance|map|params-file|server-certificate|"
+    "socket|stage|survey)|bag|bags|file|log|source|stage|store"
+)
+PATHS = {"BAG", "BAG2", "CSV", "DIR", "FILE", "FOLDER", "LOG", "PATH", "SOURCE", "STAGE", "STORE"}
+LONG = {"reproduce --output": 5}
+"""So many of its writes are spoiled, evenly spread: each takes half a minute of computing."""
+QUICK = ("can firmware -o", "map convert --output", "opcua user file", "stage new folder")
+
+
+def commands(parser, words=""):
+    """Each command of the command line, with the options and arguments that name a file."""
+    deeper = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    own = [action for action in parser._actions if action.metavar in PATHS]
+    yield words.strip(), {(action.option_strings or [action.dest])[0] for action in own}
+    for action in deeper:
+        for name, below in action.choices.items():
+            yield from commands(below, f"{words} {name}")
+
+
+def test_each_option_that_names_a_file_is_read_or_is_written_by_a_case_here():
+    written = {}
+    for case in (*CASES, *SAME, *LIVE, *EMPTY):
+        words = case.split()
+        split = next(i for i, word in enumerate(words) if word.startswith("-") or i + 1 == len(words))
+        written.setdefault(" ".join(words[:split]), set()).update(words[split:])
+    found = dict(commands(make_parser()))
+    for words, options in found.items():
+        assert all(map(READ.fullmatch, options - written.get(words, set()))), words
+    assert all(options <= found[words] for words, options in written.items())
+
+
+def template(folder, case, monkeypatch):
+    """A folder with the inputs of a case, what comes before it, and files of the user under the names it writes."""
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("STRAIGHTCOMP_OPCUA_PASSWORD", "long enough")
+    before, words = CASES[case]
+    for line in (*before, words):
+        for name in {"smc", "uncompensated", "survey", "cut_off"} & set(line.split()):
+            shutil.copytree(ROOT / "bags" / name, name, dirs_exist_ok=True)
+    shutil.copy(ROOT / "config" / "survey_synthetic.csv", "s.csv")
+    for line in before:
+        assert main(shlex.split(line)) == 0
+    for name in {"r.png", "p.yaml", "t.cal"} & set(words.split()):
+        if not Path(name).exists():
+            Path(name).write_text("the user's own\n")
+    return shlex.split(words)
+
+
+def outcomes(tmp_path, case, most, monkeypatch):
+    words = template(tmp_path / "template", case, monkeypatch)
+    work = tmp_path / "work"
+    work.mkdir()
+    command = [sys.executable, interrupted.__file__, str(tmp_path / "template"), str(work), str(most), *words]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "TMPDIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=3000)
+    assert done.returncode == 0, done.stderr
+    first, *facts = map(json.loads, done.stdout.splitlines())
+    assert first["code"] in (0, 1) and first["writes"] > 2, first
+    return first, facts
+
+
+def judge(first, facts):
+    for fact in facts:
+        assert not fact["spoiled"] and not fact["left"], fact
+        if fact["kind"] == interrupted.KILL:
+            assert fact["code"] == -9, fact
+        elif not (fact["done"] and fact["code"] == first["code"]):
+            # In one sentence: rich breaks none.
+            assert fact["code"] in (1, 2) and "Traceback" not in fact["said"], fact
+            assert fact["said"].splitlines()[-1].startswith("straightcomp "), fact
+
+
+@pytest.mark.parametrize("case", QUICK)
+def test_a_fault_at_some_writes_spoils_nothing(tmp_path, case, monkeypatch):
+    judge(*outcomes(tmp_path, case, 4, monkeypatch))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("case", CASES)
+def test_a_fault_at_any_write_spoils_nothing(tmp_path, case, monkeypatch):
+    first, facts = outcomes(tmp_path, case, LONG.get(case, 0), monkeypatch)
+    print(f"{case}: {first['writes']} writes, {len(facts)} faults")
+    judge(first, facts)

@@ -1,0 +1,82 @@
+"""No verb replaces what it reads, or, unasked, a file that is there."""
+
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+INPUTS = [
+    "map convert t.cal -o t.cal",
+    "map convert t.cal -o link.cal",
+    "map export --survey s.csv -o s.csv --format aerotech",
+    "map build s.csv -o s.csv",
+    "map build smc -o smc/metadata.yaml",
+    "evaluate smc --report smc/smc_0.mcap",
+    "evaluate smc --limits mine --report mine",
+    "evaluate smc --compare survey --report survey/metadata.yaml",
+    "friction smc -o smc/smc_0.mcap",
+    "friction --excitation s.csv --set stage.guide.file=s.csv",
+    "design one/stage.yaml -o one/survey.csv",
+    "history map store sound --map s.csv -o s.csv",
+    "simulate --params-file run.png --plot run.png",
+    "simulate --bag smc",
+    "recover smc -o survey",
+    "recover smc -o smc",
+]
+THERE = [
+    "map build s.csv -o mine",
+    "map convert t.cal -o mine",
+    "map export -o mine --format aerotech",
+    "evaluate smc --report mine",
+    "friction smc -o mine",
+    "friction --excitation mine",
+    "simulate --plot run.png",
+    "simulate --learned mine",
+    "robustness --trials 1 --plot run.png",
+    "frequency-response -o run.png",
+    "design one/stage.yaml -o one/mine",
+    "stage new two --yes",
+    "reproduce -o two",
+    "can firmware one/stage.yaml -o two",
+    "commission one/stage.yaml -o two --only connection",
+]
+
+
+def content():
+    return {str(path): path.read_bytes() for path in Path().rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("smc", "survey"):
+        shutil.copytree(ROOT / "bags" / name, name)
+    shutil.copy(ROOT / "config" / "survey_synthetic.csv", "s.csv")
+    for line in ("stage new one --yes", "map export -o t.cal"):
+        assert main(line.split()) == 0
+    Path("link.cal").symlink_to("t.cal")
+    Path("two").mkdir()
+    names = "mine run.png one/mine two/survey.csv two/figure_2.png two/frames.h two/commission.json"
+    for name in names.split():
+        Path(name).write_text("true_pp_um: 1.0\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "line", [*(f"{line} --force" for line in INPUTS if "--bag" not in line and "recover" not in line)]
+)
+def test_what_a_command_reads_is_not_replaced_even_where_it_is_asked_for(folder, line):
+    before = content()
+    assert main(shlex.split(line)) == 2
+    assert content() == before
+
+
+@pytest.mark.parametrize("line", [*INPUTS, *THERE])
+def test_what_is_there_is_not_replaced_unasked(folder, line):
+    before = content()
+    assert main(shlex.split(line)) in (1, 2)
+    assert content() == before
