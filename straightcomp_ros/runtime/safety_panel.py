@@ -120,7 +120,7 @@ class SafetyPanel:
                 refusal = self._safety.enable()
                 self._on_for_client = bool(self._client.doing)
             response.success, response.message = not refusal, refusal or "amplifier on"
-            self._node.get_logger().info(f"enable: {response.message}")
+        self._node.get_logger().info(f"enable: {response.message}")
         self.report()
         return response
 
