@@ -128,7 +128,14 @@ class CellNode(Runnable):
 
     def leave(self) -> Future | None:
         """Switch the amplifier off if the cycle is not finished."""
-        return self._services.leave() if self._sequence.at_work else None
+        if self._sequence.at_work:
+            return self._services.leave()
+        if self._sequence.state not in _GIVEN_UP or self.done.result() != 0:
+            return None
+        # Stopped while it waits for the reason of its failure: the amplifier is off.
+        left = Future()
+        left.set_result("")
+        return left
 
 
 def main() -> int:

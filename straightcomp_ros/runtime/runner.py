@@ -7,6 +7,7 @@ The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI
 import gc
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -173,11 +174,15 @@ def _left(runnable: Runnable, executor: Executor) -> bool:
     leaving, logger = runnable.leave(), runnable.node.get_logger()
     if leaving is None:
         return False
+    refusal, end = f"the driver did not answer within {_LEAVE_WITHIN_S:g} s", time.monotonic() + _LEAVE_WITHIN_S
     try:
-        executor.spin_until_future_complete(leaving, timeout_sec=_LEAVE_WITHIN_S)
-        refusal = leaving.result() if leaving.done() else f"the driver did not answer within {_LEAVE_WITHIN_S:g} s"
+        # After an error in a callback the first call returns at once.
+        while not leaving.done() and time.monotonic() < end:
+            executor.spin_until_future_complete(leaving, timeout_sec=_LEAVE_WITHIN_S)
     except Exception as error:  # Another error ends this node already: say what became of the amplifier.
         refusal = str(error)
+    if leaving.done():
+        refusal = leaving.result()
     if refusal:
         logger.error(f"interrupted; the amplifier could not be switched off: {refusal}")
     else:
