@@ -1,5 +1,6 @@
 """The nodes' diagnostics in a bag."""
 
+import warnings
 from pathlib import Path
 
 from straightcomp_ros.bags import BagError
@@ -29,7 +30,12 @@ def read_reports(bag: Path) -> dict[str, list[Report]]:
         messages = messages_on(topic, files).data if topic else []
     for number, data in enumerate(messages):
         where = f"bag {bag}: topic '{topic}', message {number}"
-        message = decoded(where, data, "diagnostic_msgs/msg/DiagnosticArray")
+        try:
+            message = decoded(where, data, "diagnostic_msgs/msg/DiagnosticArray")
+        except BagError as error:
+            # Any program on the machine may publish here.
+            warnings.warn(f"{error}; it is left out", stacklevel=2)
+            continue
         time_ns = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
         for status in message.status:
             values = {value.key: value.value for value in status.values}

@@ -86,8 +86,17 @@ class CellNode(Runnable):
         log.info(f"stage moves: {cycles(self._parameters.stage.motion, strokes)[-1].time_ns * 1e-9:.1f} s")
         yield from self._follow_motion()
         yield from self._until(State.COMPLETE)
+        yield from self._all_alive()
         lost = self._watch.reports().get("driver", {}).get(LOST, "?")
         log.info(f"cycle complete: {strokes} strokes, {sequence.recovered} faults, {lost} samples lost")
+
+    def _all_alive(self) -> Iterator[None]:
+        """Wait for a heartbeat of each node: one that died in the last moments is not seen to be missing yet."""
+        begin = time.monotonic()
+        while self._services.quiet(time.monotonic() - begin):
+            if self._seen.missing:
+                raise CycleFailed(self._seen.absence)
+            yield
 
     def _follow_motion(self) -> Iterator[None]:
         sequence, recovered = self._sequence, 0
