@@ -139,7 +139,7 @@ def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
     # less than half of that lateness, something else delayed the loop.
     no_cpu = [min(late_us, wait_us) for late_us, wait_us in zip(late, waits, strict=True) if wait_us >= 0.5 * late_us]
     known = [late_us for late_us in late if not math.isnan(late_us)]
-    return HeldUp(max(no_cpu, default=0.0), max(known, default=0.0), scheduling)
+    return HeldUp(max([0.0, *no_cpu]), max([0.0, *known]), scheduling)
 
 
 def blamed(nodes: Mapping[str, HeldUp]) -> str:
