@@ -154,6 +154,8 @@ def _offered(tree: ast.AST) -> Iterator[tuple[list[tuple[str, str]], str, str]]:
         if not (isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "create_service"):
             continue
         kind, name, callback = call.args[0], call.args[1], call.args[2]
+        if isinstance(name, ast.Name):
+            continue  # passes on what a node of ours calls
         if isinstance(name, ast.Constant):
             yield [(name.value.removeprefix("~/"), "")], ast.unparse(kind), _method(callback)
             continue

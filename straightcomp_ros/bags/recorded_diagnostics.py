@@ -1,5 +1,6 @@
 """The nodes' diagnostics in a bag."""
 
+import warnings
 from pathlib import Path
 
 from straightcomp_ros.bags import BagError
@@ -35,7 +36,12 @@ def reports_in(bag: Path, messages: Messages, encoder: str | None) -> dict[str, 
     reports: dict[str, list[Report]] = {}
     for number, data in enumerate(messages.data):
         where = f"bag {bag}: topic '{messages.topic}', message {number}"
-        message = decoded(where, data, "diagnostic_msgs/msg/DiagnosticArray")
+        try:
+            message = decoded(where, data, "diagnostic_msgs/msg/DiagnosticArray")
+        except BagError as error:
+            # Any program on the machine may publish here.
+            warnings.warn(f"{error}; it is left out", stacklevel=2)
+            continue
         time_ns = message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
         for status in message.status:
             values = {value.key: value.value for value in status.values}

@@ -77,7 +77,9 @@ DONE: Mapping[State, State] = {
 """The state that follows when a state's work is done. All other states wait for a command."""
 
 FAILED: Mapping[State, State] = {
-    **dict.fromkeys((State.RESETTING, State.STARTING), State.STOPPING),
+    # Resetting has switched nothing on: an amplifier that is on then is another client's.
+    State.RESETTING: State.STOPPED,
+    State.STARTING: State.STOPPING,
     **dict.fromkeys((State.CLEARING, State.EXECUTE, State.HOLDING, State.COMPLETING, State.STOPPING), State.ABORTING),
 }
 """The state that follows when a state's work fails."""

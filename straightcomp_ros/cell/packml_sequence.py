@@ -14,6 +14,7 @@ AMPLIFIER_OFF = "the amplifier went off"
 _BEGINNING = (Command.RESET, Command.START)
 _WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
 _WITH_AMPLIFIER = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
+_AT_WORK = (State.STARTING, *_WITH_AMPLIFIER, State.COMPLETING, State.STOPPING, State.ABORTING)
 
 
 class CellSequence:
@@ -49,7 +50,7 @@ class CellSequence:
     ) -> None:
         self._machine, self._clock, self._recoveries = machine, clock, recoveries
         self._works = self.work_of_states(machine, motion, start_timeout, clock(), as_one=as_one, home=home)
-        self.recovered = 0
+        self.recovered, self._named = 0, False
         self._enter(State.STOPPED, "")
 
     @property
@@ -65,7 +66,7 @@ class CellSequence:
     @property
     def at_work(self) -> bool:
         """Whether the sequence may have the amplifier on."""
-        return self.state in ACCEPTED[Command.STOP] or self.state is State.STOPPING
+        return self.state in _AT_WORK
 
     @property
     def progress(self) -> float:
@@ -121,7 +122,13 @@ class CellSequence:
     def tick(self, seen: Observation) -> None:
         """Continue with the graph as ``seen`` now."""
         self._works.now, self._works.seen = self._clock(), seen
-        trouble = "" if self._recovering else self._trouble(seen)
+        missing = seen.absence if seen.missing else ""
+        # A machine whose controller has died cannot be switched on again.
+        trouble = missing if self._recovering else self._trouble(seen)
+        if missing and self.state in (State.ABORTING, State.ABORTED) and not self._named:
+            # A fault is seen at once, but that a node has died, which may be its cause, only from its silence.
+            self._named = True
+            self.message = self.message if missing in self.message else f"{self.message}; {missing}"
         if trouble and self._recoverable(seen):
             self.recovered += 1
             self._recovering, self._work = True, self._works.recover(self._work, self._has_recovered)
@@ -138,6 +145,7 @@ class CellSequence:
     def _enter(self, state: State, message: str) -> None:
         self.state, self.message = state, message
         self._recovering = False
+        self._named = state is State.ABORTED and self._named
         self._work = self._works.of(state, self._clock())
         if state is State.ABORTING:
             self._machine.switch_off()

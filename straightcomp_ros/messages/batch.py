@@ -45,4 +45,7 @@ def unpack_batch(batch: bytes, size: int) -> list[tuple[int, bytes]]:
     if length % step:
         raise LayoutMismatch(f"{BATCH_TYPE}: {length} bytes are no multiple of {step}, the size of one message")
     at = range(_HEAD.size, _HEAD.size + length, step)
-    return [(_TIME.unpack_from(batch, k)[0], batch[k + _TIME.size : k + step]) for k in at]
+    messages = [(_TIME.unpack_from(batch, k)[0], batch[k + _TIME.size : k + step]) for k in at]
+    if any(made_ns < 0 for made_ns, _ in messages):
+        raise LayoutMismatch(f"{BATCH_TYPE}: a message was made before 1970")
+    return messages

@@ -17,6 +17,9 @@ import numpy as np
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian
 NANOSECONDS = 1_000_000_000
 _HEADER_STAMP = struct.Struct("<iI")
+SHORTEST = len(ENCAPSULATION) + _HEADER_STAMP.size
+"""Bytes of a message's encapsulation and stamp."""
+_NOT_A_STAMP = "a stamp with less than 1e9 nanoseconds"
 
 
 class LayoutMismatch(ValueError):
@@ -103,6 +106,8 @@ class Layout:
                     if fields[0] != ENCAPSULATION
                     else f"{self.type_name}: other names or array lengths than {self.columns}"
                 )
+            if fields[2] >= NANOSECONDS:
+                raise LayoutMismatch(f"{self.type_name}: {_NOT_A_STAMP}")
             return fields[1] * NANOSECONDS + fields[2], number_fields(fields)
 
         return unpack
@@ -187,6 +192,8 @@ def read_by_names(layout: Layout, message: Any) -> tuple[int, list[float]]:
         if joint not in names or names.index(joint) >= len(values):
             raise LayoutMismatch(f"{array} of '{joint}'")
         numbers.append(float(values[names.index(joint)]))
+    if stamp.nanosec >= NANOSECONDS:
+        raise LayoutMismatch(_NOT_A_STAMP)
     return stamp.sec * NANOSECONDS + stamp.nanosec, numbers
 
 
@@ -232,6 +239,7 @@ def joint_trajectory_point(
 
 
 def header_stamp_ns(data: bytes) -> int:
-    """Stamp in ns of any message that starts with a std_msgs/Header, from its serialised bytes (little endian)."""
+    """Stamp in ns of any message that starts with a std_msgs/Header, from its serialised bytes (little endian), at
+    least :data:`SHORTEST`."""
     sec, nanosec = _HEADER_STAMP.unpack_from(data, len(ENCAPSULATION))
     return int(sec * NANOSECONDS + nanosec)

@@ -25,6 +25,8 @@ from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
 _TICK_S = 0.05
 _REPORTED_S = 1.5
 """Every node publishes its next diagnostics within this time."""
+_QUIET_S = 0.5
+"""A node without a heartbeat for this time, of ten in a second, may have ended."""
 _GIVEN_UP = (State.STOPPING, State.STOPPED, State.ABORTING, State.ABORTED)
 
 
@@ -59,14 +61,17 @@ class CellNode(Runnable):
         node.create_timer(_TICK_S, self._tick)
 
     def _explained(self, cycle: Iterator[None]) -> Iterator[None]:
-        """Run the cycle. If it fails, add to the message what delayed the nodes."""
+        """Run the cycle. If it fails, add to the message which node does not work any more, or what delayed them."""
         try:
             yield from cycle
         except CycleFailed as failure:
             before, end = self._watch.reports(), time.monotonic() + _REPORTED_S
             # Keep ticking: the sequencer still has to switch the amplifier off.
-            while time.monotonic() < end:
+            while time.monotonic() < end or (not self._seen.missing and self._services.quiet(_QUIET_S)):
                 yield
+            if self._seen.missing:
+                gone = self._seen.absence
+                raise CycleFailed(str(failure) if gone in str(failure) else f"{failure} ({gone})") from failure
             after = self._watch.reports()
             why = blamed({node: held_up([before.get(node, {}), after[node]]) for node in IN_THE_LOOP if node in after})
             raise CycleFailed(f"{failure} ({why})" if why else str(failure)) from failure
@@ -81,8 +86,17 @@ class CellNode(Runnable):
         log.info(f"stage moves: {cycles(self._parameters.stage.motion, strokes)[-1].time_ns * 1e-9:.1f} s")
         yield from self._follow_motion()
         yield from self._until(State.COMPLETE)
+        yield from self._all_alive()
         lost = self._watch.reports().get("driver", {}).get(LOST, "?")
         log.info(f"cycle complete: {strokes} strokes, {sequence.recovered} faults, {lost} samples lost")
+
+    def _all_alive(self) -> Iterator[None]:
+        """Wait for a heartbeat of each node: one that died in the last moments is not seen to be missing yet."""
+        begin = time.monotonic()
+        while self._services.quiet(time.monotonic() - begin):
+            if self._seen.missing:
+                raise CycleFailed(self._seen.absence)
+            yield
 
     def _follow_motion(self) -> Iterator[None]:
         sequence, recovered = self._sequence, 0
@@ -120,6 +134,17 @@ class CellNode(Runnable):
         except CycleFailed as failure:
             self.node.get_logger().error(f"cycle failed: {failure}")
             self.done.set_result(EXIT_FAILURE)
+
+    def leave(self) -> Future | None:
+        """Switch the amplifier off if the cycle is not finished."""
+        if self._sequence.at_work:
+            return self._services.leave()
+        if self._sequence.state not in _GIVEN_UP or self.done.result() != 0:
+            return None
+        # Stopped while it waits for the reason of its failure: the amplifier is off.
+        left = Future()
+        left.set_result("")
+        return left
 
 
 def main() -> int:

@@ -55,6 +55,8 @@ class OpcuaNode:
         node.get_logger().info(f"OPC UA at {parameters.opcua.endpoint}, {security}")
 
     def _tick(self) -> None:
+        if self.done.done():
+            return
         self._watch.fetch()
         seen = self._watch.observation(self._services.states, self._services.commissioning)
         for request in self._server.requests():
@@ -74,7 +76,7 @@ class OpcuaNode:
         answers, self._answers = self._answers, []
         for request, refusal in answers:
             request.answer.set_result(refusal)
-        if not (self._server.alive or self.done.done()):
+        if not self._server.alive:
             self.node.get_logger().error("the OPC UA server has ended")
             self.done.set_result(EXIT_FAILURE)
 
@@ -99,10 +101,12 @@ class OpcuaNode:
             **{name.capitalize(): getattr(motion, name) for name in ("stroke", "speed", "acceleration")},
         }
 
+    def leave(self) -> Future | None:
+        """Switch the amplifier off if a cycle runs, since no client can hold or stop it any more."""
+        return self._services.leave() if self._sequence.at_work else None
+
     def close(self) -> None:
-        """Switch the amplifier off if a cycle runs, since no client can hold or stop it any more; stop the server."""
-        if self._sequence.at_work:
-            self._services.switch_off()
+        """Stop the server."""
         self._server.close()
 
 

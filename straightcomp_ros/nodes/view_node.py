@@ -55,15 +55,19 @@ class ViewNode:
         self._board = Board({name: Series(_SLOT_S, scale) for name, scale in _SHOWN.items()})
         self._wanted: list[Callable[[], None]] = []
         buttons = {
-            "enable": partial(self._ask, self._services.switch_on, "amplifier on"),
+            "enable": partial(self._ask, self._switch_on, "amplifier on"),
             "disable": partial(self._ask, self._services.switch_off, "amplifier off"),
             "reset": partial(self._ask, self._services.reset_faults, "faults reset"),
         }
+        self._own, self._on = False, False
+        """Whether a page switched the amplifier on, and whether it was seen on since."""
         self._server = ViewServer(port, self._board, buttons)
         node.create_timer(_FETCH_S, self._fetch)
         ready(self._server.url)
 
     def _fetch(self) -> None:
+        if self.done.done():
+            return
         fetched = self._watch.fetch()
         for name, messages, column, sign in (
             ("x", fetched.positions, 0, 1.0),
@@ -84,6 +88,8 @@ class ViewNode:
             self._watch.observation(self._services.states, self._services.commissioning),
             self._watch.reports(),
         )
+        self._on = self._own and (self._on or seen.amplifier_on)
+        self._own = self._own and (seen.amplifier_on or not self._on)
         nodes = {
             node: {"state": state} | {shown: reports.get(node, {}).get(key, "") for shown, key in _OF_NODE.items()}
             for node, state in seen.nodes.items()
@@ -100,6 +106,13 @@ class ViewNode:
             }
         )
 
+    def _switch_on(self, then: Callable[[str], None]) -> None:
+        def answered(refusal: str) -> None:
+            self._own, self._on = self._own or not refusal, False
+            then(refusal)
+
+        self._services.switch_on(answered)
+
     def _ask(self, service: Callable[[Callable[[str], None]], None], done: str) -> str:
         """Called by a thread of the page: let the main thread call a service, and wait for its answer."""
         refusals: queue.Queue[str] = queue.Queue()
@@ -111,6 +124,10 @@ class ViewNode:
         if refusal:
             raise ActionRefused(refusal)
         return done
+
+    def leave(self) -> Future | None:
+        """Switch the amplifier off if a page switched it on: without the page nobody can switch it off."""
+        return self._services.leave() if self._own else None
 
     def close(self) -> None:
         """Stop serving the page; the graph keeps running."""

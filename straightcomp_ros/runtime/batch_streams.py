@@ -16,7 +16,8 @@ from std_msgs.msg import UInt8MultiArray
 
 from straightcomp_ros.contract import Stream
 from straightcomp_ros.messages.batch import pack_batch, unpack_batch
-from straightcomp_ros.messages.cdr import LayoutMismatch, header_stamp_ns
+from straightcomp_ros.messages.cdr import SHORTEST, LayoutMismatch, header_stamp_ns
+from straightcomp_ros.runtime.guarded_node import Complaints
 from straightcomp_ros.runtime.inside_rclpy import raw_publish
 from straightcomp_ros.runtime.streams import (
     Messages,
@@ -169,10 +170,10 @@ class BatchQueue:
 
         kind = message_type(stream.layout.type_name)
         self._make_direct: Callable[[], RawQueue] = lambda: queue(kind, stream.topic)
-        self._node, self._stream = node, stream
+        self._stream = stream
         self._batches = queue(UInt8MultiArray, stream.batch_topic, complete)
         self._direct: RawQueue | None = self._make_direct()
-        self._warned = False
+        self._dropped = Complaints(node, f"batches on '{stream.batch_topic}' are dropped")
         self._newest_ns: int | None = None
         """Stamp of the newest message received one by one; batches repeat the messages up to it."""
         self._looked_ns = 0
@@ -193,7 +194,8 @@ class BatchQueue:
         copies = self._unpacked(self._batches.fetch())
         messages: Messages = []
         if self._direct is not None:
-            messages = self._direct.fetch()
+            # What is too short for a stamp is no message of the stream.
+            messages = [message for message in self._direct.fetch() if len(message[0]) >= SHORTEST]
             if messages:
                 self._newest_ns = header_stamp_ns(messages[-1][0])
             if copies:
@@ -216,9 +218,7 @@ class BatchQueue:
                     for made_ns, data in unpack_batch(batch, size)
                 ]
             except LayoutMismatch as error:
-                if not self._warned:
-                    self._node.get_logger().warning(f"batches on '{self._stream.batch_topic}' are dropped: {error}")
-                    self._warned = True
+                self._dropped.say(error)
         return messages
 
     @staticmethod

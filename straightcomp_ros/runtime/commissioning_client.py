@@ -17,6 +17,7 @@ from straightcomp_ros.contract import COMMISSIONING_CLIENT
 GONE_AFTER_S = 1.0
 """A process that was killed or suspended is taken for gone after this time."""
 _BEGINS = "begins"
+_LONGEST_WORDS = 500
 _LIVELY = QoSProfile(
     depth=1,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
@@ -62,7 +63,7 @@ class CommissioningWatch:
         return self._told if self._alive else ""
 
     def _on_told(self, message: DiagnosticStatus) -> None:
-        self._told = message.message
+        self._told = message.message[:_LONGEST_WORDS]
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         before, self._alive = self._alive, event.alive_count

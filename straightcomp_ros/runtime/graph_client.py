@@ -17,7 +17,6 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.client import Client
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.signals import SignalHandlerOptions
@@ -28,6 +27,7 @@ from straightcomp_ros.contract import COMMISSIONING_CLIENT, HEARTBEAT, SAFETY_ST
 from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.runtime.commissioning_client import GONE_AFTER_S, CommissioningSign, CommissioningWatch
 from straightcomp_ros.runtime.graph_watch import GraphWatch
+from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.remote_parameters import RemoteParameters
@@ -75,7 +75,7 @@ class GraphClient:
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             # Another name than that of a node which starts such clients.
-            self._node = Node(COMMISSIONING_CLIENT, namespace=namespace or None)
+            self._node = GuardedNode(COMMISSIONING_CLIENT, namespace=namespace or None)
         node, self.safety = self._node, SafetyState()
         self._clients: dict[str, Client] = {
             "driver/enable": node.create_client(SetBool, "driver/enable"),

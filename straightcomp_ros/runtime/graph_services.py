@@ -55,6 +55,10 @@ class GraphServices:
         states |= {name: PLAIN for name, change in self._change_state.items() if not change.ready}
         return states | {name: ABSENT for name in states if name not in self._present}
 
+    def quiet(self, seconds: float) -> bool:
+        """Whether a node has had no heartbeat for ``seconds`` since it had one."""
+        return any(self._heartbeats.states[name] for name in self._heartbeats.silent(seconds))
+
     @property
     def commissioning(self) -> str:
         """What a client that commissions the machine is doing; empty without one."""
@@ -90,6 +94,12 @@ class GraphServices:
 
     def switch_off(self, then: Answer = lambda refusal: None) -> None:
         self._enable.ask(SetBool.Request(data=False), then)
+
+    def leave(self) -> Future:
+        """Switch off at the end of the client; the future's result is the reason for a refusal, or an empty text."""
+        left = Future()
+        self.switch_off(left.set_result)
+        return left
 
     def reset_faults(self, then: Answer = lambda refusal: None) -> None:
         self._reset.ask(Trigger.Request(), then)

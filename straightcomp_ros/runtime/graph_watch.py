@@ -12,6 +12,7 @@ from rclpy.node import Node
 
 from straightcomp_ros.cell.observation import ABSENT, SILENT, Observation
 from straightcomp_ros.cell.stroke_errors import StrokeErrors
+from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.contract import (
     ALWAYS_PUBLISHED,
     CONTROLLER_STATE,
@@ -22,9 +23,9 @@ from straightcomp_ros.contract import (
     UNCONNECTED,
 )
 from straightcomp_ros.runtime.batch_streams import batched_queue
-from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
+from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, SafetyState
 from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node
-from straightcomp_ros.timing.node_timing import DESCRIPTION, EXCITATION, EXCITING, LOST, SAMPLES, reporting_node
+from straightcomp_ros.timing.node_timing import DESCRIPTION, EXCITATION, EXCITING, LOST, SAMPLES, count, reporting_node
 
 _REPORT_LASTS_S = 5.0
 _YIELD_EVERY = 64
@@ -130,8 +131,8 @@ class GraphWatch:
             amplifier_on=fresh and self._safety.amplifier_on,
             still=self._strokes.still,
             stroke_error_pp=self._strokes.last_pp,
-            samples=int(controller.get(SAMPLES, 0)),
-            lost_samples=int(controller.get(LOST, 0)),
+            samples=count(controller, SAMPLES),
+            lost_samples=count(controller, LOST),
         )
 
     def _unrecorded(self, reports: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
@@ -147,9 +148,10 @@ class GraphWatch:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             name = reporting_node(status.name, self._node.get_namespace())
-            if not name:
+            # Each name stays in memory, and any program may publish here.
+            if name not in NODE_PARAMETERS:
                 continue
             self._reports[name] = (time.monotonic(), {value.key: value.value for value in status.values})
             self._errors.pop(name, None)
             if status.level == DiagnosticStatus.ERROR:
-                self._errors[name] = status.message
+                self._errors[name] = status.message[:LONGEST_REASON]

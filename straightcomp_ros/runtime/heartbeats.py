@@ -23,9 +23,10 @@ class Heartbeats:
         node.create_subscription(DiagnosticStatus, HEARTBEAT, self._on_heartbeat, 100)
         node.create_timer(_TICK_S, self._tick)
 
-    def silent(self) -> list[str]:
-        """Nodes without a heartbeat within the timeout."""
-        return [name for name, age in self._ages.items() if age >= self._timeout]
+    def silent(self, seconds: float | None = None) -> list[str]:
+        """Nodes without a heartbeat within the timeout, or within ``seconds``."""
+        limit = self._timeout if seconds is None else seconds
+        return [name for name, age in self._ages.items() if age >= limit]
 
     def forget(self, name: str) -> None:
         """Count a node that is started again as silent until its next heartbeat."""

@@ -25,6 +25,7 @@ from straightcomp_ros.contract import HEARTBEAT
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.runtime.changes import ParameterChanges
 from straightcomp_ros.runtime.declare import declare
+from straightcomp_ros.runtime.guarded_node import Complaints, refusal
 from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service
 from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
@@ -34,8 +35,6 @@ from straightcomp_ros.timing.normal_priority import at_normal_priority
 
 REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
 """Raised if parameters, files or the machine cannot be used."""
-RUN_FAILURES = (BagError, HardwareError, OSError)
-"""Raised while a node runs."""
 EXIT_FAILURE = 1
 """Exit code of a node that failed while it ran."""
 
@@ -253,14 +252,12 @@ _DESTROY = {
 def _refuse_wrong_transitions(node: LifecycleNode) -> None:
     """Answer a transition that the state does not allow with ``success`` false; rclpy lets it end the process."""
     service = state_service(node)
-    change = service.callback
+    change, refused = service.callback, Complaints(node, "a transition is refused")
 
     def answer(request: Any, response: Any) -> Any:
         try:
             return change(request, response)
         except RuntimeError as error:
-            node.get_logger().warning(f"transition refused: {error}".splitlines()[0])
-            response.success = False
-            return response
+            return refusal(response, refused.say(str(error).partition("\n")[0]))
 
     service.callback = answer

@@ -41,9 +41,10 @@ class RemoteParameters:
             names = list(future.result().result.names)
 
             def got(answer: Future) -> None:
-                self.values[node] = dict(
-                    zip(names, map(parameter_value_to_python, answer.result().values), strict=True)
-                )
+                values = answer.result().values
+                # Not so many after a parameter was undeclared meanwhile: ask again.
+                if len(values) == len(names):
+                    self.values[node] = dict(zip(names, map(parameter_value_to_python, values), strict=True))
 
             client.get_parameters(names).add_done_callback(got)
 

@@ -7,6 +7,7 @@ The EventsExecutor costs half the CPU of the SingleThreadedExecutor. In the PyPI
 import gc
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -17,7 +18,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, RUN_FAILURES, MakeComponent, ManagedNode
+from straightcomp_ros.runtime.guarded_node import RUN_FAILURES
+from straightcomp_ros.runtime.managed import EXIT_FAILURE, REFUSALS, MakeComponent, ManagedNode
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
@@ -30,6 +32,8 @@ EXIT_CONFIGURATION = 2
 # A longer wait overflows in the executor and ends at once.
 _LONGEST_WAIT_S = 1e6
 _LONGEST_DEAFNESS_S = 0.2
+_LEAVE_WITHIN_S = 2.0
+"""Longest wait for the driver's answer at the end: a launcher kills a node 5 s after it asked it to end."""
 
 
 class Runnable(Protocol):
@@ -40,6 +44,10 @@ class Runnable(Protocol):
     realtime: RealtimeParameters
     loop: Loop | None  # runs instead of the executor, which gets the idle time
 
+    def leave(self) -> Future | None:
+        """Begin to switch the amplifier off if the work is not finished, also after an error of this node. None if
+        there is nothing to switch off; otherwise a future whose result is why that failed, empty if it did not."""
+
     def close(self) -> None:
         """Leave outputs safe and data saved; by default nothing to do. The ROS context may have ended already."""
 
@@ -48,8 +56,8 @@ def run(name: str, make: Callable[[Node], Runnable], arguments: Sequence[str] | 
     """Make the node ``name``, run it until SIGINT, SIGTERM, shutdown of the context or its own end.
 
     Returns:
-        Exit code: 0 after a requested stop, 2 if parameters or files cannot be used, 1 if the node failed, or the
-        result that the node itself gave to ``done``.
+        Exit code: 0 after a requested stop that interrupted no work, 2 if parameters or files cannot be used, 1 if the
+        node failed or its work was interrupted, or the result that the node itself gave to ``done``.
     """
     return _run(
         name, lambda: WithSteadyTimers(name, automatically_declare_parameters_from_overrides=True), make, arguments
@@ -129,7 +137,19 @@ class _StopRequest:
 def _spin(runnable: Runnable) -> int:
     executor = EventsExecutor()
     idle = _settle(runnable, executor)
-    managed = runnable if isinstance(runnable, ManagedNode) else None
+    if isinstance(runnable, ManagedNode):
+        return _spin_until_done(runnable, runnable, executor, idle)
+    interrupted = False
+    try:
+        code = _spin_until_done(runnable, None, executor, idle)
+    finally:
+        interrupted = _left(runnable, executor)
+    return code or (EXIT_FAILURE if interrupted else 0)
+
+
+def _spin_until_done(
+    runnable: Runnable, managed: ManagedNode | None, executor: Executor, idle: Callable[[], None]
+) -> int:
     while not runnable.done.done():
         # Each state of a managed node has its own loop, or none.
         turn = managed.turn if managed else runnable.done
@@ -145,6 +165,29 @@ def _spin(runnable: Runnable) -> int:
                 raise
             managed.fail(error)
     return int(runnable.done.result())
+
+
+def _left(runnable: Runnable, executor: Executor) -> bool:
+    """Let a client leave the machine with the amplifier off; returns whether that interrupted its work."""
+    if not runnable.done.done():
+        runnable.done.set_result(EXIT_FAILURE)
+    leaving, logger = runnable.leave(), runnable.node.get_logger()
+    if leaving is None:
+        return False
+    refusal, end = f"the driver did not answer within {_LEAVE_WITHIN_S:g} s", time.monotonic() + _LEAVE_WITHIN_S
+    try:
+        # After an error in a callback the first call returns at once.
+        while not leaving.done() and time.monotonic() < end:
+            executor.spin_until_future_complete(leaving, timeout_sec=_LEAVE_WITHIN_S)
+    except Exception as error:  # Another error ends this node already: say what became of the amplifier.
+        refusal = str(error)
+    if leaving.done():
+        refusal = leaving.result()
+    if refusal:
+        logger.error(f"interrupted; the amplifier could not be switched off: {refusal}")
+    else:
+        logger.warning("interrupted; the amplifier has been switched off")
+    return True
 
 
 def _settle(runnable: Runnable, executor: Executor) -> Callable[[], None]:

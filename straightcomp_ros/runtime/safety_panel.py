@@ -15,9 +15,12 @@ from straightcomp_ros.runtime.commissioning_client import CommissioningWatch
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched, SafetyMachine
+from straightcomp_ros.timing.node_timing import count
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """A late subscriber gets the last message too."""
+LONGEST_REASON = 500
+"""Characters of a reason that another node gives: it is logged, published and shown."""
 _CONDITION, _CODE = "condition", "code"
 
 
@@ -39,9 +42,8 @@ class SafetyState(NamedTuple):
         """Read a message. One without a known condition counts as a fault."""
         said = {value.key: value.value for value in message.values}
         condition = {known.value: known for known in Condition}.get(said.get(_CONDITION, ""), Condition.FAULT)
-        code = said.get(_CODE, "")
-        fault = f"{message.name}: {message.message}" if message.name else ""
-        return cls(condition, fault, int(code) if code.isdecimal() else 0)
+        fault = f"{message.name}: {message.message}"[:LONGEST_REASON] if message.name else ""
+        return cls(condition, fault, count(said, _CODE))
 
     @property
     def amplifier_on(self) -> bool:
@@ -118,7 +120,7 @@ class SafetyPanel:
                 refusal = self._safety.enable()
                 self._on_for_client = bool(self._client.doing)
             response.success, response.message = not refusal, refusal or "amplifier on"
-            self._node.get_logger().info(f"enable: {response.message}")
+        self._node.get_logger().info(f"enable: {response.message}")
         self.report()
         return response
 
@@ -141,5 +143,5 @@ class SafetyPanel:
         # While the driver is not active the amplifier is off anyway: do not latch a fault that must then be reset.
         if self._node.active:
             fault = LABELLED.get(message.name, Fault.TRIPPED)
-            self._safety.trip(fault, message.message or "no reason given", now_ns())
+            self._safety.trip(fault, message.message[:LONGEST_REASON] or "no reason given", now_ns())
             self.report()

@@ -12,6 +12,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.contract import Stream
 from straightcomp_ros.messages.cdr import LayoutMismatch, read_by_names
+from straightcomp_ros.runtime.guarded_node import Complaints
 from straightcomp_ros.runtime.inside_rclpy import raw_publish, raw_take, waiter
 
 _MESSAGE_TYPES = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
@@ -168,14 +169,13 @@ def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence
     """A function from a serialised message to (stamp_ns, numbers), or None if it lacks a field of the stream.
 
     A message of another layout (other names or order, from another vendor's publisher) is deserialised and read by its
-    names. One that cannot be read is dropped, with one warning.
+    names. One that cannot be read is dropped, with a warning.
     """
     layout = stream.layout
     kind = message_type(layout.type_name)
-    warned, unpack = False, layout.unpack
+    unpack, dropped = layout.unpack, Complaints(node, f"messages on '{stream.topic}' are dropped")
 
     def read(data: bytes) -> tuple[int, Sequence[float]] | None:
-        nonlocal warned
         try:
             return unpack(data)
         except LayoutMismatch:
@@ -183,9 +183,9 @@ def _reader(node: Node, stream: Stream) -> Callable[[bytes], tuple[int, Sequence
         try:
             return read_by_names(layout, deserialize_message(data, kind))
         except LayoutMismatch as error:
-            if not warned:
-                node.get_logger().warning(f"messages on '{stream.topic}' are dropped: they lack {error}")
-                warned = True
-            return None
+            dropped.say(f"they lack {error}")
+        except Exception as error:  # The middleware raises errors of several kinds on malformed bytes.
+            dropped.say(f"they are malformed: {error}")
+        return None
 
     return read

@@ -11,7 +11,8 @@ from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
+
+from straightcomp_ros.runtime.guarded_node import GuardedNode
 
 TICK_S = 0.02
 """Resolution of the timers."""
@@ -84,7 +85,7 @@ class SteadyTimers:
                 return
 
 
-class WithSteadyTimers(Node):
+class WithSteadyTimers(GuardedNode):
     """A node whose timers keep their periods under an EventsExecutor too.
 
     A loop that spins the executor one event at a time calls :meth:`SteadyTimers.call_one` between its cycles.

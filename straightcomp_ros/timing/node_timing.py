@@ -33,6 +33,7 @@ NORMAL, REFUSED = "normal", "normal, real-time priority refused"
 """Scheduling of a node without real-time priority: not requested, or not permitted."""
 _NOTED_US = 5_000.0
 """Shorter delays (ten samples at 2 kHz) happen on every desktop."""
+_MOST, _DIGITS = 2**63 - 1, 20
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
 
@@ -40,6 +41,23 @@ def reporting_node(status: str, namespace: str) -> str:
     """Name of the node in ``namespace`` that publishes a status of this name; empty for another namespace."""
     before, _, name = status.rpartition("/")
     return name if before == namespace.strip("/") else ""
+
+
+def number(values: Mapping[str, str], name: str) -> float:
+    """The value ``name`` of a status, which any program may have written; NaN if there is none or it is no finite
+    number."""
+    try:
+        value = float(values.get(name, "nan"))
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan
+
+
+def count(values: Mapping[str, str], name: str) -> int:
+    """The same for a counter; 0 if there is none or it is no number from 0 to 2⁶³ − 1."""
+    text = values.get(name, "")
+    value = int(text) if text.isdecimal() and len(text) < _DIGITS else 0
+    return value if value <= _MOST else 0
 
 
 def percentiles_us(distribution: Distribution) -> dict[str, float]:
@@ -113,15 +131,15 @@ class NodeTiming:
 
 
 def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
-    """What delayed a node over some of its reports, given by their values; ValueError if a value is not a number."""
-    late = [float(values.get(f"{TIMER_ERROR}_max_us", "nan")) for values in reports]
-    waits = [float(values.get(CPU_WAIT, "nan")) for values in reports]
+    """What delayed a node over some of its reports, given by their values."""
+    late = [number(values, f"{TIMER_ERROR}_max_us") for values in reports]
+    waits = [number(values, CPU_WAIT) for values in reports]
     scheduling = next((values[SCHEDULING] for values in reversed(reports) if SCHEDULING in values), "")
     # Many short waits add up to a long one, but none was longer than the lateness of the loop. If the scheduler counted
     # less than half of that lateness, something else delayed the loop.
     no_cpu = [min(late_us, wait_us) for late_us, wait_us in zip(late, waits, strict=True) if wait_us >= 0.5 * late_us]
     known = [late_us for late_us in late if not math.isnan(late_us)]
-    return HeldUp(max(no_cpu, default=0.0), max(known, default=0.0), scheduling)
+    return HeldUp(max([0.0, *no_cpu]), max([0.0, *known]), scheduling)
 
 
 def blamed(nodes: Mapping[str, HeldUp]) -> str:
@@ -157,9 +175,7 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
 
     ``reports`` are those of one node in the order of their times. The first only marks the beginning, since its values
     describe the time before it.
-
-    Raises:
-        ValueError: a value is not a number, or not a histogram of :meth:`Distribution.to_text`.
+    Values that are no numbers, or no histograms of :meth:`Distribution.to_text`, count as absent.
     """
     inside = [report for report in reports if begin_ns <= report.time_ns <= end_ns]
     if len(inside) < 2:
@@ -167,11 +183,11 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
     first, last = inside[0], inside[-1]
 
     def grown(name: str) -> int:
-        return int(last.values.get(name, 0)) - int(first.values.get(name, 0))
+        return count(last.values, name) - count(first.values, name)
 
     def total(name: str) -> Distribution:
         texts = [report.values.get(f"{name}_histogram") for report in inside[1:]]
-        return reduce(add, (Distribution.from_text(text) for text in texts if text), NOTHING)
+        return reduce(add, (_distribution(text) for text in texts if text), NOTHING)
 
     seconds = (last.time_ns - first.time_ns) * 1e-9
     return NodeTiming(
@@ -183,3 +199,10 @@ def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63)
         latency=total(LATENCY),
         held_up=held_up([report.values for report in inside[1:]]),
     )
+
+
+def _distribution(text: str) -> Distribution:
+    try:
+        return Distribution.from_text(text)
+    except ValueError:
+        return NOTHING

@@ -65,6 +65,7 @@ def test_a_bag_without_diagnostics_has_no_reports(tmp_path):
     assert read_reports(bag_of(tmp_path / "bag", topic="/other")) == {}
 
 
-def test_bytes_that_are_no_diagnostics_are_damage(tmp_path):
-    with pytest.raises(BagError, match=r"diagnostics.*does not decode"):
-        read_reports(bag_of(tmp_path / "bag", b"\x00\x01\x00\x00\xff\xff\xff\xff" * 3))
+def test_bytes_that_are_no_diagnostics_are_left_out_with_a_warning(tmp_path):
+    bag = bag_of(tmp_path / "bag", b"\x00\x01\x00\x00\xff\xff\xff\xff" * 3, message("driver", 5, {"t": "0"}))
+    with pytest.warns(UserWarning, match=r"diagnostics.*does not decode"):
+        assert set(read_reports(bag)) == {"driver"}

@@ -419,6 +419,40 @@ def test_a_cell_that_learns_of_commissioning_while_it_resets_fails_at_once():
     assert bench.sequence.state is FAILED[State.RESETTING] and "being commissioned: design" in bench.sequence.message
 
 
+def test_a_cell_that_fails_in_resetting_leaves_the_amplifier_of_another_client_on():
+    bench = Bench()
+    bench.sequence.command(Command.RESET)
+    bench.seen = replace(bench.seen, commissioning="design", amplifier_on=True)
+    for _ in range(3):
+        bench.tick()
+    assert bench.sequence.state is State.STOPPED and bench.seen.amplifier_on and "off" not in bench.told
+
+
+def test_a_node_that_is_silent_only_after_the_fault_that_its_death_caused_is_added_to_the_reason_once():
+    bench = Bench()
+    bench.started(1)
+    bench.seen = replace(bench.seen, faults={"driver": "command_timeout: no command"})
+    bench.until(State.ABORTED)
+    bench.seen = replace(bench.seen, nodes={"driver": "active", "controller": "silent"})
+    for _ in range(3):
+        bench.tick()
+    assert bench.sequence.message == (
+        "driver: command_timeout: no command; nodes that do not work: controller (silent)"
+    )
+
+
+def test_a_recovery_ends_at_once_when_a_node_has_died():
+    bench = Bench(recoveries=3)
+    bench.started(1)
+    bench.obeys = False
+    bench.seen = replace(bench.seen, amplifier_on=False, faults={"driver": "command_timeout: no command"})
+    bench.tick()
+    assert bench.sequence.recovered == 1 and bench.sequence.state is State.EXECUTE
+    bench.seen = replace(bench.seen, nodes={"driver": "active", "controller": "silent"})
+    bench.tick()
+    assert bench.sequence.state is State.ABORTED and "controller (silent)" in bench.sequence.message
+
+
 def test_commissioning_takes_an_idle_cell_to_aborted_with_the_reason():
     bench = Bench()
     bench.sequence.command(Command.RESET)

@@ -9,7 +9,7 @@ from straightcomp_ros.messages.batch import pack_batch, unpack_batch
 from straightcomp_ros.messages.cdr import LayoutMismatch
 
 SIZE = 12
-TIMES = st.integers(-(2**63), 2**63 - 1)
+TIMES = st.integers(0, 2**63 - 1)
 MESSAGES = st.lists(st.tuples(TIMES, st.binary(min_size=SIZE, max_size=SIZE)), max_size=20)
 
 
@@ -58,3 +58,8 @@ def test_an_array_with_dimensions_or_of_another_byte_order_is_refused(at):
     batch[at] ^= 1
     with pytest.raises(LayoutMismatch):
         unpack_batch(bytes(batch), SIZE)
+
+
+def test_a_batch_with_a_time_before_1970_is_refused_since_no_bag_can_hold_it():
+    with pytest.raises(LayoutMismatch, match="before 1970"):
+        unpack_batch(pack_batch([(-1, bytes(SIZE))]), SIZE)

@@ -4,12 +4,12 @@ import time
 
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE
 from straightcomp_ros.runtime.graph_watch import GraphWatch
-from straightcomp_ros.runtime.safety_panel import LATCHED, safety_status
+from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, safety_status
 from straightcomp_ros.runtime.streams import publisher
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition, Latched
@@ -36,9 +36,11 @@ class Driver:
     def sample(self):
         self._state(time.time_ns(), 0.0, 0.0, 0.0, float(self.condition is not Condition.ON))
 
-    def report(self, name, error):
+    def report(self, name, error, **values):
         level = DiagnosticStatus.ERROR if error else DiagnosticStatus.OK
-        self._diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(level=level, name=name, message=error)]))
+        values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        status = DiagnosticStatus(level=level, name=name, message=error, values=values)
+        self._diagnostics.publish(DiagnosticArray(status=[status]))
 
 
 @pytest.fixture
@@ -103,6 +105,24 @@ def test_diagnostics_of_another_namespace_are_no_fault_of_this_graph(seen):
         driver.report(name, "no samples")
     driver.report("logger", "disk full")
     assert until(lambda seen: seen.faults).faults == {"logger": "disk full"}
+
+
+@pytest.mark.parametrize("value", ["n/a", "", "-1", "1e400", "9" * 5000, "²"])
+def test_a_counter_of_a_status_that_is_no_number_counts_as_absent(seen, value):
+    driver, until = seen
+    driver.report("controller", "no samples", samples=value, lost_samples="7")
+    observation = until(lambda seen: seen.faults)
+    assert (observation.samples, observation.lost_samples) == (0, 7)
+
+
+def test_statuses_of_other_programs_are_neither_faults_of_this_graph_nor_kept(seen):
+    driver, until = seen
+    driver.say(Condition.OFF)
+    for number in range(5):
+        driver.report(f"camera_{number}", "no picture")
+    driver.report("logger", "disk full" * 1000)
+    faults = until(lambda seen: seen.faults).faults
+    assert set(faults) == {"logger"} and len(faults["logger"]) <= LONGEST_REASON
 
 
 @pytest.mark.parametrize("state", ["absent", "silent"])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import NOTHING, Distribution, Histogram
-from straightcomp_ros.timing.node_timing import CPU_WAIT, Report, amplifier_on, summarise, written
+from straightcomp_ros.timing.node_timing import CPU_WAIT, HeldUp, Report, amplifier_on, summarise, written
 
 PERIOD = 500_000
 
@@ -169,3 +169,12 @@ def test_a_summary_is_shown_in_hertz_and_microseconds():
     shown = summarise(reports).to_display()
     assert (shown["rate_hz"], shown["overruns"], shown["lost_samples"]) == (2000.0, 2, 6)
     assert max(shown["timer_error_us"].values()) == pytest.approx(max(values[1] + values[2]) * 1e-3)
+
+
+@pytest.mark.parametrize("value", ["n/a", "", "-1", "nan", "1e400", "9" * 5000, "²", "1:2:3 x"])
+def test_a_value_that_another_program_wrote_counts_as_absent_and_ends_no_summary(value):
+    names = ("samples", "overruns", "stalls", "lost_samples", "timer_error_max_us", "timer_error_histogram", CPU_WAIT)
+    wrong = dict.fromkeys(names, value)
+    summary = summarise([Report(0, wrong), Report(10**9, {**wrong, "overruns": "3"}), Report(2 * 10**9, wrong)])
+    assert (summary.overruns, summary.lost_samples, summary.rate_hz) == (0, 0, 0.0)
+    assert summary.timer_error == NOTHING and summary.held_up == HeldUp()

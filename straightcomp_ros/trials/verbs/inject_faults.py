@@ -15,7 +15,7 @@ from rich.table import Table
 
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.cli.law_tables import rounded
-from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros, styled
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.trials.faults.rows import summary
@@ -27,6 +27,14 @@ _REPEATS, _QUICK = 20, 3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_parameter_options(parser)
+    parser.add_argument(
+        "--kills",
+        type=int,
+        default=0,
+        metavar="N",
+        help="instead: run N cycles of the cell, kill a "
+        "node at a random time in each, and print what cell, evaluate and history say",
+    )
     parser.add_argument("--quick", action="store_true", help=f"{_QUICK} injections of each instead of {_REPEATS}")
     parser.add_argument("--only", metavar="TEXT", default="", help="inject only faults with this text in their name")
     parser.add_argument("--output", "-o", metavar="FOLDER", help="keep bags and logs in this folder")
@@ -38,6 +46,9 @@ def run(options: argparse.Namespace) -> int:
     require_ros()
     from straightcomp_ros.trials.faults.injections import TRIALS, run_trials, trial_parameters
 
+    check_range("--kills", options.kills, 0, 10_000)
+    if options.kills:
+        return _run_kills(options)
     chosen = [trial for trial in TRIALS if options.only in trial.name]
     if not chosen:
         names = ", ".join(trial.name for trial in TRIALS)
@@ -73,6 +84,33 @@ def run(options: argparse.Namespace) -> int:
             for failure in row["failures"]:
                 console.print(f"{row['name']}: {failure}")
     return 0 if figures["all_green"] else 1
+
+
+def _run_kills(options: argparse.Namespace) -> int:
+    from straightcomp_ros.trials.faults.kills import run_kills
+
+    if options.output:
+        folder = output_folder("--output", options.output, empty=True)
+    else:
+        folder = Path(tempfile.mkdtemp(prefix="straightcomp_kills_"))
+    with progress_bar() as bar:
+        task = bar.add_task("starting", total=1.0)
+        kills = run_kills(
+            chosen_parameters(options),
+            folder,
+            options.kills,
+            lambda name, done: bar.update(task, description=name, completed=done),
+        )
+    if options.json:
+        print_json({"kills": [{**kill._asdict(), "named": kill.named} for kill in kills]})
+    else:
+        for kill in kills:
+            words = f"{kill.node} killed {kill.at:.1f} s after the start: cell ended with {kill.exit_code}: {kill.cell}"
+            console.print(
+                f"{words}\n  bag {kill.bag}\n  evaluate {kill.evaluate}\n  history {kill.history}", markup=False
+            )
+        console.print(f"{sum(kill.named for kill in kills)} of {len(kills)} kills were named by the cell")
+    return 0 if all(kill.named for kill in kills) else 1
 
 
 def _table(figures: dict[str, Any]) -> Table:
