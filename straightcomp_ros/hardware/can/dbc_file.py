@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from straightcomp_ros.hardware.can.frames import EXTENDED_ID
 from straightcomp_ros.settings.share import share_path
@@ -69,14 +69,16 @@ class Dbc:
         self._statements = list(_statements(_text(self.path), self.path))
         self._messages: dict[str, Message] = {}
         self._known: dict[str, list[tuple[str, str]]] = {}
-        named = [match.groups() for _, text in self._statements if (match := _MESSAGE.match(text))]
+        matches = [match for _, text in self._statements if (match := _MESSAGE.match(text))]
+        named = [(match[1], match[2]) for match in matches]
         for number, short in named:
             self._known.setdefault(short, []).append((number, short))
         for _, text in self._statements:
             attribute = _ATTRIBUTE.match(text)
             if attribute and attribute[1] == "BA_" and attribute[2] == _LONG_NAME:
-                found = [pair for pair in named if pair[0] == attribute[3]]
-                self._known.setdefault(text.split('"')[3], []).extend(found)
+                name = text.split('"')[3]
+                found = [pair for pair in named if pair[0] == attribute[3] and pair[1] != name]
+                self._known.setdefault(name, []).extend(found)
         if not named:
             raise DbcError(f"'{self.path}' is no valid DBC file: it has no message (BO_)")
 
@@ -102,6 +104,7 @@ class Dbc:
             raise DbcError(f"message '{name}' is in {self.file} {len(found)} times, as {identifiers}; allowed: once")
         try:
             database = cantools.database.load_string("\n".join(self._about(*found[0])), "dbc", strict=False)
+            assert isinstance(database, cantools.database.can.Database)
             (message,) = database.messages
         except (cantools.Error, ValueError, LookupError, TypeError, ArithmeticError, AssertionError) as error:
             reason = " ".join(str(error).split())
@@ -111,7 +114,7 @@ class Dbc:
             raise DbcError(
                 f"message '{name}' of {self.file} has {message.length} bytes; allowed: {', '.join(map(str, sizes))}"
             )
-        return cast("Message", message)
+        return message
 
     def _about(self, number: str, short: str) -> Iterator[str]:
         """The statements of one message. Those of signals that are gone have been left over."""
@@ -119,7 +122,7 @@ class Dbc:
         inside, defined = False, set()
         for keyword, text in self._statements:
             if keyword == "BO_":
-                inside = _MESSAGE.match(text) is not None and _MESSAGE.match(text).groups() == (number, short)
+                inside = (match := _MESSAGE.match(text)) is not None and match.groups() == (number, short)
             if inside and keyword in ("BO_", "SG_"):
                 signals.update(_SIGNAL.findall(text)[:1])
                 yield text
@@ -228,7 +231,9 @@ def _statements(text: str, path: Path) -> Iterator[tuple[str, str]]:
             keyword, begin, closed = word, token.start(), False
         before, end = word, token.end()
         closed = closed or word == ";"
-    if not (closed if keyword in _CLOSED else re.match(_WHOLE.get(keyword, ""), text[begin:end])):
+    # A last table of values without its semicolon is seen in real files.
+    last = closed or (keyword == "VAL_" and before.endswith('"') and text.endswith("\n"))
+    if not (last if keyword in _CLOSED else re.match(_WHOLE.get(keyword, ""), text[begin:end])):
         raise DbcError(f"'{path}' is cut off: it ends within {keyword}")
     if keyword:
         yield keyword, text[begin:end]

@@ -29,7 +29,6 @@ _AT_ONCE = 8
 _SEND_TIMEOUT_S = 1.0
 _SILENCE_S, _JUMP_S, _BACK_S = 1.0, 60.0, 1.0
 """A running board sends at least its samples: a silence is worth a note, and beyond these only a clock was set."""
-_ASAMMDF = "pip install asammdf, which this format needs, or export it as .blf or .asc"
 _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (rb"\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", ".log", "a log of candump"),
     (rb"[ ;\t]*(date\s|base\s+(hex|dec)\b)", ".asc", "an ASC log of Vector"),
@@ -150,7 +149,9 @@ def recorded_frames(file: Path) -> Iterator[can.Message]:
         asc = ".asc" in (suffix.lower() for suffix in file.suffixes[-2:])
         reader = can.ASCReader(_plain_asc(file)) if asc else can.LogReader(file)
     except NotImplementedError as error:
-        raise HardwareError(f"log '{file}': {_ASAMMDF}") from error
+        raise HardwareError(
+            f"log '{file}': MDF needs asammdf; install it by pip, or export the log as .blf or .asc"
+        ) from error
     except (OSError, ValueError, BLFParseError, struct.error) as error:
         raise HardwareError(f"log '{file}': {getattr(error, 'strerror', None) or error}") from error
     number = 0
@@ -220,8 +221,8 @@ def check_times_and_buses(frames: Iterable[can.Message]) -> tuple[int, list[str]
 
 
 def _duration(seconds: float) -> str:
-    units = ((365.25 * 86400, "years"), (86400.0, "days"), (3600.0, "h"), (0.0, "s"))
-    size, name = next(unit for unit in units if abs(seconds) >= 2 * unit[0])
+    units = ((365.25 * 86400, "years"), (86400.0, "days"), (3600.0, "h"), (60.0, "min"), (0.0, "s"))
+    size, name = next(unit for unit in units if abs(seconds) >= unit[0])
     return f"{seconds / (size or 1.0):.3g} {name}"
 
 
