@@ -65,6 +65,7 @@ class Wire:
     def __init__(self, dbc: Dbc, meaning: WireParameters, node: int = 1, fd: bool = True) -> None:
         self.dbc, self.meaning, self.fd, self._node = dbc, meaning, fd, node
         self._places: dict[str, str] = {}
+        self._taken: dict[int, str] = {}
         self._roles = roles = Roles(dbc, meaning, fd)
         signals, homes = roles.signals, roles.homes
         protection = self._protections(homes)
@@ -162,6 +163,9 @@ class Wire:
             identifier = self.dbc.identifier(message, self._node)
         except DbcError as error:
             raise RefusedParameter("node", str(error)) from None
+        other = self._taken.setdefault(identifier, name)
+        if other != name:
+            raise RefusedParameter("dbc", f"messages '{other}' and '{name}' of {self.dbc.file} have one identifier")
         crc, everything = None, {field_of(role): self._roles.signals[role] for role in inside}
         alive = self._roles.in_every_frame(message, protected.alive, f"{place}.alive") if protected.alive else None
         if alive is not None:
