@@ -172,27 +172,33 @@ bool frames_encoder_encoder_crc_is_in_range(uint8_t value)
 
 bool frames_encoder_encoder_crc_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 255.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_encoder_alive_is_in_range(uint8_t value)
 {
-    return (value <= 14u);
+    return (value <= 15u);
 }
 
 bool frames_encoder_encoder_alive_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 14.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_amplifier_is_in_range(uint8_t value)
 {
-    return ((value >= 1u) && (value <= 3u));
+    return (value <= 3u);
 }
 
 bool frames_encoder_amplifier_is_in_phys_range(double value)
 {
-    return ((value >= 1.0) && (value <= 3.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_board_fault_is_in_range(uint8_t value)
@@ -202,7 +208,9 @@ bool frames_encoder_board_fault_is_in_range(uint8_t value)
 
 bool frames_encoder_board_fault_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 7.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_encoders_valid_is_in_range(uint8_t value)
@@ -212,27 +220,33 @@ bool frames_encoder_encoders_valid_is_in_range(uint8_t value)
 
 bool frames_encoder_encoders_valid_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 1.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_stage_x_is_in_range(int32_t value)
 {
-    return ((value >= -33554431) && (value <= 33554431));
+    return ((value >= -33554432) && (value <= 33554431));
 }
 
 bool frames_encoder_stage_x_is_in_phys_range(double value)
 {
-    return ((value >= -3.3554431) && (value <= 3.3554431));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_platform_y_is_in_range(int32_t value)
 {
-    return ((value >= -524287) && (value <= 524287));
+    return ((value >= -524288) && (value <= 524287));
 }
 
 bool frames_encoder_platform_y_is_in_phys_range(double value)
 {
-    return ((value >= -0.0524287) && (value <= 0.0524287));
+    (void)value;
+
+    return (true);
 }
 
 int frames_coil_current_pack(
@@ -279,37 +293,49 @@ bool frames_coil_current_coil_current_crc_is_in_range(uint8_t value)
 
 bool frames_coil_current_coil_current_crc_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 255.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_coil_current_coil_current_alive_is_in_range(uint8_t value)
 {
-    return (value <= 14u);
+    return (value <= 15u);
 }
 
 bool frames_coil_current_coil_current_alive_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 14.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_coil_current_measured_current_is_in_range(int16_t value)
 {
-    return (value >= -32767);
+    (void)value;
+
+    return (true);
 }
 
 bool frames_coil_current_measured_current_is_in_phys_range(double value)
 {
-    return ((value >= -3.2767) && (value <= 3.2767));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_coil_current_sample_counter_is_in_range(uint32_t value)
 {
-    return (value <= 4026531839u);
+    (void)value;
+
+    return (true);
 }
 
 bool frames_coil_current_sample_counter_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 4026531839.0));
+    (void)value;
+
+    return (true);
 }
 
 int frames_command_unpack(
@@ -353,47 +379,59 @@ bool frames_command_command_crc_is_in_range(uint8_t value)
 
 bool frames_command_command_crc_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 255.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_command_alive_is_in_range(uint8_t value)
 {
-    return (value <= 14u);
+    return (value <= 15u);
 }
 
 bool frames_command_command_alive_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 14.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_enable_is_in_range(uint8_t value)
 {
-    return ((value >= 1u) && (value <= 2u));
+    return (value <= 3u);
 }
 
 bool frames_command_enable_is_in_phys_range(double value)
 {
-    return ((value >= 1.0) && (value <= 2.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_reset_fault_is_in_range(uint8_t value)
 {
-    return ((value >= 1u) && (value <= 2u));
+    return (value <= 3u);
 }
 
 bool frames_command_reset_fault_is_in_phys_range(double value)
 {
-    return ((value >= 1.0) && (value <= 2.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_control_current_is_in_range(int16_t value)
 {
-    return (value >= -32767);
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_control_current_is_in_phys_range(double value)
 {
-    return ((value >= -3.2767) && (value <= 3.2767));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_echoed_counter_is_in_range(uint8_t value)
@@ -405,7 +443,9 @@ bool frames_command_echoed_counter_is_in_range(uint8_t value)
 
 bool frames_command_echoed_counter_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 255.0));
+    (void)value;
+
+    return (true);
 }
 
 int frames_heartbeat_pack(
@@ -440,7 +480,9 @@ bool frames_heartbeat_node_state_is_in_range(uint8_t value)
 
 bool frames_heartbeat_node_state_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 127.0));
+    (void)value;
+
+    return (true);
 }
 
 int frames_encoder_fd_pack(
@@ -502,27 +544,33 @@ bool frames_encoder_fd_encoder_crc_is_in_range(uint8_t value)
 
 bool frames_encoder_fd_encoder_crc_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 255.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_encoder_alive_is_in_range(uint8_t value)
 {
-    return (value <= 14u);
+    return (value <= 15u);
 }
 
 bool frames_encoder_fd_encoder_alive_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 14.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_amplifier_is_in_range(uint8_t value)
 {
-    return ((value >= 1u) && (value <= 3u));
+    return (value <= 3u);
 }
 
 bool frames_encoder_fd_amplifier_is_in_phys_range(double value)
 {
-    return ((value >= 1.0) && (value <= 3.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_board_fault_is_in_range(uint8_t value)
@@ -532,7 +580,9 @@ bool frames_encoder_fd_board_fault_is_in_range(uint8_t value)
 
 bool frames_encoder_fd_board_fault_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 7.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_encoders_valid_is_in_range(uint8_t value)
@@ -542,47 +592,61 @@ bool frames_encoder_fd_encoders_valid_is_in_range(uint8_t value)
 
 bool frames_encoder_fd_encoders_valid_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 1.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_stage_x_is_in_range(int32_t value)
 {
-    return ((value >= -33554431) && (value <= 33554431));
+    return ((value >= -33554432) && (value <= 33554431));
 }
 
 bool frames_encoder_fd_stage_x_is_in_phys_range(double value)
 {
-    return ((value >= -3.3554431) && (value <= 3.3554431));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_platform_y_is_in_range(int32_t value)
 {
-    return ((value >= -524287) && (value <= 524287));
+    return ((value >= -524288) && (value <= 524287));
 }
 
 bool frames_encoder_fd_platform_y_is_in_phys_range(double value)
 {
-    return ((value >= -0.0524287) && (value <= 0.0524287));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_measured_current_is_in_range(int16_t value)
 {
-    return (value >= -32767);
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_measured_current_is_in_phys_range(double value)
 {
-    return ((value >= -3.2767) && (value <= 3.2767));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_sample_counter_is_in_range(uint32_t value)
 {
-    return (value <= 4026531839u);
+    (void)value;
+
+    return (true);
 }
 
 bool frames_encoder_fd_sample_counter_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 4026531839.0));
+    (void)value;
+
+    return (true);
 }
 
 int frames_command_fd_unpack(
@@ -629,55 +693,71 @@ bool frames_command_fd_command_crc_is_in_range(uint8_t value)
 
 bool frames_command_fd_command_crc_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 255.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_fd_command_alive_is_in_range(uint8_t value)
 {
-    return (value <= 14u);
+    return (value <= 15u);
 }
 
 bool frames_command_fd_command_alive_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 14.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_fd_enable_is_in_range(uint8_t value)
 {
-    return ((value >= 1u) && (value <= 2u));
+    return (value <= 3u);
 }
 
 bool frames_command_fd_enable_is_in_phys_range(double value)
 {
-    return ((value >= 1.0) && (value <= 2.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_fd_reset_fault_is_in_range(uint8_t value)
 {
-    return ((value >= 1u) && (value <= 2u));
+    return (value <= 3u);
 }
 
 bool frames_command_fd_reset_fault_is_in_phys_range(double value)
 {
-    return ((value >= 1.0) && (value <= 2.0));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_fd_control_current_is_in_range(int16_t value)
 {
-    return (value >= -32767);
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_fd_control_current_is_in_phys_range(double value)
 {
-    return ((value >= -3.2767) && (value <= 3.2767));
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_fd_echoed_counter_is_in_range(uint32_t value)
 {
-    return (value <= 4026531839u);
+    (void)value;
+
+    return (true);
 }
 
 bool frames_command_fd_echoed_counter_is_in_phys_range(double value)
 {
-    return ((value >= 0.0) && (value <= 4026531839.0));
+    (void)value;
+
+    return (true);
 }

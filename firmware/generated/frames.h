@@ -77,48 +77,7 @@ extern "C" {
 #define FRAMES_COMMAND_FD_CYCLE_TIME_MS (0.5u)
 
 /* Signal choices. */
-#define FRAMES_ENCODER_AMPLIFIER_OFF_CHOICE (1u)
-#define FRAMES_ENCODER_AMPLIFIER_ON_CHOICE (2u)
-#define FRAMES_ENCODER_AMPLIFIER_FAULT_CHOICE (3u)
 
-#define FRAMES_ENCODER_BOARD_FAULT_NONE_CHOICE (0u)
-#define FRAMES_ENCODER_BOARD_FAULT_COMMAND_TIMEOUT_CHOICE (1u)
-#define FRAMES_ENCODER_BOARD_FAULT_COMMAND_CHECK_CHOICE (2u)
-#define FRAMES_ENCODER_BOARD_FAULT_CURRENT_RANGE_CHOICE (3u)
-#define FRAMES_ENCODER_BOARD_FAULT_ENCODER_CHOICE (4u)
-#define FRAMES_ENCODER_BOARD_FAULT_OVERCURRENT_CHOICE (5u)
-#define FRAMES_ENCODER_BOARD_FAULT_SUPPLY_CHOICE (6u)
-#define FRAMES_ENCODER_BOARD_FAULT_INTERNAL_CHOICE (7u)
-
-#define FRAMES_COMMAND_ENABLE_OFF_CHOICE (1u)
-#define FRAMES_COMMAND_ENABLE_ON_CHOICE (2u)
-
-#define FRAMES_COMMAND_RESET_FAULT_NO_CHOICE (1u)
-#define FRAMES_COMMAND_RESET_FAULT_YES_CHOICE (2u)
-
-#define FRAMES_HEARTBEAT_NODE_STATE_BOOT_UP_CHOICE (0u)
-#define FRAMES_HEARTBEAT_NODE_STATE_STOPPED_CHOICE (4u)
-#define FRAMES_HEARTBEAT_NODE_STATE_OPERATIONAL_CHOICE (5u)
-#define FRAMES_HEARTBEAT_NODE_STATE_PRE_OPERATIONAL_CHOICE (127u)
-
-#define FRAMES_ENCODER_FD_AMPLIFIER_OFF_CHOICE (1u)
-#define FRAMES_ENCODER_FD_AMPLIFIER_ON_CHOICE (2u)
-#define FRAMES_ENCODER_FD_AMPLIFIER_FAULT_CHOICE (3u)
-
-#define FRAMES_ENCODER_FD_BOARD_FAULT_NONE_CHOICE (0u)
-#define FRAMES_ENCODER_FD_BOARD_FAULT_COMMAND_TIMEOUT_CHOICE (1u)
-#define FRAMES_ENCODER_FD_BOARD_FAULT_COMMAND_CHECK_CHOICE (2u)
-#define FRAMES_ENCODER_FD_BOARD_FAULT_CURRENT_RANGE_CHOICE (3u)
-#define FRAMES_ENCODER_FD_BOARD_FAULT_ENCODER_CHOICE (4u)
-#define FRAMES_ENCODER_FD_BOARD_FAULT_OVERCURRENT_CHOICE (5u)
-#define FRAMES_ENCODER_FD_BOARD_FAULT_SUPPLY_CHOICE (6u)
-#define FRAMES_ENCODER_FD_BOARD_FAULT_INTERNAL_CHOICE (7u)
-
-#define FRAMES_COMMAND_FD_ENABLE_OFF_CHOICE (1u)
-#define FRAMES_COMMAND_FD_ENABLE_ON_CHOICE (2u)
-
-#define FRAMES_COMMAND_FD_RESET_FAULT_NO_CHOICE (1u)
-#define FRAMES_COMMAND_FD_RESET_FAULT_YES_CHOICE (2u)
 
 /* Frame Names. */
 #define FRAMES_ENCODER_NAME "encoder"
@@ -166,55 +125,53 @@ extern "C" {
 /**
  * Signals in message encoder.
  *
- * Classic bus: each sample of both encoders, at the sampling rate.
- *
  * All signal values are as on the CAN bus.
  */
 struct frames_encoder_t {
     /**
-     * Range: 0..255 (0..255 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t encoder_crc;
 
     /**
-     * Range: 0..14 (0..14 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t encoder_alive;
 
     /**
-     * Range: 1..3 (1..3 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t amplifier;
 
     /**
-     * Range: 0..7 (0..7 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t board_fault;
 
     /**
-     * Range: 0..1 (0..1 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t encoders_valid;
 
     /**
-     * Range: -33554431..33554431 (-3.35544..3.35544 m)
+     * Range: -
      * Scale: 1e-07
      * Offset: 0
      */
     int32_t stage_x;
 
     /**
-     * Range: -524287..524287 (-0.05243..0.05243 m)
+     * Range: -
      * Scale: 1e-07
      * Offset: 0
      */
@@ -224,34 +181,32 @@ struct frames_encoder_t {
 /**
  * Signals in message coil_current.
  *
- * Classic bus: with every tenth sample, right after its encoder frame.
- *
  * All signal values are as on the CAN bus.
  */
 struct frames_coil_current_t {
     /**
-     * Range: 0..255 (0..255 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t coil_current_crc;
 
     /**
-     * Range: 0..14 (0..14 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t coil_current_alive;
 
     /**
-     * Range: -32767..32767 (-3.2767..3.2767 A)
+     * Range: -
      * Scale: 0.0001
      * Offset: 0
      */
     int16_t measured_current;
 
     /**
-     * Range: 0..4026531839 (0..4026531839 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
@@ -261,50 +216,46 @@ struct frames_coil_current_t {
 /**
  * Signals in message command.
  *
- * Classic bus: one for each control cycle.
- *
  * All signal values are as on the CAN bus.
  */
 struct frames_command_t {
     /**
-     * Range: 0..255 (0..255 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t command_crc;
 
     /**
-     * Range: 0..14 (0..14 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t command_alive;
 
     /**
-     * Range: 1..2 (1..2 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t enable;
 
     /**
-     * Range: 1..2 (1..2 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t reset_fault;
 
     /**
-     * Range: -32767..32767 (-3.2767..3.2767 A)
+     * Range: -
      * Scale: 0.0001
      * Offset: 0
      */
     int16_t control_current;
 
     /**
-     * Number of the sample that the command answers, modulo 256.
-     *
-     * Range: 0..255 (0..255 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
@@ -318,7 +269,7 @@ struct frames_command_t {
  */
 struct frames_heartbeat_t {
     /**
-     * Range: 0..127 (0..127 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
@@ -328,69 +279,67 @@ struct frames_heartbeat_t {
 /**
  * Signals in message encoder_fd.
  *
- * CAN FD: each sample; the first 8 bytes are laid out as in Encoder.
- *
  * All signal values are as on the CAN bus.
  */
 struct frames_encoder_fd_t {
     /**
-     * Range: 0..255 (0..255 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t encoder_crc;
 
     /**
-     * Range: 0..14 (0..14 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t encoder_alive;
 
     /**
-     * Range: 1..3 (1..3 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t amplifier;
 
     /**
-     * Range: 0..7 (0..7 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t board_fault;
 
     /**
-     * Range: 0..1 (0..1 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t encoders_valid;
 
     /**
-     * Range: -33554431..33554431 (-3.35544..3.35544 m)
+     * Range: -
      * Scale: 1e-07
      * Offset: 0
      */
     int32_t stage_x;
 
     /**
-     * Range: -524287..524287 (-0.05243..0.05243 m)
+     * Range: -
      * Scale: 1e-07
      * Offset: 0
      */
     int32_t platform_y;
 
     /**
-     * Range: -32767..32767 (-3.2767..3.2767 A)
+     * Range: -
      * Scale: 0.0001
      * Offset: 0
      */
     int16_t measured_current;
 
     /**
-     * Range: 0..4026531839 (0..4026531839 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
@@ -400,48 +349,46 @@ struct frames_encoder_fd_t {
 /**
  * Signals in message command_fd.
  *
- * CAN FD: one for each control cycle.
- *
  * All signal values are as on the CAN bus.
  */
 struct frames_command_fd_t {
     /**
-     * Range: 0..255 (0..255 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t command_crc;
 
     /**
-     * Range: 0..14 (0..14 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t command_alive;
 
     /**
-     * Range: 1..2 (1..2 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t enable;
 
     /**
-     * Range: 1..2 (1..2 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */
     uint8_t reset_fault;
 
     /**
-     * Range: -32767..32767 (-3.2767..3.2767 A)
+     * Range: -
      * Scale: 0.0001
      * Offset: 0
      */
     int16_t control_current;
 
     /**
-     * Range: 0..4026531839 (0..4026531839 -)
+     * Range: -
      * Scale: 1
      * Offset: 0
      */

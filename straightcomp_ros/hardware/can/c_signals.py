@@ -41,6 +41,8 @@ def c_names(names: Iterable[str]) -> dict[str, str]:
         # As cantools writes them, which leaves such names as they are.
         parted = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", re.sub(r"(.)([A-Z][a-z]+)", r"\1_\2", name))
         plain = own = re.sub(r"_+", "_", re.sub(r"[^a-z0-9]", "_", parted.lower()))
+        if not re.match("[a-z]", plain):
+            plain = own = f"x{plain}"
         number = 1
         while own in found.values() or _KEYWORDS.fullmatch(own):
             number += 1
@@ -58,6 +60,8 @@ def refuse_in_c(signals: Signals) -> None:
                 f"signal '{signal.name}' of message '{message}' is a float of {signal.length} bits; the firmware has "
                 "those of 32 and 64 bits"
             )
+        if signal.length > 64:
+            raise DbcError(f"signal '{signal.name}' of message '{message}' has more than the firmware's 64 bits")
     for field in ("alive", "counter", "echo"):
         if signals.counts(field) > _MOST_COUNTS:
             name = signals.signals[field].name

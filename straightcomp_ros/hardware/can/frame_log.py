@@ -1,17 +1,20 @@
 """Recorded buses: candump's ``.log`` or Vector's ``.blf``, written beside the loop, read and played by python-can."""
 
 import copy
+import gzip
 import itertools
 import re
 import struct
+import tempfile
 import threading
 import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
+from decimal import Decimal
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, cast
 
 import can
 from can.io.blf import BLFParseError
@@ -24,6 +27,27 @@ _QUEUE_LIMIT = 20_000
 _WRITE_EVERY_S, _SAVE_EVERY_S = 0.02, 1.0
 _AT_ONCE = 8
 _SEND_TIMEOUT_S = 1.0
+_SILENCE_S, _JUMP_S, _BACK_S = 1.0, 60.0, 1.0
+"""A running board sends at least its samples: a silence is worth a note, and beyond these only a clock was set."""
+_KINDS: tuple[tuple[bytes, str, str], ...] = (
+    (rb"\(\d+\.\d+\) \S+ [0-9A-Fa-f]+#", ".log", "a log of candump"),
+    (rb"[ ;\t]*(date\s|base\s+(hex|dec)\b)", ".asc", "an ASC log of Vector"),
+    (rb";\$FILEVERSION|;.*PCAN|;\s+Message Number", ".trc", "a trace of PEAK"),
+    (rb"timestamp,arbitration_id,", ".csv", "a CSV log of python-can"),
+    (rb"LOGG", ".blf", "a BLF log of Vector"),
+    (rb"MDF     |UnFinMF ", ".mf4", "a log in MDF"),
+    (rb"SQLite format 3", ".db", "a database of python-can"),
+    (
+        rb"\s*(\([-\d.: ]+\)\s+)?\S+\s+(([RT]X|[-BE]+)\s+)*[0-9A-Fa-f]{3,8}\s+\[ *\d+\]",
+        "",
+        "what candump shows on the screen; record with candump -L or -l",
+    ),
+    (rb"\*\*\*BUSMASTER", "", "a log of BusMaster; export it as .asc"),
+    (rb"Time Stamp,ID,Extended", "", "a log of SavvyCAN in GVRET's format; save it as a candump log"),
+    (rb"\xd4\xc3\xb2\xa1|\xa1\xb2\xc3\xd4|\n\r\r\n", "", "a capture of Wireshark; record with candump -L or -l"),
+    (rb"\x89MCAP", "", "an MCAP bag; straightcomp replay reads those"),
+)
+"""By how a line of its first ones, or the file, begins: the ending of a kind of log, and what it is."""
 
 
 class FrameLog:
@@ -120,7 +144,14 @@ def recorded_frames(file: Path) -> Iterator[can.Message]:
         DamagedLog: after the last frame that can be read.
     """
     try:
-        reader = can.LogReader(file)
+        with file.open("rb") as opened:
+            _refuse_another_kind(file, opened.read(4096))
+        asc = ".asc" in (suffix.lower() for suffix in file.suffixes[-2:])
+        reader = can.ASCReader(_plain_asc(file)) if asc else can.LogReader(file)
+    except NotImplementedError as error:
+        raise HardwareError(
+            f"log '{file}': MDF needs asammdf; install it by pip, or export the log as .blf or .asc"
+        ) from error
     except (OSError, ValueError, BLFParseError, struct.error) as error:
         raise HardwareError(f"log '{file}': {getattr(error, 'strerror', None) or error}") from error
     number = 0
@@ -131,6 +162,68 @@ def recorded_frames(file: Path) -> Iterator[can.Message]:
                 yield message
     except (ValueError, IndexError, BLFParseError, struct.error, zlib.error, EOFError, OSError) as error:
         raise DamagedLog(f"log '{file}': damaged after frame {number}") from error
+
+
+def _refuse_another_kind(file: Path, head: bytes) -> None:
+    lines = [head, *head.removeprefix(b"\xef\xbb\xbf").splitlines()[:20]]
+    for pattern, ending, kind in _KINDS:
+        if any(re.match(pattern, line) for line in lines):
+            if file.suffix.lower() != ending:
+                raise HardwareError(f"log '{file}': is {kind}" + (f"; allowed: the ending {ending}" if ending else ""))
+            return
+
+
+def _plain_asc(file: Path) -> TextIO:
+    """The lines of an ASC log as python-can reads them: in UTF-8, without the date, which has the words of some
+    language, and with times from the beginning. "relative" ones count from the line before, whatever that holds."""
+    plain = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
+    relative, now = False, Decimal(0)
+    with gzip.open(file) if file.suffix.lower() == ".gz" else file.open("rb") as opened:
+        for content in opened:
+            try:
+                line = content.decode("utf-8-sig")
+            except UnicodeDecodeError:
+                line = content.decode("cp1252", errors="replace")
+            relative = relative or re.match(r"\s*base\s+\w+\s+timestamps\s+relative", line, re.IGNORECASE) is not None
+            timed = re.match(r"\s*(\d+\.\d+)(?=\s)", line)
+            if relative and timed:
+                now += Decimal(timed[1])
+                line = f"{now}{line[timed.end() :]}"
+            if not re.match(r"\s*date\s", line, re.IGNORECASE):
+                plain.write(line)
+    plain.seek(0)
+    return cast("TextIO", plain)
+
+
+def check_times_and_buses(frames: Iterable[can.Message]) -> tuple[int, list[str]]:
+    """How many frames of one board a log has, and a sentence for each silence in them.
+
+    Raises:
+        HardwareError: they are of several buses, or the clock of the recorder jumped.
+    """
+    number, notes, last = 0, [], None
+    for number, frame in enumerate(frames, 1):
+        if last is not None and frame.channel != last.channel:
+            raise HardwareError(
+                f"has frames of the board on {last.channel} and {frame.channel}, which are two boards' or one's twice; "
+                "allowed: one bus (--channel)"
+            )
+        step_s = frame.timestamp - last.timestamp if last is not None else 0.0
+        if step_s > _JUMP_S or step_s < -_BACK_S:
+            raise HardwareError(
+                f"the clock of the recorder jumped by {_duration(step_s)} after frame {number - 1} of the board; "
+                "allowed: a log that ends there, or begins"
+            )
+        if step_s > _SILENCE_S:
+            notes.append(f"a silence of {_duration(step_s)} after frame {number - 1} of the board is played as it is")
+        last = frame
+    return number, notes
+
+
+def _duration(seconds: float) -> str:
+    units = ((365.25 * 86400, "years"), (86400.0, "days"), (3600.0, "h"), (60.0, "min"), (0.0, "s"))
+    size, name = next(unit for unit in units if abs(seconds) >= unit[0])
+    return f"{seconds / (size or 1.0):.3g} {name}"
 
 
 def of_the_board(frames: Iterable[can.Message], identifiers: Collection[int]) -> Iterator[can.Message]:

@@ -41,7 +41,7 @@ def frames_in_c(wires: Sequence[Wire]) -> dict[str, str]:
             refuse_in_c(part.signals)
             sender = _HOST if isinstance(part, CommandFrames) else _BOARD
             senders[part.signals.message.name] = part.signals.message, sender
-    names = c_names(senders)
+    names = _free_of_each_other({name: message for name, (message, _) in senders.items()})
     database = Database([_renamed(message, names[name], sender) for name, (message, sender) in senders.items()])
     header, source, *_ = generate(
         database, _PREFIX, f"{_PREFIX}.h", f"{_PREFIX}.c", "", floating_point_numbers=False, node_name=_BOARD
@@ -55,6 +55,21 @@ def _all(wire: Wire) -> list[ReportFrames | CommandFrames | HeartbeatFrames]:
     return [*wire.reports.values(), *wire.commands, *([wire.heartbeat] if wire.heartbeat else [])]
 
 
+def _free_of_each_other(messages: Mapping[str, Message]) -> dict[str, str]:
+    """Names of the messages in C. cantools joins them with those of signals: A with B_C must not meet A_B with C."""
+    names, taken = c_names(messages), set[str]()
+    for name, message in messages.items():
+        signals, number = c_names(signal.name for signal in message.signals).values(), 1
+        plain = names[name]
+        while joined := {names[name], *(f"{names[name]}_{signal}" for signal in signals)}:
+            if not joined & taken:
+                break
+            number += 1
+            names[name] = f"{plain}_n{number}"
+        taken |= joined
+    return names
+
+
 def _renamed(message: Message, name: str, sender: str) -> Message:
     """A copy with names for C, so that keywords and names that differ by their case alone do no harm."""
     own = copy.deepcopy(message)
@@ -64,6 +79,8 @@ def _renamed(message: Message, name: str, sender: str) -> Message:
         # cantools writes the function that unpacks a signal for its receivers alone.
         signal.receivers = [_BOARD if sender == _HOST else _HOST]
         signal.name = names[signal.name]
+        # Texts of the file would be comments in C, and limits beyond the bits comparisons that are always true.
+        signal.unit = signal.comment = signal.choices = signal.minimum = signal.maximum = None
         if signal.multiplexer_signal:
             signal.multiplexer_signal = names[signal.multiplexer_signal]
     own.refresh()
@@ -79,7 +96,7 @@ class _Meaning:
 
     def text(self) -> str:
         lines = [
-            f"/* The frames of {self._wires[0].dbc.path.name}, made by straightcomp: do not edit. */",
+            f"/* The frames of {self._wires[0].source().split()[0]}, made by straightcomp: do not edit. */",
             f'#include "{_PREFIX}.h"',
             '#include "wire.h"',
         ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, is_fd, limits
 from straightcomp_ros.hardware.can.frames import UNITS, Amplifier
-from straightcomp_ros.hardware.can.signal_code import selectors
+from straightcomp_ros.hardware.can.signal_code import refuse_signal, selectors
 from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, WireParameters
 from straightcomp_ros.settings.declaration import RefusedParameter
 
@@ -80,6 +80,7 @@ class Roles:
         """The signal ``name`` that ``parameter`` asks for."""
         try:
             signal = self._dbc.signal(message, name)
+            refuse_signal(message, signal)
         except DbcError as error:
             raise RefusedParameter(parameter, str(error)) from None
         if parameter in _COUNTS and (signal.is_signed or signal.is_float):
@@ -101,11 +102,14 @@ class Roles:
         if factor == 0.0:
             raise RefusedParameter(f"wire.{role}.factor", "0.0 is not allowed; allowed: any other number")
         signal, known = self.signals[role], _FACTORS[UNITS[field_of(role)]]
-        unit = signal.unit or ""
+        given: str = self._named(role).unit
+        unit = given or signal.unit or ""
         if unit not in known:
             place = f"'{signal.name}' of message '{self.homes[role]}'"
             text = f"{place} is in '{unit}'; allowed: {', '.join(known)[2:]}, or no unit for SI"
-            raise RefusedParameter(f"wire.{role}.signal", text)
+            if given:
+                raise RefusedParameter(f"wire.{role}.unit", text)
+            raise RefusedParameter(f"wire.{role}.signal", f"{text}; 'wire.{role}.unit' says what another spelling is")
         return known[unit] * factor
 
     def values(self) -> dict[str, Mapping[Any, int]]:

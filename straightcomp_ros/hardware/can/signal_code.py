@@ -7,11 +7,13 @@ of Motorola order at its highest, and bit 0 of each byte is the byte's lowest.
 
 from __future__ import annotations
 
+import itertools
+import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from straightcomp_ros.hardware.can.dbc_file import limits
+from straightcomp_ros.hardware.can.dbc_file import DbcError, limits
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -34,6 +36,80 @@ def shift(signal: Signal, size: int) -> int:
     if signal.byte_order == "little_endian":
         return signal.start
     return 8 * size - 8 * (signal.start // 8) - 7 + signal.start % 8 - signal.length
+
+
+def refuse_signal(message: Message, signal: Signal) -> None:
+    """Raise DbcError for a signal that cannot be used: its place, its factor, or its limits."""
+    place = f"'{signal.name}' of message '{message.name}'"
+    if not _fits(message, signal):
+        raise DbcError(f"{place} does not lie within the {message.length} bytes of its message")
+    if signal.is_float and signal.length not in _FLOAT:
+        raise DbcError(f"{place} is a float of {signal.length} bits; allowed: 16, 32 or 64")
+    numbers = (signal.scale, signal.offset, signal.minimum or 0, signal.maximum or 0)
+    if signal.scale == 0 or not all(map(math.isfinite, numbers)):
+        raise DbcError(f"{place} has a factor of {signal.scale}; allowed: finite numbers, and a factor other than 0")
+    least, largest = limits(signal)
+    if least > largest:
+        held = sorted(raw * signal.scale + signal.offset for raw in limits(signal, narrowed=False))
+        raise DbcError(
+            f"{place} has limits of {signal.minimum:.9g} to {signal.maximum:.9g}, of which its bits hold none; they "
+            f"hold {held[0]:.9g} to {held[1]:.9g}"
+        )
+
+
+def used_part(message: Message, used: Sequence[Signal]) -> Message:
+    """The message with the signals ``used``, their multiplexers, and what else has an initial value in their frames.
+
+    Raises:
+        DbcError: two of the signals lie on each other, or one chooses the page of another.
+    """
+    from cantools.database.can import Message as CanMessage
+
+    chosen = {signal.name: signal for signal in used}
+    for signal in used:
+        for selector, _ in selectors(message, signal):
+            if selector.name in {one.name for one in used}:
+                raise DbcError(
+                    f"'{selector.name}' of message '{message.name}' chooses the frames that have '{signal.name}'; "
+                    "allowed: a multiplexer without another meaning"
+                )
+            chosen.setdefault(selector.name, selector)
+    for one, other in itertools.combinations(chosen.values(), 2):
+        if _overlap(message, one, other):
+            raise DbcError(f"'{one.name}' and '{other.name}' of message '{message.name}' lie on each other")
+    for signal in message.signals:
+        shown = all(selector.name in chosen for selector, _ in selectors(message, signal))
+        free = _fits(message, signal) and not any(_overlap(message, signal, one) for one in chosen.values())
+        if signal.raw_initial and shown and free:
+            chosen.setdefault(signal.name, signal)
+    return CanMessage(
+        message.frame_id,
+        message.name,
+        message.length,
+        [signal for signal in message.signals if chosen.get(signal.name) is signal],
+        cycle_time=message.cycle_time,
+        is_extended_frame=message.is_extended_frame,
+        is_fd=message.is_fd,
+    )
+
+
+def _fits(message: Message, signal: Signal) -> bool:
+    return signal.length > 0 and 0 <= shift(signal, message.length) <= 8 * message.length - signal.length
+
+
+def _overlap(message: Message, one: Signal, other: Signal) -> bool:
+    """Whether two signals have a bit in common in some frame."""
+    pages = dict((selector.name, ids) for selector, ids in selectors(message, one))
+    for selector, ids in selectors(message, other):
+        if not set(pages.get(selector.name, ids)) & set(ids):
+            return False
+    return bool(_bits(message, one) & _bits(message, other))
+
+
+def _bits(message: Message, signal: Signal) -> int:
+    """The signal's bits in the payload, as an integer of Intel order."""
+    bits: int = (2**signal.length - 1) << shift(signal, message.length)
+    return int.from_bytes(bits.to_bytes(message.length, byte_order(signal)), "little")
 
 
 def raw_expression(signal: Signal, size: int, whole: str) -> str:
@@ -193,7 +269,9 @@ def selectors(message: Message, signal: Signal) -> list[tuple[Signal, list[int]]
     """The multiplexers under which the signal lies, outermost first, each with the pages that have it."""
     found: list[tuple[Signal, list[int]]] = []
     while signal.multiplexer_signal and signal.multiplexer_ids is not None:
-        selector = next(one for one in message.signals if one.name == signal.multiplexer_signal)
+        selector = next((one for one in message.signals if one.name == signal.multiplexer_signal), None)
+        if selector is None or any(selector is one for one, _ in found):
+            raise DbcError(f"'{signal.name}' of message '{message.name}' has no multiplexer that it can be found by")
         found.insert(0, (selector, sorted(signal.multiplexer_ids)))
         signal = selector
     return found

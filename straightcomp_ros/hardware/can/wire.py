@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from straightcomp_ros.hardware.can.message_frames import CommandFrames, Heartbea
 from straightcomp_ros.hardware.can.protection import Crc, ProtectionParameters, alive_modulus, data_ids
 from straightcomp_ros.hardware.can.roles import OF_BOARD, OF_HOST, READINGS, Roles, field_of
 from straightcomp_ros.hardware.can.shipped_wire import FILE, shipped_wire
+from straightcomp_ros.hardware.can.signal_code import used_part
 from straightcomp_ros.hardware.can.wire_parameters import WireParameters
 from straightcomp_ros.settings.declaration import RefusedParameter, to_mapping
 
@@ -63,6 +65,7 @@ class Wire:
     def __init__(self, dbc: Dbc, meaning: WireParameters, node: int = 1, fd: bool = True) -> None:
         self.dbc, self.meaning, self.fd, self._node = dbc, meaning, fd, node
         self._places: dict[str, str] = {}
+        self._taken: dict[int, str] = {}
         self._roles = roles = Roles(dbc, meaning, fd)
         signals, homes = roles.signals, roles.homes
         protection = self._protections(homes)
@@ -115,7 +118,9 @@ class Wire:
         usual = to_mapping(WireParameters())
         said = {name: value for name, value in to_mapping(self.meaning).items() if value != usual[name]}
         content = self.dbc.path.read_bytes() + repr(sorted(said.items())).encode()
-        return f"{self.dbc.path.name} {hashlib.sha256(content).hexdigest()[:12]}"
+        # It stands in texts of C.
+        name = re.sub(r"[^A-Za-z0-9._-]", "_", self.dbc.path.name)
+        return f"{name} {hashlib.sha256(content).hexdigest()[:12]}"
 
     def fault_words(self, code: int) -> str:
         """What the DBC file calls a fault code of the board."""
@@ -158,16 +163,21 @@ class Wire:
             identifier = self.dbc.identifier(message, self._node)
         except DbcError as error:
             raise RefusedParameter("node", str(error)) from None
+        other = self._taken.setdefault(identifier, name)
+        if other != name:
+            raise RefusedParameter("dbc", f"messages '{other}' and '{name}' of {self.dbc.file} have one identifier")
         crc, everything = None, {field_of(role): self._roles.signals[role] for role in inside}
         alive = self._roles.in_every_frame(message, protected.alive, f"{place}.alive") if protected.alive else None
         if alive is not None:
             everything["alive"] = alive
+        extra: list[Signal] = []
         if protected.profile != "none":
             try:
                 ids = data_ids(protected.data_id, protected.profile, identifier)
             except DbcError as error:
                 raise RefusedParameter(f"{place}.data_id", str(error)) from None
             crc_signal = self._roles.in_every_frame(message, protected.crc, f"{place}.crc")
+            extra.append(crc_signal)
             try:
                 by_identifier = not protected.data_id
                 crc = Crc(message, crc_signal, alive, protected.profile, ids, by_identifier=by_identifier)
@@ -175,6 +185,10 @@ class Wire:
                 raise RefusedParameter(f"{place}.crc", str(error)) from None
         elif protected.crc or protected.data_id:
             raise RefusedParameter(f"{place}.profile", "'none' is not allowed beside a CRC signal or data id")
+        try:
+            message = used_part(message, list({one.name: one for one in (*everything.values(), *extra)}.values()))
+        except DbcError as error:
+            raise RefusedParameter(f"wire.{inside[0]}.signal", str(error)) from None
         factors = {field_of(role): self._roles.factor(role) for role in inside if field_of(role) in UNITS}
         counts = alive_modulus(alive, protected.profile) if alive is not None else 0
         return Signals(message, identifier, everything, factors, self._roles.values(), counts, crc)

@@ -34,10 +34,11 @@ class SignalParameters:
 
 @dataclass(frozen=True)
 class QuantityParameters:
-    """A signal with a physical value, whose unit is in the DBC file."""
+    """A signal with a physical value, whose unit is in the DBC file unless it is given here."""
 
     message: str = _message()
     signal: str = _signal()
+    unit: str = parameter("", "unit of the file's physical value, e.g. mm or A; empty: as the DBC file says")
     factor: float = parameter(
         1.0, "factor on the file's physical value, e.g. -1 for a board that counts the other way", "[-1e12, 1e12]"
     )

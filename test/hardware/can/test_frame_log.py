@@ -291,3 +291,92 @@ def test_what_cannot_be_replayed_is_refused_with_the_reason(tmp_path, channel, c
     bus = ["--set", f"driver.can.interface={INTERFACE}", "--set", f"driver.can.channel={channel}"]
     assert main(["can", "replay", str(tmp_path / name), *bus, *options]) == 2
     assert words in capsys.readouterr().err
+
+
+def lines_of(times, channels=("can0",)):
+    named = itertools.cycle(channels)
+    return "".join(f"({at:.6f}) {next(named)} 181#1122334455667788\n" for at in times)
+
+
+def asc(times, head):
+    lines = "".join(f"   {at} 1  181             Rx   d 8 11 22 33 44 55 66 77 88\n" for at in times)
+    return f"{head}\ninternal events logged\n{lines}"
+
+
+HALF_MS = [12 + 0.0005 * number for number in range(10)]
+ABSOLUTE = [f"{0.0005 * number:.6f}" for number in range(10)]
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "date Mo M\u00e4r 30 15:06:13.191 2026\nbase hex  timestamps absolute",
+        "date lun. ao\u00fbt 30 15:06:13 2026\nbase hex  timestamps absolute",
+        "date Mon Mar 30 03:06:13.191 pm 2026\nbase hex  timestamps absolute",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig"])
+def test_an_asc_log_is_read_whatever_the_language_of_its_date(tmp_path, head, encoding):
+    (tmp_path / "bus.asc").write_bytes(asc(ABSOLUTE, head).encode(encoding))
+    frames = list(of_the_board(recorded_frames(tmp_path / "bus.asc"), {0x181}))
+    assert [frame.timestamp for frame in frames] == pytest.approx([float(at) for at in ABSOLUTE], abs=1e-9)
+    assert frames[0].data.hex() == "1122334455667788"
+
+
+def test_the_base_of_an_asc_log_counts_below_a_date_of_any_language(tmp_path):
+    text = asc(["0.000500"], "date lun. avr. 30 15:06:13 2026\nbase dec  timestamps absolute")
+    (tmp_path / "bus.asc").write_text(text.replace("181 ", "385 "))
+    (frame,) = recorded_frames(tmp_path / "bus.asc")
+    assert frame.arbitration_id == 0x181 and frame.data[0] == 11
+
+
+def test_relative_times_of_an_asc_log_count_from_the_line_before(tmp_path):
+    text = asc(["0.000500"] * 20, "date Mon Mar 30 15:06:13.191 2026\nbase hex  timestamps relative")
+    # Lines of other things count as well.
+    text += "   0.002000 1  Statistic: D 0 R 0\n" + "   0.000500 1  181  Rx   d 1 11\n"
+    (tmp_path / "bus.asc").write_text(text)
+    times = [frame.timestamp for frame in of_the_board(recorded_frames(tmp_path / "bus.asc"), {0x181})]
+    assert times == pytest.approx([0.0005 * number for number in range(1, 21)] + [0.0125], abs=1e-9)
+
+
+CLASSIC_BUS = {"driver.can.fd": "false"}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "options", "words"),
+    [
+        ("a.mf4", b"MDF     4.10    " + bytes(72), CLASSIC_BUS, ["asammdf"]),
+        ("a.log", b"  can0  181   [8]  11 22 33 44 55 66 77 88\n", CLASSIC_BUS, ["candump -L"]),
+        ("a.log", b" (012.000500)  can0  RX - -  381  [16]  11 22 33 44\n", CLASSIC_BUS, ["candump -L"]),
+        ("a.log", b" (2026-03-30 15:06:13.191000)  can0  18FF0201   [8]  11\n", CLASSIC_BUS, ["candump -L"]),
+        ("a.log", b"***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n", CLASSIC_BUS, ["BusMaster"]),
+        ("a.csv", b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,181,false,Rx,0,1,11,\n", CLASSIC_BUS, ["GVRET"]),
+        ("a.log", asc(ABSOLUTE, "date Mon Mar 30\nbase hex").encode(), CLASSIC_BUS, [".asc"]),
+        ("a.asc", lines_of(HALF_MS).encode(), CLASSIC_BUS, ["candump", ".log"]),
+        ("a.log", lines_of(HALF_MS).encode(), {}, ["classic", "0x181", "can.fd is true"]),
+        ("a.log", b"(12.0) can0 381##1" + b"11" * 16 + b"\n", CLASSIC_BUS, ["CAN FD", "0x381", "can.fd is false"]),
+        ("a.log", lines_of(HALF_MS, ["can0", "can1"]).encode(), CLASSIC_BUS, ["can0 and can1", "--channel"]),
+        ("a.log", lines_of([12, 12.1, 1.7e9]).encode(), CLASSIC_BUS, ["53.9 years", "frame 2"]),
+        ("a.log", lines_of([12, 12.1, 12.2, 3612.2]).encode(), CLASSIC_BUS, ["1 h", "frame 3"]),
+        ("a.log", lines_of([1.7e9, 12]).encode(), CLASSIC_BUS, ["-53.9 years", "frame 1"]),
+    ],
+)
+def test_a_log_that_cannot_be_played_as_it_was_is_named_for_what_it_is(tmp_path, capsys, name, content, options, words):
+    (tmp_path / name).write_bytes(content)
+    given = {"driver.can.interface": "virtual", "driver.can.channel": "x", **options}
+    arguments = [part for key, value in given.items() for part in ("--set", f"{key}={value}")]
+    assert main(["can", "replay", str(tmp_path / name), *arguments]) == 2
+    printed = " ".join(capsys.readouterr().err.split())
+    assert all(word in printed for word in words) and "damaged" not in printed
+
+
+def test_one_bus_of_a_log_with_two_is_played_where_it_is_chosen(tmp_path, capsys):
+    file = tmp_path / "two.log"
+    file.write_text(lines_of([*HALF_MS[:7], 13.2], ["can0", "can1", "can1"]))
+    bus = ["--set", "driver.can.interface=virtual", "--set", "driver.can.channel=x", "--set", "driver.can.fd=false"]
+    for channel, frames in (("can0", 3), ("can1", 5)):
+        assert main(["can", "replay", str(file), *bus, "--channel", channel, "--speed", "100", "--json"]) == 0
+        printed = capsys.readouterr()
+        assert f'"sent": {frames}' in printed.out
+        # A silence of a second is said, and kept.
+        assert ("a silence of 1.2 s after frame 4" in " ".join(printed.err.split())) == (channel == "can1")

@@ -1,0 +1,395 @@
+"""DBC files as others write them: what the wire does not use does no harm, what it uses is right or refused."""
+
+import contextlib
+import io
+import shutil
+import subprocess
+from pathlib import Path
+
+import cantools
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
+from straightcomp_ros.doctor.wire_findings import wire_findings
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError
+from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
+from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
+from straightcomp_ros.hardware.can.wire_parameters import WireParameters
+from straightcomp_ros.settings.declaration import RefusedParameter, from_mapping
+
+FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
+REAL = sorted((Path(__file__).resolve().parents[2] / "cases" / "dbc" / "opendbc").glob("*.dbc"))
+BOARD = """VERSION ""
+
+NS_ :
+	CM_
+	FILTER
+
+BS_:
+
+BU_: BOARD HOST
+
+BO_ 288 MEAS: 8 BOARD
+ SG_ POS_X : 0|32@1- (0.0001,0) [0|0] "mm" HOST
+ SG_ POS_Y : 32|16@1- (0.05,0) [0|0] "um" HOST
+ SG_ CNT : 48|8@1+ (1,0) [0|255] "" HOST
+ SG_ AMP : 56|2@1+ (1,0) [0|3] "" HOST
+ SG_ OK : 58|1@1+ (1,0) [0|1] "" HOST
+
+BO_ 289 SET: 4 HOST
+ SG_ CUR : 0|16@1- (0.001,0) [0|0] "A" BOARD
+ SG_ ON : 16|1@1+ (1,0) [0|1] "" BOARD
+ SG_ SET_CNT : 24|8@1+ (1,0) [0|255] "" BOARD
+"""
+MEANING = {
+    "x.message": "MEAS",
+    "x.signal": "POS_X",
+    "y.signal": "POS_Y",
+    "good.signal": "OK",
+    "counter.signal": "CNT",
+    "amplifier.signal": "AMP",
+    "amplifier.off_value": 0,
+    "amplifier.on_value": 1,
+    "amplifier.fault_value": 2,
+    "command.message": "SET",
+    "command.signal": "CUR",
+    "enable.signal": "ON",
+    "protection.command.alive": "SET_CNT",
+}
+REPORT = Report(None, 7, 0.5, -22e-6, None, Amplifier.ON, None, True)
+
+
+@pytest.fixture
+def board(tmp_path):
+    """``board(text, changes)`` are the parameters of the board of this DBC file."""
+
+    def made(text=BOARD, changes=(), name="board.dbc"):
+        file = tmp_path / name
+        file.write_bytes(text if isinstance(text, bytes) else text.encode("cp1252"))
+        return CanParameters(dbc=str(file), wire=from_mapping(WireParameters, {**MEANING, **dict(changes)}), fd=False)
+
+    return made
+
+
+@pytest.fixture
+def compiled(tmp_path):
+    """``compiled(can)`` compiles the frames of a board under the Makefile's flags, and returns the texts."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("NOT TESTED: the generated C; a C compiler is missing. Remedy: apt-get install gcc")
+    makefile = (FIRMWARE / "Makefile").read_text().replace("\\\n", " ")
+    warnings = next(line.split(":=")[1].split() for line in makefile.splitlines() if line.startswith("WARNINGS"))
+
+    def made(can):
+        texts = frames_in_c([can.make_wire()])
+        for name, text in texts.items():
+            (tmp_path / name).write_text(text)
+        for kind in ("double", "float"):
+            command = [compiler, "-std=c99", *warnings, "-fsyntax-only", f"-DBOARD_REAL={kind}"]
+            folders = [f"-I{FIRMWARE / 'core'}", f"-I{tmp_path}"]
+            files = [str(tmp_path / name) for name in texts if name.endswith(".c")]
+            done = subprocess.run([*command, *folders, *files], capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
+        return texts
+
+    return made
+
+
+def with_line(old, new):
+    assert old in BOARD
+    return BOARD.replace(old, new)
+
+
+USED_NOWHERE = {
+    "signals that overlap": "BO_ 300 OTHER: 8 HOST\n"
+    ' SG_ A : 0|16@1+ (1,0) [0|0] "" X\n SG_ B : 8|16@1+ (1,0) [0|0] "" X\n',
+    "a signal beyond the message": 'BO_ 300 OTHER: 2 HOST\n SG_ A : 8|16@1+ (1,0) [0|0] "" X\n',
+    "an identifier of too many bits": "BO_ 103596083 OTHER: 8 HOST\n",
+    "a length that no frame has": "BO_ 300 OTHER: 4000 HOST\n",
+    "a name twice": "BO_ 300 OTHER: 8 HOST\n\nBO_ 301 OTHER: 8 HOST\n",
+    "a factor of 0": 'BO_ 300 OTHER: 8 HOST\n SG_ A : 0|16@1+ (0,0) [0|0] "" X\n',
+    "a number without its zero": 'BO_ 300 OTHER: 8 HOST\n SG_ A : 0|16@1+ (.25,0) [0|0] "" X\n',
+    "a value table of no message": 'VAL_ 301 GONE 0 "a" 1 "b" ;\n',
+    "a value table of a signal that is gone": 'VAL_ 288 GONE 0 "a" 1 "b" ;\n',
+    "a type of no message": "SIG_VALTYPE_ 301 GONE : 1;\n",
+    "a type of a signal that is gone": "SIG_VALTYPE_ 288 GONE : 1;\n",
+    "pages of a signal that is gone": "SG_MUL_VAL_ 288 GONE CNT 0-4294967295;\n",
+    "an attribute that is not defined": 'BA_ "GenMsgCycleTime" BO_ 288 10;\n',
+    "a comment that is none": 'CM_ SG_ 288 "text";\n',
+    "a last semicolon that is missing": 'VAL_ 301 GONE 0 "a" 1 "b"\n',
+    "a semicolon that is missing": 'VAL_ 301 GONE 0 "a"\nVAL_ 302 GONE 0 "a";\n',
+    "a comment with a message": 'CM_ "BO_ 288 MEAS: 8; // \n SG_ POS_X";\n',
+}
+
+
+@pytest.mark.parametrize("more", USED_NOWHERE.values(), ids=USED_NOWHERE)
+def test_what_the_wire_does_not_use_changes_nothing(board, compiled, more):
+    plain = board().make_wire().sample.pack(REPORT, 0)
+    can = board(f"{BOARD}\n{more}")
+    assert can.make_wire().sample.pack(REPORT, 0) == plain
+    assert {finding.state for finding in wire_findings(DriverNodeParameters().stage, can)} <= {"ok", "warn"}
+    compiled(can)
+
+
+def test_a_signal_without_a_role_may_overlap_lie_outside_or_have_no_scale(board, compiled):
+    more = (
+        ' SG_ OK : 58|1@1+ (1,0) [0|1] "" HOST\n SG_ WHOLE : 0|64@1+ (0,0) [5|-5] "*/ x /*" HOST\n'
+        ' SG_ OUTSIDE : 60|16@1+ (1,0) [0|0] "" HOST\n SG_ VERSION_2 : 60|4@1+ (1,0) [0|0] "" HOST\n'
+    )
+    start = (
+        'BA_DEF_ SG_ "GenSigStartValue" INT 0 255;\nBA_DEF_DEF_ "GenSigStartValue" 0;\n'
+        'BA_ "GenSigStartValue" SG_ 288 VERSION_2 9;\nBA_ "GenSigStartValue" SG_ 288 WHOLE 255;\n'
+    )
+    plain = board().make_wire().sample.pack(REPORT, 0)
+    can = board(with_line(' SG_ OK : 58|1@1+ (1,0) [0|1] "" HOST\n', more) + start)
+    # The initial value of what lies by itself is sent, that of what lies on others not.
+    assert can.make_wire().sample.pack(REPORT, 0) == plain[:7] + bytes([plain[7] | 9 << 4])
+    compiled(can)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+def test_a_file_is_read_in_each_encoding_that_tools_write(board, encoding, line_end):
+    text = with_line('"um"', '"µm"').replace("\n", line_end).encode(encoding)
+    assert board(text).make_wire().sample.unpack(bytes([0, 0, 0, 0, 40, 0, 0, 0])).y == pytest.approx(2e-6)
+
+
+def test_a_unit_that_the_file_spells_its_own_way_is_said_in_the_mapping(board):
+    text = with_line('"A"', '"current:A"').replace('"um"', '"micron"')
+    with pytest.raises(RefusedParameter, match=r"wire.y.signal.*'micron'.*wire.y.unit"):
+        board(text)
+    wire = board(text, {"command.unit": "mA", "y.unit": "nm"}).make_wire()
+    assert wire.command.span == pytest.approx((-0.032768, 0.032767))
+    assert wire.sample.spans["y"] == pytest.approx((-1.6384e-6, 1.63835e-6))
+    # The mapping's word counts, also where the file's is known.
+    assert board(BOARD, {"command.unit": "mA"}).make_wire().command.span[1] == pytest.approx(0.032767)
+    with pytest.raises(RefusedParameter, match=r"wire.x.unit.*'A'"):
+        board(BOARD, {"x.unit": "A"})
+
+
+MULTIPLEXED = with_line("AMP : 56|2@1+", "AMP M : 56|2@1+").replace("POS_Y : 32|16@1-", "POS_Y : 16|16@1-")
+MULTIPLEXED = MULTIPLEXED.replace("POS_X : 0|32", "POS_X : 0|16").replace(
+    " SG_ OK", ' SG_ I m1 : 32|16@1- (1,0) [0|0] "mA" X\n SG_ CODE m2 : 32|8@1+ (1,0) [0|0] "" X\n SG_ OK'
+)
+REFUSED = {
+    "limits above the bits": (with_line("(0.0001,0) [0|0]", "(0.0001,-500000) [2000|4000]"), {}, "x.signal", "-714748"),
+    "limits below the bits": (with_line("(0.05,0) [0|0]", "(0.05,0) [-9000|-2000]"), {}, "y.signal", "-1638.4"),
+    "limits of a count beyond its bits": (
+        with_line("CNT : 48|8@1+ (1,0) [0|255]", "CNT : 48|8@1+ (1,0) [300|400]"),
+        {},
+        "",
+        "",
+    ),
+    "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), {}, "command.signal", "32.767"),
+    "a factor of 0": (with_line("(0.05,0)", "(0,0)"), {}, "y.signal", "POS_Y"),
+    "a factor without end": (with_line("(0.05,0)", "(1e999,0)"), {}, "y.signal", "inf"),
+    "a name of a message twice": (BOARD + "\nBO_ 300 MEAS: 8 BOARD\n", {}, "x.message", "0x120 and 0x12c"),
+    "a name of a signal twice": (
+        with_line("SG_ OK", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'),
+        {},
+        "x.signal",
+        "2",
+    ),
+    "signals on each other": (with_line("POS_Y : 32|", "POS_Y : 24|"), {}, "x.signal", "'POS_Y'"),
+    "a signal beyond its message": (with_line("SET_CNT : 24|8", "SET_CNT : 26|8"), {}, "protection.command.alive", "4"),
+    "a float of 24 bits": (
+        with_line("POS_X : 0|32", "POS_X : 0|24") + "SIG_VALTYPE_ 288 POS_X : 1;\n",
+        {},
+        "x.signal",
+        "24",
+    ),
+    "a state that chooses the current's page": (MULTIPLEXED, {"current.signal": "I"}, "x.signal", "'AMP'"),
+    "a state that chooses the code's page": (MULTIPLEXED, {"fault.signal": "CODE"}, "x.signal", "'AMP'"),
+    "an identifier of two messages": (
+        BOARD + '\nBO_ 288 AGAIN: 8 BOARD\n SG_ Y : 0|16@1- (1,0) [0|0] "um" HOST\n',
+        {"y.message": "AGAIN", "y.signal": "Y"},
+        "",
+        "'MEAS' and 'AGAIN'",
+    ),
+    "no list of messages": ("NS_ :\n    NS_DESC_\n    CM_\n", {}, "", "within NS_"),
+    "a file without messages": ('VERSION ""\n', {}, "", "no message"),
+}
+
+
+@pytest.mark.parametrize(("text", "changes", "parameter", "words"), REFUSED.values(), ids=REFUSED)
+def test_what_the_wire_uses_and_cannot_be_right_is_refused(board, text, changes, parameter, words):
+    with pytest.raises(RefusedParameter, match=words or None) as refused:
+        board(text, changes)
+    assert f"'wire.{parameter}" in str(refused.value) or not parameter or "dbc" in str(refused.value)
+
+
+def test_a_multiplexer_with_a_role_that_chooses_nothing_of_the_wires_is_allowed(board, compiled):
+    compiled(board(MULTIPLEXED))
+
+
+def test_a_file_that_is_cut_off_anywhere_within_a_statement_is_refused(board):
+    text = f'{BOARD}\nCM_ SG_ 288 POS_X "a text; with\n BO_ 1 of its own";\nVAL_ 288 AMP 0 "off" 1 "on" ;\n'
+    allowed = 0
+    for end in range(len(text)):
+        with contextlib.suppress(RefusedParameter):
+            board(text[:end])
+            allowed += 1
+            # Whole up to here: nothing that the wire needs is missing.
+            assert 'SET_CNT : 24|8@1+ (1,0) [0|255] "" B' in text[:end]
+    assert 0 < allowed < 30
+
+
+EVIL = "*/ int8_t x; }; __attribute__((constructor)) static void pwn(void){} struct z { /*"
+TEXTS = {
+    "unit": with_line("SG_ OK", f'SG_ FREE : 60|1@1+ (1,0) [0|1] "{EVIL}" X\n SG_ OK'),
+    "unit of a role": (with_line('"um"', f'"{EVIL}"'), {"y.unit": "um"}),
+    "comment": f'{BOARD}CM_ SG_ 288 POS_X "{EVIL}";\nCM_ BO_ 288 "{EVIL}";\n'
+    'CM_ SG_ 288 POS_Y "**//// int e; /\\\n*/ int f;";\n',
+    "choice": f'{BOARD}VAL_ 288 AMP 0 "x 0)\n int evil;\n#define y" 1 "{EVIL}" ;\n',
+    "long name": BOARD
+    + 'BA_DEF_ SG_ "SystemSignalLongSymbol" STRING ;\nBA_DEF_DEF_ "SystemSignalLongSymbol" "";\n'
+    + f'BA_ "SystemSignalLongSymbol" SG_ 288 OK "1 x\'); import os; {EVIL}";\n',
+}
+LONG = {"good.signal": f"1 x'); import os; {EVIL}"}
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_no_text_of_a_file_reaches_c(board, compiled, kind):
+    text, changes = (
+        TEXTS[kind] if isinstance(TEXTS[kind], tuple) else (TEXTS[kind], LONG if kind == "long name" else {})
+    )
+    can = board(text, changes)
+    wire = can.make_wire()
+    assert wire.sample.unpack(wire.sample.pack(REPORT, 0)).good
+    assert not any(
+        word in made
+        for made in compiled(can).values()
+        for word in ("pwn(", "int evil", "int e;", "import os;", "*/ int")
+    )
+
+
+@pytest.mark.parametrize("name", ['q", .x = "y.dbc', "n\nint evil;\n.dbc", 'n\\".dbc', "*" + "??/" + ".dbc", "µ.dbc"])
+def test_no_name_of_a_file_reaches_c(board, compiled, name):
+    # A slash is no part of a name.
+    can = board(name=name.replace("/", "'"))
+    assert "int evil;" not in compiled(can)["wire.c"]
+    assert can.make_wire().source().isascii() and can.make_wire().source().count(" ") == 1
+
+
+SHAPES = {
+    "negative factor and wide limits": with_line("(0.05,0) [0|0]", "(-0.05,0) [-2000|2000]"),
+    "limits beyond the bits": BOARD.replace("[0|0]", "[-1e9|1e9]")
+    .replace("[0|255]", "[0|1000]")
+    .replace("[0|1]", "[-9|9]"),
+    "an offset and a narrow range": with_line("(0.0001,0) [0|0]", "(-0.0001,3) [-1500|2500]"),
+    "names that meet when joined": BOARD.replace("MEAS", "A")
+    .replace("SET:", "A_POS:")
+    .replace("CUR", "X")
+    .replace("SET_CNT", "POS_Y2"),
+    "keywords": BOARD.replace("POS_X", "int")
+    .replace("POS_Y", "Int")
+    .replace("CNT", "INT")
+    .replace("SET_INT", "volatile"),
+    "long names": BOARD.replace("POS_X", "x" * 200),
+}
+NAMES = {
+    "names that meet when joined": {
+        "x.message": "A",
+        "command.message": "A_POS",
+        "command.signal": "X",
+        "protection.command.alive": "POS_Y2",
+    },
+    "keywords": {"x.signal": "int", "y.signal": "Int", "counter.signal": "INT", "protection.command.alive": "volatile"},
+    "long names": {"x.signal": "x" * 200},
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_frames_of_every_file_that_is_accepted_compile(board, compiled, shape):
+    can = board(SHAPES[shape], NAMES.get(shape, {}))
+    wire = can.make_wire()
+    told = wire.sample.unpack(wire.sample.pack(REPORT, 0))
+    assert (told.x, told.y) == pytest.approx((0.5, -22e-6), abs=1e-7)
+    assert wire.command.unpack(wire.command.pack(Command(3, True, None, 0.25, None))).current == pytest.approx(0.25)
+    compiled(can)
+
+
+def described(message):
+    signals = {
+        signal.name: [
+            *(signal.start, signal.length, signal.byte_order, signal.is_signed, signal.is_float, signal.scale),
+            *(signal.offset, signal.minimum, signal.maximum, signal.unit, signal.raw_initial),
+            *(signal.multiplexer_ids, signal.multiplexer_signal, dict(signal.choices or {})),
+        ]
+        for signal in message.signals
+    }
+    return message.frame_id, message.is_extended_frame, message.length, message.cycle_time, message.is_fd, signals
+
+
+def read(dbc, name):
+    with contextlib.suppress(DbcError):
+        return dbc.message(name)
+    return None
+
+
+def names_in(file):
+    words = [line.split() for line in file.read_text(errors="replace").splitlines() if line.startswith("BO_ ")]
+    return [line[2].rstrip(":") for line in words if line[2] != "VECTOR__INDEPENDENT_SIG_MSG:"]
+
+
+@pytest.mark.parametrize("file", REAL, ids=lambda file: file.stem)
+def test_a_message_of_a_real_file_is_what_cantools_reads(file):
+    dbc, names = Dbc(str(file)), names_in(file)
+    with contextlib.redirect_stderr(io.StringIO()):
+        try:
+            whole = cantools.database.load_file(file, strict=False)
+        except (cantools.Error, ValueError):
+            # For a fault in some message. Each of the others is read here; an identifier must have its number of bits.
+            lines = [line.split() for line in file.read_text(errors="replace").splitlines() if line.startswith("BO_ ")]
+            sound = {line[2].rstrip(":") for line in lines if not 0x7FF < int(line[1]) < 1 << 31}
+            assert all(read(dbc, name) for name in names if name in sound)
+            return
+    for name in set(names):
+        assert described(dbc.message(name)) == described(whole.get_message_by_name(name))
+
+
+@pytest.mark.parametrize("file", REAL, ids=lambda file: file.stem)
+def test_the_frames_of_a_board_that_speaks_a_real_files_messages_compile(board, compiled, file):
+    text = file.read_text(encoding="cp1252", errors="replace")
+    can = board(
+        (text + "\n" + BOARD.split("BU_: BOARD HOST")[1].replace("288", "1999").replace("289", "1998")).encode(
+            "cp1252", "replace"
+        )
+    )
+    compiled(can)
+    dbc = Dbc(can.dbc)
+    usable = []
+    for name in names_in(file):
+        message = read(dbc, name)
+        plain = (
+            [one.name for one in message.signals if not one.multiplexer_signal and one.length > 1] if message else []
+        )
+        if len(plain) >= 2:
+            usable.append((name, plain))
+    tried = 0
+    for (name, signals), (asked, sent) in zip(usable[::2], usable[1::2], strict=False):
+        changes = {"x.message": name, "x.signal": signals[0], "x.unit": "mm", "y.signal": signals[1], "y.unit": "um"}
+        changes |= {"amplifier.message": "MEAS", "good.message": "MEAS", "counter.signal": ""}
+        changes |= {"command.message": asked, "command.signal": sent[0], "command.unit": "mA"}
+        changes |= {"enable.signal": sent[1], "protection.command.alive": ""}
+        with contextlib.suppress(RefusedParameter):
+            compiled(
+                board(
+                    (file.parent / file.name).read_bytes() + BOARD.split("HOST", 1)[1].replace("288", "1999").encode(),
+                    changes,
+                )
+            )
+            tried += 1
+        if tried >= 3:
+            break
+
+
+def test_stage_check_names_the_fault_of_a_file_in_one_sentence(board, tmp_path, capsys):
+    (tmp_path / "cut.dbc").write_text('VERSION ""\n\nNS_ :\n    NS_DESC_\n    CM_\n')
+    (tmp_path / "cut.yaml").write_text(
+        "/**/driver:\n  ros__parameters:\n    can:\n      dbc: cut.dbc\n      fd: false\n"
+    )
+    assert main(["stage", "check", str(tmp_path / "cut.yaml")]) == 2
+    assert "cut off" in capsys.readouterr().err
