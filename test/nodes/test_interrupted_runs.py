@@ -1,13 +1,9 @@
 """Runs of the graph replace nothing but what the tool made, and reach no machine."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
-import interrupted
 import pytest
 
 from straightcomp_ros.bags.reader import read_streams
@@ -87,24 +83,3 @@ def test_a_demonstration_is_run_twice_without_an_option(tmp_path, monkeypatch, c
         assert json.loads(capsys.readouterr().out)["bag"] == "demo_output/bag"
     made = {path.name for path in Path("demo_output").glob("[!.]*")}
     assert made == {"bag", "logs", "parameters.yaml", "run.png"}
-
-
-@pytest.mark.live
-@pytest.mark.soak
-@pytest.mark.parametrize("words", [["demo", "-o", "out", *SHORT], ["replay", "smc", "--graph", "-o", "out"]])
-def test_a_fault_at_any_write_of_the_command_leaves_the_former_run(tmp_path, words, monkeypatch):
-    template, work = tmp_path / "template", tmp_path / "work"
-    work.mkdir()
-    template.mkdir()
-    monkeypatch.chdir(template)
-    shutil.copytree(SMC, "smc")
-    assert main(words) in (0, 1)
-    command = [sys.executable, interrupted.__file__, str(template), str(work), "6", *words]
-    done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ), timeout=3000)
-    first, *facts = map(json.loads, done.stdout.splitlines())
-    print(f"{words[0]}: {first['writes']} writes, {len(facts)} faults")
-    for fact in facts:
-        # Times are not to the byte: each file of the former run, or all of the new.
-        assert fact["code"] != 0 and "Traceback" not in fact["said"] and not fact["left"], fact
-        lost = [name for name in fact["spoiled"] if name.startswith("smc/")]
-        assert not lost and (not fact["spoiled"] or fact["at"] > first["writes"] // 2), fact
