@@ -7,9 +7,10 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.folder import opened, sqlite_files, topic_names
+from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.mcap_records import UNREADABLE, parsed
+from straightcomp_ros.bags.sqlite_input import SqliteInput
 from straightcomp_ros.bags.stream_columns import StreamColumns, StreamDecoder
 from straightcomp_ros.bags.topics import RecordedTopic, chosen_topics
 from straightcomp_ros.messages.cdr import Layout
@@ -43,15 +44,15 @@ def read_streams(
         decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
         count = 0
         for file in files:
-            ours = {number: topic for number, topic in file.topics.items() if topic.name in wanted}
-            for topic in ours.values():
-                _check_kind(file.path, topic, layouts[wanted[topic.name]])
-            for data, places in file.blocks(ours):
-                for number, starts in places.items():
+            for topic in file.topics.values():
+                if topic.name in wanted:
+                    _check_kind(file.path, topic, layouts[wanted[topic.name]])
+            for data, places in file.blocks(wanted):
+                for name, starts in places.items():
                     count += len(starts)
-                    if number in ours:
-                        decoders[ours[number].name].add(data, starts)
-    if not count and sqlite_files(bag):
+                    if name in wanted:
+                        decoders[name].add(data, starts)
+    if not count and any(isinstance(file, SqliteInput) for file in files):
         raise BagError(f"bag {bag} has no messages on {', '.join(layouts)}; its topics are {', '.join(sorted(names))}")
     if not count:
         raise BagError(f"bag {bag} has no messages; record again, and check that the topics are published")
@@ -78,7 +79,8 @@ def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
     with opened(bag) as files:
         for file in (file for file in files if isinstance(file, McapInput)):
             # Metadata records have no checksum of their own.
-            file.check_data_section()
+            for end in file.records(Opcode.DATA_END):
+                file.check_data_section(end)
             for record in file.records(Opcode.METADATA):
                 try:
                     metadata = parsed(Metadata, record.content)

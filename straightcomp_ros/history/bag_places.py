@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
@@ -11,10 +12,9 @@ from typing import Any, NamedTuple
 
 from mcap.writer import MCAP0_MAGIC
 
-from straightcomp_ros.bags.folder import split_number
+from straightcomp_ros.bags.folder import STORED, is_one_recording, split_number
 from straightcomp_ros.history import HistoryError, StorageError
 
-_MESSAGES = (".mcap", ".db3")
 _METADATA = "metadata.yaml"
 
 
@@ -78,8 +78,9 @@ def reaching(url: str) -> Iterator[None]:
 def bags_in(url: str) -> Iterator[BagPlace]:
     """The bag at ``url``, or all bags below that folder, in the order of their names.
 
-    A folder with metadata.yaml, or with the numbered files of one recording, is a bag; other MCAP and SQLite files are
-    bags of their own. Links to folders are not followed.
+    A folder with metadata.yaml is a bag, as is one whose files are the parts of recordings by their numbers (of several
+    recordings: a bag that cannot be evaluated). Other MCAP and SQLite files, compressed as a whole or not, are bags of
+    their own. Links to folders are not followed.
 
     Raises:
         HistoryError: nothing is there.
@@ -121,10 +122,10 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
         folders, entries = _listed(files, path, local)
     except FileNotFoundError:
         return  # removed meanwhile
-    messages = [entry for entry in entries if entry.name.endswith(_MESSAGES)]
-    recordings = [split_number(Path(entry.name)) for entry in messages]
-    numbered = len({name for name, _, _ in recordings}) == 1 and all(number >= 0 for _, number, _ in recordings)
-    if messages and (numbered or any(entry.name == _METADATA for entry in entries)):
+    messages = [entry for entry in entries if STORED.fullmatch(entry.name)]
+    recordings = Counter(split_number(Path(entry.name))[0] for entry in messages)
+    parts = len(recordings) < len(messages) or (messages and is_one_recording(entry.name for entry in messages))
+    if messages and (parts or any(entry.name == _METADATA for entry in entries)):
         own = [entry for entry in entries if entry.name == _METADATA or entry in messages]
         yield _place(_location(files, path, local), own)
         return

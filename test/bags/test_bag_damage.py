@@ -196,7 +196,7 @@ def test_a_bag_without_messages_is_refused(tmp_path):
         ("run_0.mcap.zstd", "compressed as a whole; .*unzstd"),
     ],
 )
-def test_a_folder_without_mcap_files_is_refused_with_what_to_do(tmp_path, name, reason):
+def test_a_folder_without_files_of_a_bag_is_refused_with_what_to_do(tmp_path, name, reason):
     if name:
         (tmp_path / name).touch()
     with pytest.raises(BagError, match=reason):

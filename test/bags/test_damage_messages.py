@@ -149,12 +149,13 @@ def test_an_attachment_whose_checksum_is_wrong(bag):
 def test_a_data_section_whose_checksum_is_wrong(bag):
     def check(path):
         with McapInput(path) as file:
-            file.check_data_section()
+            (record,) = file.records(Opcode.DATA_END)
+            file.check_data_section(record)
 
     check(bag.file)
     end = bag.record(Opcode.DATA_END)
     bag.content[end + FRAME_SIZE : end + FRAME_SIZE + 4] = b"\1\2\3\4"
-    assert bag.refusal(check) == (0, "the checksum of the whole file is wrong")
+    assert bag.refusal(check) == (0, "the checksum of the data section is wrong")
 
 
 def test_a_file_is_closed_when_it_is_refused(tmp_path):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.folder import mcap_files
+from straightcomp_ros.bags.folder import bag_files
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import recover
@@ -62,7 +62,7 @@ def run(
         LaunchError: a node could not be started.
     """
     if bag is not None:
-        mcap_files(bag)  # refused before anything is recorded
+        bag_files(bag)  # refused before anything is recorded
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         if bag is None:
