@@ -113,10 +113,10 @@ def _register_type(bag: Path, messages: Messages) -> None:
         else:
             described = get_types_from_msg(messages.definition, name)
         store.register({key: value for key, value in described.items() if key not in store.fielddefs})
+        store.hash_rihs01(name)  # needs the types of all its fields
     except Exception as error:  # The parser raises errors of many kinds on a malformed text.
-        raise BagError(f"{where}: its text cannot be read ({error})") from error
-    if name not in store.fielddefs:
-        raise BagError(f"{where}: its text describes {', '.join(described)}")
+        store.fielddefs.pop(name, None)
+        raise BagError(f"{where}: its text cannot be used ({error})") from error
 
 
 def _value(where: str, message: Any, path: str) -> float:

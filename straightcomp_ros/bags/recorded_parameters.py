@@ -53,7 +53,8 @@ def parameters_of(
         return found
     if "controller" in found:
         raise BagError(f"bag {bag}: has the parameters of its run attached; --params-file is for a bag without them")
-    return given
+    # The file may be of the bag's time, too.
+    return {node: present_names(node, section) for node, section in given.items()}
 
 
 def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:

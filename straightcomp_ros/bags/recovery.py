@@ -170,7 +170,11 @@ class _Copy:
                 if opcode == Opcode.MESSAGE:
                     self._add_message(content)
                 else:
-                    self._known.add(opcode, content)
+                    new = Summary()
+                    new.add(opcode, content)
+                    # The end of the file has a checksum, and counts before these.
+                    self._known.schemas = new.schemas | self._known.schemas
+                    self._known.channels = new.channels | self._known.channels
                     self._add_new_topics()
         except BagError:
             raise  # the new bag cannot be written, or the whole bag is of no use
@@ -192,7 +196,9 @@ class _Copy:
         schema = self._known.schemas.get(channel.schema_id) or Schema(0, b"", "", "")
         topic = self._writer.topics.get(channel.topic)
         if topic is None:
-            described = Definition(schema.data, channel.metadata.get("topic_type_hash", ""), schema.encoding)
+            is_text = schema.encoding.startswith("ros2")
+            text = schema.data.decode(errors="replace") if is_text else schema.data
+            described = Definition(text, channel.metadata.get("topic_type_hash", ""), schema.encoding)
             qos = TopicQos.from_yaml(channel.metadata.get("offered_qos_profiles", ""))
             self._writer.add_topic(channel.topic, schema.name, qos, described, channel.message_encoding)
         same = topic is None or (topic.type_name, topic.encoding) == (schema.name, channel.message_encoding)

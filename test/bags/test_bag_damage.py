@@ -191,7 +191,7 @@ def test_a_bag_without_messages_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        (None, "holds no .mcap file"),
+        (None, "holds no .mcap"),
         ("run_0.db3", "is no SQLite bag of rosbag2, or is damaged: no such table: topics; copy it again"),
         ("run_0.mcap.zstd", "compressed as a whole; .*unzstd"),
     ],

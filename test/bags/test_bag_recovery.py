@@ -149,18 +149,6 @@ def test_the_original_is_not_changed(record, tmp_path):
         recover(bag.directory, bag.directory)
 
 
-def test_topics_of_other_encodings_are_named_and_left_out(tmp_path):
-    path = tmp_path / "other.mcap"
-    with open(path, "wb") as file:
-        writer = McapWriter(file)
-        writer.start()
-        schema = writer.register_schema("thing", "jsonschema", b"{}")
-        channel = writer.register_channel("/thing", "json", schema)
-        writer.add_message(channel, 1, b"{}", 1)
-        writer.finish()
-    assert recover(path, tmp_path / "new").foreign == ["/thing"]
-
-
 def test_a_recording_that_is_killed_loses_less_than_half_a_second_even_at_few_messages(tmp_path):
     program = f"""
 import sys, time
