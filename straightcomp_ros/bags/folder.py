@@ -55,7 +55,7 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
             warnings.warn(f"bag {bag}: metadata.yaml does not list {others}: not read", stacklevel=3)
         return [files[name] for name in listed if name in files], [name for name in listed if name not in files]
     found = sorted(files.values(), key=split_number)
-    if not is_one_recording(files):
+    if not _is_one_recording(files):
         raise BagError(f"bag {bag}: the folder holds several recordings ({', '.join(sorted(files))}); give one file")
     # A recording that was killed between making its next file and writing to it leaves an empty one.
     if len(found) > 1 and not found[-1].stat().st_size:
@@ -87,8 +87,8 @@ def split_number(file: Path) -> tuple[str, int, str]:
     return (match[1], int(match[2]), file.name) if match else (file.stem, -1, file.name)
 
 
-def is_one_recording(names: Iterable[str]) -> bool:
-    """Whether files with these names are the parts of one recording: a single one, or all numbered under one name."""
+def _is_one_recording(names: Iterable[str]) -> bool:
+    """Whether files with these names are a single one, or all numbered under one name."""
     parts = [(*split_number(Path(name)), Path(name).suffix) for name in names]
     recordings, numbers = {(name, suffix) for name, _, _, suffix in parts}, {number for _, number, _, _ in parts}
     return len(parts) == 1 or (len(recordings) == 1 and len(numbers) == len(parts) and min(numbers) >= 0)

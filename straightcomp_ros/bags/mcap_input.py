@@ -103,8 +103,8 @@ class McapInput:
 
     @cached_property
     def topics(self) -> dict[int, RecordedTopic]:
-        """Topics by the id of their channel: from the summary, from the data where it does not have all. Raises BagError
-        when the file is damaged."""
+        """Topics by the id of their channel: from the summary, from the data where it does not have all. Raises
+        BagError when the file is damaged."""
         if self.summary and self.summary.complete:
             return self.summary.topics()
         found = Summary()
@@ -184,6 +184,7 @@ class McapInput:
 
     def attachment(self, record: Record) -> Attachment:
         """The attachment in a record. Raises BagError when its checksum is wrong, or it cannot be read."""
+        attachment: Attachment
         try:
             attachment, size = measured(Attachment, record.content)
         except UNREADABLE as error:
@@ -191,7 +192,7 @@ class McapInput:
         crc = int.from_bytes(record.content[size - 4 : size], "little")
         if crc and zlib.crc32(record.content[: size - 4]) != crc:
             raise self.damaged(record.offset, "the checksum of an attachment is wrong")
-        return attachment  # type: ignore[no-any-return]
+        return attachment
 
     def check_data_section(self, end: Record) -> None:
         """Check the checksum over the whole data section, whose ``end`` has it, or 0. Raises BagError when it is

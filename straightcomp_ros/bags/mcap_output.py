@@ -134,8 +134,8 @@ class McapOutput:
         self.size, self._crc = self._put(MAGIC + _packed(records.Header("ros2", PACKAGE)))
 
     def add_channel(self, topic: Topic, metadata: dict[str, str]) -> int:
-        """Add a topic; returns its channel id. One of no type has no schema. It is written beside the chunks, not into one, so that a damaged chunk
-        costs its own messages only."""
+        """Add a topic; returns its channel id. One of no type has no schema. It is written beside the chunks, not into
+        one, so that a damaged chunk costs its own messages only."""
         schemas, channels = self._summary[Opcode.SCHEMA], self._summary[Opcode.CHANNEL]
         key = (topic.type_name, topic.described)
         schema_id = self._schema_ids.get(key, len(schemas) + 1) if topic.type_name else 0

@@ -1,8 +1,8 @@
 """Makes a finished bag from a cut-off or damaged one.
 
-A record is copied when its fields fit into its length and its checksum, where it has one, is right. What fields leave of
-a length may be of a later version of MCAP, if another record follows. Behind damage the search goes on at the next sound
-chunk, wherever it starts.
+A record is copied when its fields fit into its length and its checksum, where it has one, is right. What fields leave
+of a length may be of a later version of MCAP, if another record follows. Behind damage the search goes on at the next
+sound chunk, wherever it starts.
 """
 
 import shutil

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 
 from mcap.writer import MCAP0_MAGIC
 
-from straightcomp_ros.bags.folder import STORED, is_one_recording, split_number
+from straightcomp_ros.bags.folder import STORED, split_number
 from straightcomp_ros.history import HistoryError, StorageError
 
 _METADATA = "metadata.yaml"
@@ -123,8 +122,8 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
     except FileNotFoundError:
         return  # removed meanwhile
     messages = [entry for entry in entries if STORED.fullmatch(entry.name)]
-    recordings = Counter(split_number(Path(entry.name))[0] for entry in messages)
-    parts = len(recordings) < len(messages) or (messages and is_one_recording(entry.name for entry in messages))
+    numbered = [name for name, number, _ in (split_number(Path(entry.name)) for entry in messages) if number >= 0]
+    parts = len(set(numbered)) < len(numbered) or len(numbered) == len(messages) == 1
     if messages and (parts or any(entry.name == _METADATA for entry in entries)):
         own = [entry for entry in entries if entry.name == _METADATA or entry in messages]
         yield _place(_location(files, path, local), own)

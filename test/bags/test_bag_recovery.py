@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer as McapWriter
 from recording import START_NS, add_streams
 from rosbags.rosbag2 import Reader
 
