@@ -43,11 +43,11 @@ class Block(NamedTuple):
     places: Mapping[str, NDArray[np.int64]]
 
 
-class _Fields(ReadDataStream):
+class _Fields(ReadDataStream):  # type: ignore[misc, unused-ignore]  # mcap may have no types
     """The fields of a record, none of which may be longer than what is there."""
 
     def read(self, length: int) -> bytes:
-        data = super().read(length)
+        data: bytes = super().read(length)
         if len(data) != length:
             raise ValueError("a field is longer than its record")
         return data

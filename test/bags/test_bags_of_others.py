@@ -394,6 +394,15 @@ def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_pat
     assert [place.location for place in bags_in(str(tmp_path))] == [str(bag)]
 
 
+def test_files_that_a_user_renamed_are_in_the_order_of_their_messages(sample, tmp_path):
+    for number, name in enumerate(("z.mcap", "a.mcap", "m.mcap")):
+        Variant().write(sample[number * 1600 : (number + 1) * 1600], tmp_path / "b" / name, parameters=not number)
+    information = {"relative_file_paths": ["b_0.mcap", "b_1.mcap", "b_2.mcap"]}
+    (tmp_path / "b" / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+    found = audit(tmp_path / "b")
+    assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
+
+
 def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_another_verb(sample, tmp_path, capsys):
     from straightcomp_ros.history.bag_places import bags_in
 
