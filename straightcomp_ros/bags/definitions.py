@@ -19,11 +19,13 @@ class Definition(NamedTuple):
 
     ``text`` is the schema in encoding ``ros2msg``: the type's .msg text, then for each type that it needs a line of 80
     ``=``, a line ``MSG: package/Name`` and that type's text; without the comments that rosbag2 keeps and no reader
-    needs. ``type_hash`` is the RIHS01 hash (REP 2016), ``RIHS01_`` and 64 hexadecimal digits.
+    needs. ``type_hash`` is the RIHS01 hash (REP 2016), ``RIHS01_`` and 64 hexadecimal digits. Of another bag both may
+    be empty, and ``encoding`` and ``text`` of any kind.
     """
 
-    text: str
+    text: str | bytes
     type_hash: str
+    encoding: str = "ros2msg"
 
 
 @cache

@@ -17,6 +17,8 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
 
+_IDL_HEAD = re.compile(r"={80}\nIDL: .*\n")
+"""Line between the types of a definition in encoding ``ros2idl``."""
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
 
 
@@ -96,17 +98,25 @@ def _layout_with(field: Field, messages: Messages) -> tuple[Layout, str] | None:
 
 def _register_type(bag: Path, messages: Messages) -> None:
     """Have the type of these messages in the typestore: as the bag describes it where ROS 2's own packages lack it."""
-    from rosbags.typesys import get_types_from_msg
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     store, name = typestore(), messages.type_name
     if name in store.fielddefs:
         return
+    where = f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
+    if not messages.definition.strip():
+        raise BagError(f"{where}; record again where the package of that type is installed")
     try:
-        described = get_types_from_msg(messages.definition, name)
+        if messages.definition_encoding == "ros2idl":
+            texts = _IDL_HEAD.split(messages.definition)
+            described = {key: value for text in texts if text for key, value in get_types_from_idl(text).items()}
+        else:
+            described = get_types_from_msg(messages.definition, name)
         store.register({key: value for key, value in described.items() if key not in store.fielddefs})
+        store.hash_rihs01(name)  # needs the types of all its fields
     except Exception as error:  # The parser raises errors of many kinds on a malformed text.
-        where = f"bag {bag}: topic '{messages.topic}'"
-        raise BagError(f"{where} has messages of type '{name}', which the bag does not describe") from error
+        store.fielddefs.pop(name, None)
+        raise BagError(f"{where}: its text cannot be used ({error})") from error
 
 
 def _value(where: str, message: Any, path: str) -> float:

@@ -2,9 +2,10 @@
 
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY
@@ -14,84 +15,140 @@ from straightcomp_ros.settings.yaml_text import load_yaml
 
 BagInput = McapInput | SqliteInput
 _LARGEST_METADATA = 32 << 20
+STORED = re.compile(r".*\.(mcap|db3)(?P<compressed>\.zstd?|\.lz4)?")
+"""Name of a file with messages: MCAP or SQLite, perhaps compressed as a whole."""
+_CLASSIC = re.compile(r"(.*?)_?(\d+)")
+_ROLLING = re.compile(r"(\d+)_(.*)_\d{4}(?:_\d\d){2}-\d\d(?:_\d\d){2}")
 
 
-def mcap_files(bag: Path) -> list[Path]:
-    """The MCAP files of a bag, a rosbag2 folder or one file, oldest first. Raises BagError when there is none, or the
-    bag is stored in another way."""
+def found_files(bag: Path) -> tuple[list[Path], list[str]]:
+    """The files of a bag, a rosbag2 folder or one file, in the order of recording, and the names of those that it
+    lacks.
+
+    The order is that of the list in metadata.yaml; without a list, or with one of other names, that of the numbers in
+    the names; of renamed MCAP files without numbers that of their first messages. Raises BagError when there is no
+    file, the files or messages are compressed by rosbag2, or files are of several recordings. Warns (UserWarning) of
+    files that the list does not have, which are left out.
+    """
     bag = Path(bag)
-    if bag.is_file():
-        return [bag]
     if not bag.exists():
         raise BagError(f"bag {bag} does not exist; give a bag folder or a file that ends with .mcap")
-    files = sorted(bag.glob("*.mcap"), key=split_number)
-    if files:
-        # A recording that was killed between making its next file and writing to it leaves an empty one.
-        return files[:-1] if len(files) > 1 and not files[-1].stat().st_size else files
-    if any(bag.glob("*.mcap.zstd")):
-        raise BagError(f"bag {bag}: its files are compressed as a whole; unpack them with `unzstd *.mcap.zstd`")
-    if any(bag.glob("*.db3")):
-        raise BagError(f"bag {bag} is stored as sqlite3; this needs MCAP: `ros2 bag convert`")
-    raise BagError(f"bag {bag}: the folder holds no .mcap file; give the folder that the recording made")
+    stored = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if STORED.fullmatch(file.name))
+    compressed = [file for file in stored if file.suffix not in (".mcap", ".db3") and STORED.fullmatch(file.name)]
+    files = {file.name: file for file in stored if file not in compressed}
+    packed = [file for file in compressed if file.stem not in files]
+    if packed:
+        program = "unlz4 -m" if packed[0].suffix == ".lz4" else "unzstd"
+        pattern = packed[0].name if bag.is_file() else f"*{''.join(packed[0].suffixes[-2:])}"
+        raise BagError(f"bag {bag}: its files are compressed as a whole; unpack them with `{program} {pattern}`")
+    if not files:
+        raise BagError(f"bag {bag}: the folder holds no .mcap and no .db3 file; give the folder of the recording")
+    if bag.is_file():
+        return [bag], []
+    information = _information(bag)
+    if str(information.get("compression_mode")).upper() == "MESSAGE":
+        raise BagError(f"bag {bag}: {compressed_messages(str(information.get('compression_format')))}")
+    listed = _listed(information)
+    if not files.keys().isdisjoint(listed):
+        others = ", ".join(sorted(files.keys() - set(listed)))
+        if others:
+            warnings.warn(f"bag {bag}: metadata.yaml does not list {others}: not read", stacklevel=3)
+        return [files[name] for name in listed if name in files], [name for name in listed if name not in files]
+    found = sorted(files.values(), key=split_number)
+    if not _is_one_recording(files):
+        begun = [_begin(file) for file in found] if len(listed) == len(found) else [None]
+        if None not in begun and len(set(begun)) == len(found):
+            # The files of the list under names of a user.
+            return [file for _, file in sorted(zip(begun, found, strict=True))], []
+        raise BagError(f"bag {bag}: the folder holds several recordings ({', '.join(sorted(files))}); give one file")
+    # A recording that was killed between making its next file and writing to it leaves an empty one.
+    if len(found) > 1 and not found[-1].stat().st_size:
+        found.pop()
+    # A bag with as many files as its list has them under other names.
+    return found, list(listed) if len(listed) > len(found) else _gaps(found)
+
+
+def bag_files(bag: Path) -> list[Path]:
+    """The first of what :func:`found_files` returns. Raises BagError when a file is missing, too."""
+    files, missing = found_files(bag)
+    if missing:
+        advice = "copy the whole folder again, or save what is there with `straightcomp recover`"
+        raise BagError(f"bag {bag} lacks {', '.join(missing)}; {advice}")
+    return files
+
+
+def compressed_messages(compression: str) -> str:
+    """What is wrong with a bag of `ros2 bag record --compression-mode message`, and what helps."""
+    return f"each of its messages is compressed ({compression}); unpack them with `ros2 bag convert`"
 
 
 def split_number(file: Path) -> tuple[str, int, str]:
-    """rosbag2 numbers the files of a split bag: name_0, name_1, … name_10."""
-    match = re.fullmatch(r"(.*?)_?(\d+)", file.stem)
+    """Recording, number and name of a file of a bag, as it is sorted. rosbag2 numbers the files of a split bag: name_0,
+    name_1, … name_10; since 2025 0_name_2025_12_17-10_00_00, 1_name_…. Without a number it is -1."""
+    if match := _ROLLING.fullmatch(file.stem):
+        return match[2], int(match[1]), file.name
+    match = _CLASSIC.fullmatch(file.stem)
     return (match[1], int(match[2]), file.name) if match else (file.stem, -1, file.name)
 
 
-def missing_files(bag: Path, files: Sequence[Path]) -> list[str]:
-    """Names of the files that a bag lacks beside its ``files``, as :func:`mcap_files` returns them: those that its
-    metadata.yaml names, and gaps in the numbers. A bag that is a single file lacks nothing."""
-    bag = Path(bag)
-    if bag.is_file():
-        return []
+def _is_one_recording(names: Iterable[str]) -> bool:
+    """Whether files with these names are a single one, or all numbered under one name."""
+    parts = [(*split_number(Path(name)), Path(name).suffix) for name in names]
+    recordings, numbers = {(name, suffix) for name, _, _, suffix in parts}, {number for _, number, _, _ in parts}
+    return len(parts) == 1 or (len(recordings) == 1 and len(numbers) == len(parts) and min(numbers) >= 0)
+
+
+def _begin(file: Path) -> int | None:
+    """Time of a file's first message, ns; None where the file does not say it."""
+    if file.suffix != ".mcap":
+        return None
+    with McapInput(file) as opened_file:
+        statistics = opened_file.summary.statistics if opened_file.summary else None
+    return statistics.message_start_time if statistics else None
+
+
+def _information(bag: Path) -> Mapping[str, Any]:
     try:
-        tree = load_yaml(bag / "metadata.yaml", _LARGEST_METADATA, _LARGEST_METADATA // 32)
-        listed = [Path(str(path)).name for path in tree[ROOT_KEY]["relative_file_paths"]]
+        found = load_yaml(bag / "metadata.yaml", _LARGEST_METADATA, _LARGEST_METADATA // 32)[ROOT_KEY]
     except (OSError, ValueError, LookupError, TypeError):
-        listed = []  # a bag whose list cannot be read still has its messages
-    there = {file.name for file in files}
-    # A bag with as many files as its list has them under other names.
-    missing = [name for name in listed if name not in there] if len(listed) > len(files) else []
-    numbered = {(name, number) for name, number, _ in map(split_number, files) if number >= 0}
-    names, numbers = {name for name, _ in numbered}, {number for _, number in numbered}
-    if len(names) == 1:
-        name = names.pop()
-        gaps = [f"{name}_{number}.mcap" for number in range(min(numbers), max(numbers)) if number not in numbers]
-        missing += [gap for gap in gaps if gap not in missing]
-    return missing
+        return {}  # a bag whose metadata cannot be read still has its messages
+    return found if isinstance(found, Mapping) else {}
 
 
-def sqlite_files(bag: Path) -> list[Path]:
-    """The SQLite files of a bag, oldest first; none for another bag."""
-    bag = Path(bag)
-    if bag.is_file():
-        return [bag] if bag.suffix == ".db3" else []
-    return [] if any(bag.glob("*.mcap")) else sorted(bag.glob("*.db3"), key=split_number)
+def _listed(information: Mapping[str, Any]) -> list[str]:
+    """Names of the files in metadata.yaml; those that were compressed when it was written are unpacked now."""
+    try:
+        paths = information.get("relative_file_paths") or [file["path"] for file in information["files"]]
+        names = [Path(str(path)).name for path in paths]
+    except (LookupError, TypeError):
+        return []
+    return [name.removesuffix(((match := STORED.fullmatch(name)) and match["compressed"]) or "") for name in names]
+
+
+def _gaps(files: Sequence[Path]) -> list[str]:
+    """Names of the files that are missing between the first and the last number: rosbag2 can drop the oldest files."""
+    numbers = [split_number(file)[1] for file in files]
+    absent = sorted(set(range(min(numbers), max(numbers))) - set(numbers))
+    name, suffix = split_number(files[0])[0], files[0].suffix
+    rolling = _ROLLING.fullmatch(files[0].stem)
+    return [f"{number}_{name}_*{suffix}" if rolling else f"{name}_{number}{suffix}" for number in absent]
 
 
 @contextmanager
 def opened(bag: Path) -> Iterator[Sequence[BagInput]]:
     """The files of a bag, open. Raises BagError when there is none, one of several is missing, or one is no MCAP file;
-    warns (UserWarning) when the bag was not finished."""
-    databases = sqlite_files(bag)
-    if databases:
-        yield [SqliteInput(path) for path in databases]
-        return
+    warns (UserWarning) when the bag was not finished, or as :func:`found_files`."""
     with ExitStack() as stack:
-        paths = mcap_files(bag)
-        missing = missing_files(bag, paths)
-        if missing:
-            advice = "copy the whole folder again, or save what is there with `straightcomp recover`"
-            raise BagError(f"bag {bag} lacks {', '.join(missing)}; {advice}")
-        files = [stack.enter_context(McapInput(path)) for path in paths]
+        files = [stack.enter_context(_open(path)) for path in bag_files(bag)]
         for file in files:
-            if file.summary is None:
+            if isinstance(file, McapInput) and file.summary is None:
                 text = f"bag {file.path} was not finished, or its end is damaged: what comes before is read"
                 warnings.warn(text, stacklevel=4)
         yield files
+
+
+def _open(path: Path) -> AbstractContextManager[BagInput]:
+    return nullcontext(SqliteInput(path)) if path.suffix == ".db3" else McapInput(path)
 
 
 def topic_names(files: Iterable[BagInput]) -> set[str]:

@@ -21,12 +21,13 @@ _NO_TIME = 2**63 - 1
 
 @dataclass(frozen=True)
 class Topic:
-    """A recorded topic: full name, ROS type, quality of service, definition of the type."""
+    """A recorded topic: full name, ROS type, quality of service, definition of the type, encoding of its messages."""
 
     name: str
     type_name: str
     qos: TopicQos
     described: Definition
+    encoding: str = "cdr"
 
 
 class BagFile(NamedTuple):
@@ -56,7 +57,7 @@ def bag_information(
                 "topic_metadata": {
                     "name": topic.name,
                     "type": topic.type_name,
-                    "serialization_format": "cdr",
+                    "serialization_format": topic.encoding,
                     "offered_qos_profiles": topic.qos.as_profiles(),
                     "type_description_hash": topic.described.type_hash,
                 },

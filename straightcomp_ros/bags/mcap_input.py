@@ -14,18 +14,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk, Footer
 from mcap.writer import MCAP0_MAGIC as MAGIC
+from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.mcap_records import FRAME, UNREADABLE, Block, Summary, message_places, parsed
+from straightcomp_ros.bags.mcap_records import FRAME, UNREADABLE, Block, Summary, measured, message_places, parsed
 from straightcomp_ros.bags.topics import RecordedTopic
 
 _FOOTER_SIZE = FRAME.size + 20
 _PRIVATE = 0x80
 """From here on opcodes are private to applications; those between MCAP's last and this are reserved."""
+_LARGEST_CHUNK = 1 << 31
+"""Bytes of a chunk, unpacked; writers make chunks of a megabyte or so. A damaged size must not fill the memory."""
 _LOOSE_SIZE = 1 << 20
 """Bytes of messages outside chunks that make a block."""
 _RECOVER = "copy the bag again from where it was recorded, or save what is left with `straightcomp recover`"
@@ -99,9 +103,9 @@ class McapInput:
 
     @cached_property
     def topics(self) -> dict[int, RecordedTopic]:
-        """Topics by the id of their channel: from the summary, from the data where it tells of none. Raises BagError
-        when the file is damaged."""
-        if self.summary and self.summary.channels:
+        """Topics by the id of their channel: from the summary, from the data where it does not have all. Raises
+        BagError when the file is damaged."""
+        if self.summary and self.summary.complete:
             return self.summary.topics()
         found = Summary()
         for record in self.records(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK):
@@ -116,20 +120,24 @@ class McapInput:
                 raise self.damaged(record.offset, f"a topic cannot be read ({error})") from error
         return found.topics()
 
-    def blocks(self, wanted: Collection[int]) -> Iterator[Block]:
-        """All messages in the order of the file, also those of other channels than the ``wanted`` ones: chunk by chunk,
+    def blocks(self, wanted: Collection[str]) -> Iterator[Block]:
+        """All messages in the order of the file, also those of other topics than the ``wanted`` ones: chunk by chunk,
         or some thousand at a time where the file has no chunks. Raises BagError when it is damaged, or a finished file
         holds another number of messages than its statistics say."""
         count = 0
         for offset, data, indexes in self._parts():
             try:
-                block = Block(data, message_places(data, indexes))
+                channels = message_places(data, indexes)
             except ValueError as error:
                 raise self.damaged(offset, str(error)) from error
-            for channel in block.places.keys() - self.topics.keys():
-                raise self.damaged(0, f"it has messages of a channel {channel} that it does not describe")
-            count += sum(map(len, block.places.values()))
-            yield block
+            places: dict[str, NDArray[np.int64]] = {}
+            for channel, starts in channels.items():
+                if channel not in self.topics:
+                    raise self.damaged(0, f"it has messages of a channel {channel} that it does not describe")
+                name, count = self.topics[channel].name, count + len(starts)
+                # After a merge of bags a topic has several channels.
+                places[name] = np.sort(np.append(places[name], starts)) if name in places else starts
+            yield Block(data, places)
         statistics = self.summary.statistics if self.summary else None
         if statistics and statistics.message_count != count:
             raise self.damaged(0, f"it holds {count} messages, and its statistics say {statistics.message_count}")
@@ -138,7 +146,14 @@ class McapInput:
         """Offset, records and message indexes of each chunk; of messages outside chunks some thousand at a time."""
         offset, indexes, loose = 0, list[bytes](), False
         data: bytes | bytearray = b""
-        for record in self.records(Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.MESSAGE):
+        checked = True
+        for record in self.records(Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.MESSAGE, Opcode.DATA_END):
+            if record.opcode == Opcode.DATA_END:
+                if not checked:
+                    self.check_data_section(record)
+                continue
+            # Only a chunk has a checksum of its own, and not every writer computes it.
+            checked &= record.opcode != Opcode.MESSAGE and (record.opcode != Opcode.CHUNK or any(record.content[24:28]))
             if record.opcode == Opcode.MESSAGE_INDEX:
                 indexes.append(record.content)
             elif record.opcode == Opcode.MESSAGE and loose and len(data) < _LOOSE_SIZE:
@@ -156,7 +171,7 @@ class McapInput:
         """The decompressed records of a chunk. Raises BagError when the checksum differs, the data do not decompress,
         or the compression is unknown."""
         try:
-            chunk = parsed(Chunk, record.content, whole=True)
+            chunk = parsed(Chunk, record.content)
             data = _decompressed(chunk)
         except (*UNREADABLE, RuntimeError, MemoryError, zstandard.ZstdError) as error:
             raise self.damaged(record.offset, f"a chunk cannot be unpacked ({error})") from error
@@ -169,23 +184,25 @@ class McapInput:
 
     def attachment(self, record: Record) -> Attachment:
         """The attachment in a record. Raises BagError when its checksum is wrong, or it cannot be read."""
-        crc = int.from_bytes(record.content[-4:], "little")
-        if crc and zlib.crc32(record.content[:-4]) != crc:
-            raise self.damaged(record.offset, "the checksum of an attachment is wrong")
+        attachment: Attachment
         try:
-            return parsed(Attachment, record.content)
+            attachment, size = measured(Attachment, record.content)
         except UNREADABLE as error:
             raise self.damaged(record.offset, f"an attachment cannot be read ({error})") from error
+        crc = int.from_bytes(record.content[size - 4 : size], "little")
+        if crc and zlib.crc32(record.content[: size - 4]) != crc:
+            raise self.damaged(record.offset, "the checksum of an attachment is wrong")
+        return attachment
 
-    def check_data_section(self) -> None:
-        """Check the checksum over the whole data section, where the file has one. Raises BagError when it is wrong."""
-        for end in self.records(Opcode.DATA_END):
-            position = crc = 0
-            while position < end.offset:
-                block = self.read(position, min(1 << 20, end.offset - position))
-                position, crc = position + len(block), zlib.crc32(block, crc)
-            if any(end.content) and crc.to_bytes(4, "little") != end.content[:4]:
-                raise self.damaged(0, "the checksum of the whole file is wrong")
+    def check_data_section(self, end: Record) -> None:
+        """Check the checksum over the whole data section, whose ``end`` has it, or 0. Raises BagError when it is
+        wrong."""
+        expected, position, crc = end.content[:4], 0, 0
+        while any(expected) and position < end.offset:
+            block = self.read(position, min(1 << 20, end.offset - position))
+            position, crc = position + len(block), zlib.crc32(block, crc)
+        if any(expected) and crc.to_bytes(4, "little") != expected:
+            raise self.damaged(0, "the checksum of the data section is wrong")
 
     def _summary(self) -> Summary | None:
         end = self.read(max(self.size - len(MAGIC) - _FOOTER_SIZE, 0), _FOOTER_SIZE + len(MAGIC))
@@ -223,10 +240,16 @@ def _framed(record: Record) -> bytes:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
+    size = chunk.uncompressed_size
+    if size > _LARGEST_CHUNK:
+        raise ValueError(f"its size is {size} bytes: allowed is up to {_LARGEST_CHUNK}")
     if chunk.compression == "zstd":
-        return zstandard.decompress(chunk.data, chunk.uncompressed_size)
+        # What the frame says counts before what it is asked for.
+        if zstandard.frame_content_size(chunk.data) > size:
+            raise ValueError(f"it has more than its {size} bytes")
+        return zstandard.decompress(chunk.data, size)
     if chunk.compression == "lz4":
-        return bytes(lz4.frame.decompress(chunk.data))
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1))
     if chunk.compression == "":
         return chunk.data
     raise ValueError(f"compression is '{chunk.compression}': allowed are zstd, lz4 and none")

@@ -22,6 +22,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
+from straightcomp_ros.bags.definitions import Definition
+from straightcomp_ros.bags.information import Topic
 from straightcomp_ros.bags.mcap_records import FRAME, MESSAGE, MESSAGE_FIELDS
 from straightcomp_ros.contract import PACKAGE
 
@@ -122,7 +124,7 @@ class McapOutput:
     def __init__(self, path: Path, compression: str, chunk_size: int) -> None:
         self._compression, self._chunk_size = compression, chunk_size
         self._chunk = _OpenChunk()
-        self._schema_ids: dict[str, int] = {}
+        self._schema_ids: dict[tuple[str, Definition], int] = {}
         # Packed: as objects the indexes would take 1 KB for each chunk, 20 MB in an hour.
         self._summary: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_GROUPS}
         self.time_range: tuple[int, int] | None = None
@@ -131,17 +133,20 @@ class McapOutput:
         self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - closed by close()
         self.size, self._crc = self._put(MAGIC + _packed(records.Header("ros2", PACKAGE)))
 
-    def add_channel(self, topic: str, type_name: str, definition: str, metadata: dict[str, str]) -> int:
-        """Add a topic; returns its channel id. It is written beside the chunks, not into one, so that a damaged chunk
-        costs its own messages only."""
+    def add_channel(self, topic: Topic, metadata: dict[str, str]) -> int:
+        """Add a topic; returns its channel id. One of no type has no schema. It is written beside the chunks, not into
+        one, so that a damaged chunk costs its own messages only."""
         schemas, channels = self._summary[Opcode.SCHEMA], self._summary[Opcode.CHANNEL]
-        schema_id = self._schema_ids.get(type_name, len(schemas) + 1)
-        known = type_name in self._schema_ids
-        schema = [] if known else [_packed(records.Schema(schema_id, definition.encode(), "ros2msg", type_name))]
-        channel = [_packed(records.Channel(len(channels) + 1, topic, "cdr", metadata, schema_id))]
+        key = (topic.type_name, topic.described)
+        schema_id = self._schema_ids.get(key, len(schemas) + 1) if topic.type_name else 0
+        text, _, encoding = topic.described
+        data = text if isinstance(text, bytes) else text.encode()
+        known = key in self._schema_ids or not schema_id
+        schema = [] if known else [_packed(records.Schema(schema_id, data, encoding, topic.type_name))]
+        channel = [_packed(records.Channel(len(channels) + 1, topic.name, topic.encoding, metadata, schema_id))]
         end, crc = self._put(b"".join(schema + channel))
         # No call from here on: Python serves an interrupt at calls only, so these happen together.
-        self.size, self._crc, self._schema_ids[type_name] = end, crc, schema_id
+        self.size, self._crc, self._schema_ids[key] = end, crc, schema_id
         schemas += schema
         channels += channel
         return len(channels)

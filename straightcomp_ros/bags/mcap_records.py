@@ -37,22 +37,32 @@ UNREADABLE = (McapError, ValueError, OverflowError, struct.error)
 
 
 class Block(NamedTuple):
-    """Records in memory, and the offsets of each channel's message records in them."""
+    """Records in memory, and the offsets of each topic's message records in them, ascending."""
 
     data: bytes
-    places: Mapping[int, NDArray[np.int64]]
+    places: Mapping[str, NDArray[np.int64]]
 
 
-def parsed(kind: type[McapRecord], content: bytes, whole: bool = False) -> Any:
-    """The record of class ``kind`` in ``content``; raises one of ``UNREADABLE``.
+class _Fields(ReadDataStream):  # type: ignore[misc, unused-ignore]  # mcap may have no types
+    """The fields of a record, none of which may be longer than what is there."""
 
-    Later versions of MCAP may add fields at the end of a record; ``whole`` refuses them, as a sign of damage.
-    """
-    stream = ReadDataStream(BytesIO(content))
-    record = kind.read(stream)
-    if whole and stream.count != len(content):
-        raise ValueError("a record's length is wrong")
-    return record
+    def read(self, length: int) -> bytes:
+        data: bytes = super().read(length)
+        if len(data) != length:
+            raise ValueError("a field is longer than its record")
+        return data
+
+
+def parsed(kind: type[McapRecord], content: bytes) -> Any:
+    """The record of class ``kind`` in ``content``; raises one of ``UNREADABLE``. Bytes behind its fields are of a later
+    version of MCAP."""
+    return measured(kind, content)[0]
+
+
+def measured(kind: type[McapRecord], content: bytes) -> tuple[Any, int]:
+    """As :func:`parsed`, and the number of bytes that its fields have."""
+    stream = _Fields(BytesIO(content))
+    return kind.read(stream), stream.count
 
 
 def walked(data: bytes) -> Iterator[tuple[int, int, int]]:
@@ -97,13 +107,22 @@ class Summary:
             self.add(opcode, content)
         return self
 
+    @property
+    def complete(self) -> bool:
+        """Whether the channels and their schemas are all here: a writer need not repeat them at the end of a file."""
+        count = self.statistics.channel_count if self.statistics else len(self.channels)
+        described = all(channel.schema_id in (0, *self.schemas) for channel in self.channels.values())
+        return bool(self.channels) and described and count <= len(self.channels)
+
     def topics(self) -> dict[int, RecordedTopic]:
         """The topic of each channel."""
         topics = {}
         for channel in self.channels.values():
             schema = self.schemas.get(channel.schema_id) or Schema(0, b"", "", "")
-            text = schema.data.decode(errors="replace") if schema.encoding == "ros2msg" else ""
-            topics[channel.id] = RecordedTopic(channel.topic, schema.name, channel.message_encoding, text)
+            text = schema.data.decode(errors="replace")
+            topics[channel.id] = RecordedTopic(
+                channel.topic, schema.name, channel.message_encoding, text, schema.encoding
+            )
         return topics
 
 
@@ -133,7 +152,8 @@ def message_places(data: bytes, indexes: Sequence[bytes]) -> Mapping[int, NDArra
 
 def _indexed(data: bytes, indexes: Sequence[bytes]) -> NDArray[np.int64] | None:
     """The offsets in the indexes, ascending; None unless messages start there and fill ``data`` up to its end."""
-    entries = [content[_INDEX_FIELDS:] for content in indexes]
+    lengths = [int.from_bytes(content[2:_INDEX_FIELDS], "little") for content in indexes]
+    entries = [content[_INDEX_FIELDS:][:length] for content, length in zip(indexes, lengths, strict=True)]
     if any(len(of_channel) % 16 for of_channel in entries):
         return None
     offsets = np.sort(np.frombuffer(b"".join(entries), "<u8")[1::2])

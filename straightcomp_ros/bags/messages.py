@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.definitions import typestore
-from straightcomp_ros.bags.folder import BagInput, opened, topic_names
+from straightcomp_ros.bags.folder import BagInput, compressed_messages, opened, topic_names
 from straightcomp_ros.bags.mcap_records import FRAME, HEAD, rows
 from straightcomp_ros.bags.topics import RecordedTopic, resolved
+
+COMPRESSIONS = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
+"""Compressions by the first bytes of what they make; no message in CDR begins so."""
 
 
 @dataclass
@@ -20,7 +23,7 @@ class Messages:
     """Messages of one topic in the order in which they were recorded.
 
     Attributes:
-        topic, type_name, definition: as in :class:`straightcomp_ros.bags.topics.RecordedTopic`.
+        topic, type_name, definition, definition_encoding: as in :class:`straightcomp_ros.bags.topics.RecordedTopic`.
         log_time, publish_time: when each was received, and made by its source, ns since the epoch.
         data: each as CDR.
     """
@@ -28,6 +31,7 @@ class Messages:
     topic: str
     type_name: str = ""
     definition: str = ""
+    definition_encoding: str = ""
     log_time: list[int] = field(default_factory=list)
     publish_time: list[int] = field(default_factory=list)
     data: list[bytes] = field(default_factory=list)
@@ -35,7 +39,8 @@ class Messages:
     def describe(self, topic: RecordedTopic) -> None:
         """Take type and definition of the first entry that has them."""
         self.type_name = self.type_name or topic.type_name
-        self.definition = self.definition or topic.definition
+        if topic.definition and not self.definition:
+            self.definition, self.definition_encoding = topic.definition, topic.definition_encoding
 
     def add(self, block: bytes, starts: NDArray[np.int64]) -> None:
         """Take the message records at ``starts`` (n,) in ``block``."""
@@ -68,19 +73,23 @@ def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
     """All messages of the topic with this full name. Raises BagError when the bag is damaged."""
     found = Messages(topic)
     for file in files:
-        ours = {number: entry for number, entry in file.topics.items() if entry.name == topic}
-        for entry in ours.values():
+        ours = [entry for entry in file.topics.values() if entry.name == topic]
+        for entry in ours:
+            if found.type_name not in ("", entry.type_name):
+                kinds = f"'{found.type_name}' and '{entry.type_name}'"
+                raise BagError(f"bag {file.path}: topic '{topic}' has messages of types {kinds}; allowed is one type")
             found.describe(entry)
-        for block, places in file.blocks(ours) if ours else ():
-            for number, starts in places.items():
-                if number in ours:
-                    found.add(block, starts)
+        for block, places in file.blocks([topic]) if ours else ():
+            if topic in places:
+                found.add(block, places[topic])
     return found
 
 
 def decoded(where: str, data: bytes, type_name: str) -> Any:
     """The message in ``data``, decoded by rosbags. Raises BagError when the bytes are no such message; the text begins
     with ``where``."""
+    if compression := COMPRESSIONS.get(data[:4]):
+        raise BagError(f"{where}: {compressed_messages(compression)}")
     try:
         return typestore().deserialize_cdr(data, type_name)
     except Exception as error:  # The decoder raises errors of many kinds on malformed bytes.

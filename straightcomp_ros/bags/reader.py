@@ -7,10 +7,11 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.folder import opened, sqlite_files, topic_names
+from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.mcap_records import UNREADABLE, parsed
 from straightcomp_ros.bags.messages import Messages
+from straightcomp_ros.bags.sqlite_input import SqliteInput
 from straightcomp_ros.bags.stream_columns import StreamColumns, StreamDecoder
 from straightcomp_ros.bags.topics import RecordedTopic, chosen_topics, resolved
 from straightcomp_ros.messages.cdr import Layout
@@ -49,22 +50,21 @@ def read_streams(
         found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
         count = 0
         for file in files:
-            ours = {number: topic for number, topic in file.topics.items() if topic.name in wanted}
-            for topic in ours.values():
-                _check_kind(file.path, topic, layouts[wanted[topic.name]])
-            others = {number: found[topic.name] for number, topic in file.topics.items() if topic.name in found}
-            for number, one in others.items():
-                one.describe(file.topics[number])
-            for data, places in file.blocks([*ours, *others]):
-                for number, starts in places.items():
+            for topic in file.topics.values():
+                if topic.name in wanted:
+                    _check_kind(file.path, topic, layouts[wanted[topic.name]])
+                elif topic.name in found:
+                    found[topic.name].describe(topic)
+            for data, places in file.blocks([*wanted, *found]):
+                for name, starts in places.items():
                     count += len(starts)
-                    if number in ours:
-                        decoders[ours[number].name].add(data, starts)
-                    elif number in others:
-                        others[number].add(data, starts)
+                    if name in wanted:
+                        decoders[name].add(data, starts)
+                    elif name in found:
+                        found[name].add(data, starts)
     finished = ((key, decoders[full].finished()) for full, key in wanted.items())
     streams = {key: columns for key, columns in finished if columns is not None}
-    if not streams and sqlite_files(bag):
+    if not streams and any(isinstance(file, SqliteInput) for file in files):
         raise BagError(f"bag {bag} has no messages on {', '.join(layouts)}; its topics are {', '.join(sorted(names))}")
     if not count:
         raise BagError(f"bag {bag} has no messages; record again, and check that the topics are published")
@@ -90,7 +90,8 @@ def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
     with opened(bag) as files:
         for file in (file for file in files if isinstance(file, McapInput)):
             # Metadata records have no checksum of their own.
-            file.check_data_section()
+            for end in file.records(Opcode.DATA_END):
+                file.check_data_section(end)
             for record in file.records(Opcode.METADATA):
                 try:
                     metadata = parsed(Metadata, record.content)

@@ -44,6 +44,20 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
     return {node: present_names(node, section) for node, section in values.items()}
 
 
+def parameters_of(
+    bag: Path, attachments: Mapping[str, bytes], given: Mapping[str, Mapping[str, Any]] | None
+) -> Mapping[str, Mapping[str, Any]]:
+    """As :func:`recorded_parameters`, or those that are ``given`` for a bag that has none of the controller attached.
+    Raises BagError when it has, too: of two sets only one can be the recorded run's."""
+    found = recorded_parameters(bag, attachments)
+    if given is None:
+        return found
+    if "controller" in found:
+        raise BagError(f"bag {bag}: has the parameters of its run attached; --params-file is for a bag without them")
+    # The file may be of the bag's time, too.
+    return {node: present_names(node, section) for node, section in given.items()}
+
+
 def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:
     """Attach the survey that the parameters name, as it is on this machine now; returns why not, empty when it is."""
     from straightcomp_ros.straightness.guide_map import MapParameters, find_survey

@@ -31,18 +31,27 @@ class SqliteInput:
 
     @cached_property
     def topics(self) -> dict[int, RecordedTopic]:
-        """Topics by id."""
-        found = self._query("SELECT id, name, type, serialization_format FROM topics")
-        return {topic_id: RecordedTopic(*columns) for topic_id, *columns in found}
+        """Topics by id; their definitions where the file has them, which is since ROS 2 Iron."""
+        found = list(self._query("SELECT id, name, type, serialization_format FROM topics"))
+        definitions = {}
+        if any(self._query("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'")):
+            described = self._query("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
+            definitions = {type_name: (text, encoding) for type_name, text, encoding in described if text}
+        return {
+            topic_id: RecordedTopic(name, type_name, encoding, *definitions.get(type_name, ()))
+            for topic_id, name, type_name, encoding in found
+        }
 
-    def blocks(self, wanted: Collection[int]) -> Iterator[Block]:
-        """Messages of the topics with these ids, topic by topic in the order in which they were recorded."""
-        for topic_id in wanted:
-            statement = "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY timestamp, id"
-            found = self._query(statement, topic_id)
+    def blocks(self, wanted: Collection[str]) -> Iterator[Block]:
+        """Messages of the topics with these names, topic by topic in the order in which they were recorded."""
+        for name in wanted:
+            ids = [topic_id for topic_id, topic in self.topics.items() if topic.name == name]
+            places = ", ".join("?" * len(ids))
+            statement = f"SELECT timestamp, data FROM messages WHERE topic_id IN ({places}) ORDER BY timestamp, id"
+            found = self._query(statement, *ids)
             while records := [self._record(*row) for row in islice(found, _AT_ONCE)]:
                 sizes = np.array([len(record) for record in records], np.int64)
-                yield Block(b"".join(records), {topic_id: np.cumsum(sizes) - sizes})
+                yield Block(b"".join(records), {name: np.cumsum(sizes) - sizes})
 
     def _record(self, time_ns: object, data: object) -> bytes:
         if not isinstance(data, bytes) or not isinstance(time_ns, int) or time_ns < 0:

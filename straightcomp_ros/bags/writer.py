@@ -80,24 +80,29 @@ class BagWriter:
             self._open_file()
 
     def add_topic(
-        self, name: str, type_name: str, qos: TopicQos | None = None, described: Definition | None = None
+        self,
+        name: str,
+        type_name: str,
+        qos: TopicQos | None = None,
+        described: Definition | None = None,
+        encoding: str = "cdr",
     ) -> None:
         """Announce a topic, such as ``/encoder`` of type ``sensor_msgs/msg/JointState``; without messages it is listed
         with a count of 0. ``qos`` is what its publishers offer. ``described`` defines a type that ROS 2's own packages
-        do not have, or gives the definition that another bag had."""
-        if not name.startswith("/"):
+        do not have, or gives the definition that another bag had, whose topic may lack the first slash and whose
+        messages may have any ``encoding``."""
+        if described is None and not name.startswith("/"):
             raise BagError(f"bag {self.directory}: topic '{name}' is not a full name; it starts with '/'")
         if name in self._topics:
             raise BagError(f"bag {self.directory}: topic '{name}' is already in the bag; add it once")
-        topic = Topic(name, type_name, qos or TopicQos(), described or definition(type_name))
+        topic = Topic(name, type_name, qos or TopicQos(), described or definition(type_name), encoding)
         with self._disk(f"bag {self.path}: topic '{name}' cannot be added"):
             self._add_channel(topic)
         self._topics[name] = topic
 
     def _add_channel(self, topic: Topic) -> None:
         metadata = {"offered_qos_profiles": topic.qos.as_yaml(), "topic_type_hash": topic.described.type_hash}
-        channel_id = self._output.add_channel(topic.name, topic.type_name, topic.described.text, metadata)
-        self._channel_ids[topic.name] = channel_id
+        self._channel_ids[topic.name] = self._output.add_channel(topic, metadata)
 
     def _open_file(self) -> None:
         path = self.directory / f"{self.directory.absolute().name}_{len(self._finished_files)}.mcap"

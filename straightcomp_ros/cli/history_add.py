@@ -18,6 +18,7 @@ from dataclasses import asdict
 from itertools import chain
 from typing import TYPE_CHECKING
 
+from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
 from straightcomp_ros.cli.options import add_dask, check_range, whole_number
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, progress_bar
 
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--follow", action="store_true", help="go on until Ctrl-C, adding each new bag when its recording has ended")
     wait = "with --follow: seconds between two looks (default: %(default)g)"
     add("--every", type=float, default=10.0, metavar="S", help=wait)
+    add_remap_option(parser)
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
@@ -50,6 +52,7 @@ def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.history.store import Store
 
     check_range("--every", options.every, 0.1, _LONGEST_WAIT, "s")
+    remap = parsed_remap(options.remap)
     store, tally, growing = Store(options.store), Tally(), GrowingFolders()
     for url in options.bags:
         if next(bags_in(url), None) is None and not options.follow:
@@ -70,7 +73,8 @@ def run(options: argparse.Namespace) -> None:
                 growing.retry(row)
 
         def add_new() -> None:
-            add(store, look(), tally, again=options.again, jobs=options.jobs or -1, dask=options.dask, told=told)
+            workers = {"jobs": options.jobs or -1, "dask": options.dask}
+            add(store, look(), tally, again=options.again, remap=remap, told=told, **workers)
 
         add_new()
         # Ctrl-C is the usual end of these.

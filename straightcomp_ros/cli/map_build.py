@@ -73,13 +73,14 @@ def _built(options: argparse.Namespace) -> BuiltMap:
     from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
     from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
     from straightcomp_ros.bags.fields import Field
+    from straightcomp_ros.bags.folder import STORED
     from straightcomp_ros.straightness.survey import SurveyError, read_survey
 
     choices = Choices(step=options.step * 1e-3, limit=options.outliers, level=options.level)
     source = Path(options.source)
     if not source.exists():
         raise SurveyError(f"survey {source} does not exist; give a bag or a CSV file")
-    if source.is_dir() or source.suffix in (".mcap", ".db3"):
+    if source.is_dir() or STORED.fullmatch(source.name):
         try:
             stage = Field.parsed(options.stage, f"position[{STAGE}]")
             readings = Field.parsed(options.sensor, Sensor().readings.path)

@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> None:
         "lost": result.lost,
         "unfinished": result.unfinished,
         "gaps": [dict(zip(("file", "offset", "bytes", "reason"), gap, strict=True)) for gap in result.gaps],
-        "not_copied": result.foreign,
+        "not_copied": result.not_copied,
         "duration_s": None if result.last_ns is None else (result.last_ns - result.first_ns) * 1e-9,
     }
     if options.json:
@@ -53,8 +53,8 @@ def _print(result: Any, lost: int | None) -> None:
         notes.print(f"{name} was not finished: what was not in it yet when the recording ended is lost")
     for name, offset, length, reason in result.gaps:
         notes.print(f"{name}: {length} bytes at {offset} are lost: {reason}" if length else f"{name}: {reason}")
-    for topic in result.foreign:
-        notes.print(f"topic '{topic}' is not copied: its messages are of no ROS 2 type")
+    for topic in result.not_copied:
+        notes.print(f"topic '{topic}' has messages of a further type or encoding: they are not copied")
     if result.whole:
         notes.print("nothing was wrong with the bag: the copy has all of it")
     elif lost is not None:

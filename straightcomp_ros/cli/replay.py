@@ -8,6 +8,7 @@ driver, and a new bag records what they answer."""
 import argparse
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
 from straightcomp_ros.cli.law_tables import marked, shown, titled_table
@@ -24,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--law", help="what if this law had run")
     changed = "what if this parameter had been so, e.g. controller.control.smc_observer.bandwidth=300"
     add_repeatable(parser, "--set", "NODE.NAME=VALUE", changed)
+    add("--params-file", metavar="FILE", help="ROS 2 parameter file of the run, for a bag without parameters")
     add("--graph", action="store_true", help="play the samples to feedforward, controller and logger")
     add("--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)")
     add_remap_option(parser)
@@ -36,14 +38,21 @@ def run(options: argparse.Namespace) -> None:
     if options.graph and changes:
         raise CommandFailed("allowed: either --graph, or --law and --set", exit_code=2)
     action = _graph if options.graph else _what_if if changes else _audit
-    action(options, Path(options.bag), parsed_remap(options.remap))
+    action(options, Path(options.bag), parsed_remap(options.remap), _given(options))
 
 
-def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
+def _given(options: argparse.Namespace) -> dict[str, dict[str, Any]] | None:
+    from straightcomp_ros.configuration.node_parameters import by_node
+    from straightcomp_ros.configuration.parameter_file import shipped_parameters
+
+    return by_node(shipped_parameters(options.params_file)) if options.params_file else None
+
+
+def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
     from straightcomp_ros.offline.replay.audit import audit
 
     with working("computing the commands again"):
-        found = audit(bag, remap)
+        found = audit(bag, remap, given)
     if options.json:
         print_json(dataclasses.asdict(found))
     else:
@@ -65,12 +74,12 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> Non
         raise CommandFailed(f"bag {bag}: no command can be verified")
 
 
-def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
+def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
     from straightcomp_ros.cli.parameter_options import chosen_changes
     from straightcomp_ros.offline.replay.what_if import what_if
 
     with working("simulating"):
-        result = what_if(bag, chosen_changes(options), remap)
+        result = what_if(bag, chosen_changes(options), remap, given)
     figures = [one.to_display() for one in (result.recorded, result.again, result.changed) if one is not None]
     columns = [{**one, **in_json(verdict)} for one, verdict in zip(figures, result.verdicts, strict=True)]
     verdict = result.verdicts[-1]
@@ -88,7 +97,7 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> N
     fail_unless_in_order(verdict)
 
 
-def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> None:
+def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
     from straightcomp_ros.cell.launcher import LaunchError
     from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
     from straightcomp_ros.settings.output_folder import making
@@ -98,7 +107,7 @@ def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str]) -> Non
     try:
         made = making(output, ("bag", "logs"), reads=[bag], force=options.force)
         with made as place, working("playing to the graph"):
-            found = replay_through_graph(bag, place, remap)
+            found = replay_through_graph(bag, place, remap, given)
     except LaunchError as error:
         raise CommandFailed(f"{error} (logs in {place}/logs)") from error
     found = dataclasses.replace(found, bag=output / found.bag.name)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, islice
 
 from straightcomp_ros.history.bag_places import BagPlace
@@ -31,6 +32,7 @@ def add(
     again: bool = False,
     jobs: int = -1,
     dask: str = "",
+    remap: Mapping[str, str] | None = None,
     told: Callable[[BagRow], None] = lambda row: None,
 ) -> None:
     """Evaluate the bags that the store does not have as they are now, and write what they give, each as soon as it is
@@ -42,6 +44,7 @@ def add(
         tally: is counted up.
         again: evaluates the bags that the store has, too.
         jobs, dask: where to evaluate, see :func:`straightcomp_ros.offline.workers.spread`.
+        remap: the bags' topic for each of our topics that has another name there.
         told: called with each bag that was evaluated, after it was written.
 
     Raises:
@@ -54,7 +57,9 @@ def add(
     if not first:
         return
     # Other processes take longer to start than one bag takes.
-    for bag in spread(evaluated, (), chain(first, new), jobs=jobs if len(first) > 1 else 1, dask=dask):
+    for bag in spread(
+        partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs if len(first) > 1 else 1, dask=dask
+    ):
         store.put(bag)
         if bag.row.reason is None:
             tally.added += 1

@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 
 from mcap.writer import MCAP0_MAGIC
 
-from straightcomp_ros.bags.folder import split_number
+from straightcomp_ros.bags.folder import STORED, split_number
 from straightcomp_ros.history import HistoryError, StorageError
 
-_MESSAGES = (".mcap", ".db3")
 _METADATA = "metadata.yaml"
 
 
@@ -78,8 +77,9 @@ def reaching(url: str) -> Iterator[None]:
 def bags_in(url: str) -> Iterator[BagPlace]:
     """The bag at ``url``, or all bags below that folder, in the order of their names.
 
-    A folder with metadata.yaml, or with the numbered files of one recording, is a bag; other MCAP and SQLite files are
-    bags of their own. Links to folders are not followed.
+    A folder with metadata.yaml is a bag, as is one whose files are the parts of recordings by their numbers (of several
+    recordings: a bag that cannot be evaluated). Other MCAP and SQLite files, compressed as a whole or not, are bags of
+    their own. Links to folders are not followed.
 
     Raises:
         HistoryError: nothing is there.
@@ -121,10 +121,10 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
         folders, entries = _listed(files, path, local)
     except FileNotFoundError:
         return  # removed meanwhile
-    messages = [entry for entry in entries if entry.name.endswith(_MESSAGES)]
-    recordings = [split_number(Path(entry.name)) for entry in messages]
-    numbered = len({name for name, _, _ in recordings}) == 1 and all(number >= 0 for _, number, _ in recordings)
-    if messages and (numbered or any(entry.name == _METADATA for entry in entries)):
+    messages = [entry for entry in entries if STORED.fullmatch(entry.name)]
+    numbered = [name for name, number, _ in (split_number(Path(entry.name)) for entry in messages) if number >= 0]
+    parts = len(set(numbered)) < len(numbered) or len(numbered) == len(messages) == 1
+    if messages and (parts or any(entry.name == _METADATA for entry in entries)):
         own = [entry for entry in entries if entry.name == _METADATA or entry in messages]
         yield _place(_location(files, path, local), own)
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.folder import found_files
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.origin import origin
 from straightcomp_ros.history import HistoryError
 from straightcomp_ros.history.bag_places import BagPlace, file_system, reaching
 from straightcomp_ros.history.bag_row import BagRow
-from straightcomp_ros.history.recorded_facts import bag_files, checksum_of, recorded_facts
+from straightcomp_ros.history.recorded_facts import checksum_of, recorded_facts
 from straightcomp_ros.history.row_columns import table_of
 from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.history.strokes_of_bag import rows_of
@@ -34,9 +35,9 @@ class EvaluatedBag(NamedTuple):
     strokes: bytes | None
 
 
-def evaluated(place: BagPlace) -> EvaluatedBag:
+def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> EvaluatedBag:
     """Evaluate a bag. One that cannot be evaluated is refused with the reason, whatever that is: among thousands of
-    bags a single one must not end the work."""
+    bags a single one must not end the work. ``remap`` has the bag's topic for each of ours with another name there."""
     row = BagRow(
         location=place.location,
         size=place.size,
@@ -50,7 +51,7 @@ def evaluated(place: BagPlace) -> EvaluatedBag:
     )
     try:
         with _on_this_machine(place) as bag:
-            return _evaluated(bag, row)
+            return _evaluated(bag, row, remap)
     except OSError as error:
         return EvaluatedBag(replace(row, reason=f"cannot be read: {error.strerror or error}"), None)
 
@@ -67,12 +68,12 @@ def parquet(row: type, rows: Sequence[Any]) -> bytes:
     return file.getvalue()
 
 
-def _evaluated(bag: Path, row: BagRow) -> EvaluatedBag:
+def _evaluated(bag: Path, row: BagRow, remap: Mapping[str, str] | None) -> EvaluatedBag:
     try:
-        files = bag_files(bag)
+        files, _ = found_files(bag)
         row = replace(row, checksum=checksum_of(block for file in files for block in _blocks(file)))
         _check_finished(files)
-        evaluation = evaluate_bag(bag)
+        evaluation = evaluate_bag(bag, remap)
         facts = recorded_facts(bag, str(row.checksum), evaluation)
         strokes = rows_of(evaluation, facts)
         data = parquet(StrokeRow, strokes)

@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.bags import MAP_ATTACHMENT
-from straightcomp_ros.bags.folder import mcap_files, split_number, sqlite_files
+from straightcomp_ros.bags.folder import found_files, split_number
 from straightcomp_ros.bags.origin import ORIGIN_METADATA
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.history.strokes_of_bag import Recorded
@@ -62,14 +62,9 @@ def stored_name(stage: str) -> str:
     return kept + end
 
 
-def bag_files(bag: Path) -> list[Path]:
-    """The files with a bag's messages, oldest first; BagError when there is none."""
-    return sqlite_files(bag) or mcap_files(bag)
-
-
 def recorded_name(bag: Path) -> str:
     """The name under which a bag was recorded, whatever its folder is called now."""
-    return split_number(bag_files(bag)[0])[0]
+    return split_number(found_files(bag)[0][0])[0]
 
 
 def checksum_of(parts: Iterable[bytes]) -> str:

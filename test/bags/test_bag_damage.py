@@ -191,12 +191,12 @@ def test_a_bag_without_messages_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        (None, "holds no .mcap file"),
+        (None, "holds no .mcap"),
         ("run_0.db3", "is no SQLite bag of rosbag2, or is damaged: no such table: topics; copy it again"),
         ("run_0.mcap.zstd", "compressed as a whole; .*unzstd"),
     ],
 )
-def test_a_folder_without_mcap_files_is_refused_with_what_to_do(tmp_path, name, reason):
+def test_a_folder_without_files_of_a_bag_is_refused_with_what_to_do(tmp_path, name, reason):
     if name:
         (tmp_path / name).touch()
     with pytest.raises(BagError, match=reason):

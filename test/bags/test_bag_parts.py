@@ -1,14 +1,17 @@
 """The small parts of a bag's reading and writing, each by itself: what they let through, refuse and count."""
 
+import json
 import shutil
 import sqlite3
 import struct
 import types
+from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
 from straightcomp_ros.bags import BagError, recorder
-from straightcomp_ros.bags.folder import mcap_files, missing_files, split_number
+from straightcomp_ros.bags.folder import bag_files, found_files, split_number
 from straightcomp_ros.bags.intake import BREAK, Intake
 from straightcomp_ros.bags.losses import Losses
 from straightcomp_ros.bags.mcap_records import frames, message_places
@@ -145,48 +148,91 @@ def test_the_free_space_is_looked_at_twice_a_second(monkeypatch, tmp_path):
         guard.check()
 
 
-def test_files_of_a_split_bag_are_put_in_order_by_number_and_others_come_first(tmp_path):
-    names = ["run_10.mcap", "run_9.mcap", "run_0.mcap", "run.mcap"]
+def touched(folder: Path, *names: str, listed: Sequence[str] = (), key: str = "relative_file_paths") -> Path:
+    """A folder with these files, and a metadata.yaml that lists ``listed``."""
+    folder.mkdir(exist_ok=True)
     for name in names:
-        (tmp_path / name).write_bytes(b"x")
-    assert [file.name for file in mcap_files(tmp_path)] == ["run.mcap", "run_0.mcap", "run_9.mcap", "run_10.mcap"]
-    assert split_number(tmp_path / "a_b_12.mcap") == ("a_b", 12, "a_b_12.mcap")
-    assert split_number(tmp_path / "a.mcap")[0] == "a" and split_number(tmp_path / "a.mcap")[1] < 0
+        (folder / name).write_bytes(b"x")
+    if listed:
+        entries = [{"path": name} for name in listed] if key == "files" else list(listed)
+        (folder / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": {key: entries}}))
+    return folder
+
+
+ROLLING = [f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range(12)]
+
+
+@pytest.mark.parametrize("key", ["relative_file_paths", "files"])
+@pytest.mark.parametrize(
+    ("there", "listed", "order", "missing"),
+    [
+        (["run_10.mcap", "run_9.mcap"], [], ["run_9.mcap", "run_10.mcap"], []),
+        (["run_0.db3", "run_1.db3", "run_4.db3"], [], ..., ["run_2.db3", "run_3.db3"]),
+        (["run_0.db3", "run_2.db3"], [f"run_{n}.db3" for n in range(4)], ..., ["run_1.db3", "run_3.db3"]),
+        (["run_1.mcap", "run_2.mcap"], [f"run_{n}.mcap" for n in range(3)], ..., ["run_0.mcap"]),
+        (["run_3.mcap", "run_4.mcap"], [], ..., []),  # a bag begins where its first number is
+        (["z.mcap", "a.mcap", "m.mcap"], ["z.mcap", "a.mcap", "m.mcap"], ..., []),
+        (ROLLING, [], ..., []),
+        (ROLLING, ROLLING, ..., []),
+        (["3_run_2025_12_17-10_00_00.mcap", "5_run_2025_12_17-10_00_00.mcap"], [], ..., ["4_run_*.mcap"]),
+        (["new_0.mcap", "new_1.mcap"], ["run_0.mcap", "run_1.mcap"], ..., []),  # renamed
+        (["new_0.mcap", "new_1.mcap"], ["a.mcap", "b.mcap", "c.mcap"], ..., ["a.mcap", "b.mcap", "c.mcap"]),
+        (["run_0.mcap", "run_1.mcap"], ["run_0.mcap.zstd", "run_1.mcap.zstd"], ..., []),  # unpacked
+        (["alone.mcap"], ["run_0.mcap"], ..., []),
+    ],
+)
+def test_files_are_in_the_order_of_the_list_or_else_of_their_numbers_and_missing_ones_are_named(
+    tmp_path, there, listed, order, missing, key
+):
+    files, absent = found_files(touched(tmp_path / "bag", *there, listed=listed, key=key))
+    assert [file.name for file in files] == (there if order is ... else order) and absent == missing
+    assert found_files(files[0]) == ([files[0]], [])
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["a_run.mcap", "z_run.mcap"],
+        ["a_0.mcap", "a_1.mcap", "z_0.mcap"],
+        ["run_0.mcap", "run_0.db3"],
+        ["run_0.mcap", "run0.mcap"],
+        ["run.mcap", "run_1.mcap"],
+        ["0_run_2025_12_17-10_00_00.mcap", "0_run_2025_12_18-10_00_00.mcap"],
+    ],
+)
+def test_several_recordings_in_a_folder_are_refused_by_their_names(tmp_path, names):
+    with pytest.raises(BagError) as refused:
+        found_files(touched(tmp_path / "bag", *names))
+    assert all(name in str(refused.value) for name in names)
+    with pytest.warns(UserWarning, match=names[1]):
+        files, _ = found_files(touched(tmp_path / "bag", listed=names[:1]))
+    assert [file.name for file in files] == names[:1]
+
+
+def test_split_number_gives_recording_and_number():
+    assert split_number(Path("a_b_12.mcap")) == ("a_b", 12, "a_b_12.mcap")
+    assert split_number(Path("a.mcap")) == ("a", -1, "a.mcap")
+    assert split_number(Path(ROLLING[11])) == ("run", 11, ROLLING[11])
+    assert split_number(Path("rosbag2_2025_12_17-10_00_00_3.db3"))[:2] == ("rosbag2_2025_12_17-10_00_00", 3)
+
+
+@pytest.mark.parametrize("name", ["b_0.mcap.zstd", "b_0.db3.zstd", "b_0.mcap.lz4", "b_1.db3.zst"])
+@pytest.mark.parametrize("others", [(), ("b_7.mcap",)])
+def test_files_that_are_compressed_as_a_whole_are_named_with_what_unpacks_them(tmp_path, name, others):
+    folder = touched(tmp_path / "bag", name, *others)
+    for bag in (folder, folder / name):
+        with pytest.raises(BagError, match="unlz4" if name.endswith("lz4") else "unzstd"):
+            found_files(bag)
 
 
 def test_an_empty_last_file_of_several_is_no_part_of_the_bag(tmp_path):
     for name, content in (("run_0.mcap", b"x"), ("run_1.mcap", b""), ("run_2.mcap", b"")):
         (tmp_path / name).write_bytes(content)
-    assert [file.name for file in mcap_files(tmp_path)] == ["run_0.mcap", "run_1.mcap"]
+    assert [file.name for file in bag_files(tmp_path)] == ["run_0.mcap", "run_1.mcap"]
     alone = tmp_path / "alone"
     alone.mkdir()
     (alone / "run_0.mcap").write_bytes(b"")
-    assert [file.name for file in mcap_files(alone)] == ["run_0.mcap"]
-
-
-def test_files_that_a_bag_lacks_are_named_by_its_list_and_by_the_gaps_in_their_numbers(tmp_path):
-    for number in (0, 1, 4):
-        (tmp_path / f"run_{number}.mcap").write_bytes(b"x")
-    files = mcap_files(tmp_path)
-    assert missing_files(tmp_path, files) == ["run_2.mcap", "run_3.mcap"]
-    listed = "\n".join(f"  - run_{number}.mcap" for number in range(6))
-    (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}\n")
-    assert missing_files(tmp_path, files) == ["run_2.mcap", "run_3.mcap", "run_5.mcap"]
-    assert missing_files(files[0], [files[0]]) == []
-
-
-def test_a_bag_whose_files_were_renamed_lacks_none(tmp_path):
-    for name in ("a.mcap", "b.mcap"):
-        (tmp_path / name).write_bytes(b"x")
-    text = "rosbag2_bagfile_information: {relative_file_paths: [run_0.mcap, run_1.mcap]}"
-    (tmp_path / "metadata.yaml").write_text(text)
-    assert missing_files(tmp_path, mcap_files(tmp_path)) == []
-
-
-def test_a_bag_begins_where_its_first_number_is(tmp_path):
-    for number in (3, 4):
-        (tmp_path / f"run_{number}.mcap").write_bytes(b"x")
-    assert missing_files(tmp_path, mcap_files(tmp_path)) == []
+    assert [file.name for file in bag_files(alone)] == ["run_0.mcap"]
 
 
 def test_a_bag_from_before_the_groups_of_laws_had_their_names_is_read_by_the_names_of_today():
@@ -251,19 +297,21 @@ def test_an_sqlite_message_without_data_or_time_is_damage(tmp_path, bad):
     path = tmp_path / "bag.db3"
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        connection.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)")
+        connection.execute("INSERT INTO topics VALUES (1, 'one', '', ''), (2, 'two', '', '')")
         connection.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (1, 0, ?)", (b"zero",))
         connection.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (2, ?, ?)", bad)
         connection.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (1, 5, ?)", (b"",))
     connection.close()
     file = SqliteInput(path)
-    ((data, places),) = file.blocks([1])
-    assert places[1].tolist() == [0, 35] and data[31:35] == b"zero" and len(data) == 35 + 31
+    ((data, places),) = file.blocks(["one"])
+    assert places["one"].tolist() == [0, 35] and data[31:35] == b"zero" and len(data) == 35 + 31
     with pytest.raises(BagError, match="no data, or no time"):
-        list(file.blocks([2]))
-    assert list(file.blocks([3])) == []
+        list(file.blocks(["two"]))
+    assert list(file.blocks(["three"])) == []
 
 
 def test_the_folders_above_a_new_bag_are_made(tmp_path):
     with BagWriter(tmp_path / "year" / "day" / "run") as bag:
         bag.add_topic("/encoder", ENCODER.layout.type_name)
-    assert mcap_files(tmp_path / "year" / "day" / "run")
+    assert bag_files(tmp_path / "year" / "day" / "run")

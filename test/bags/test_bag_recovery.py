@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer as McapWriter
 from recording import START_NS, add_streams
 from rosbags.rosbag2 import Reader
 
@@ -147,18 +146,6 @@ def test_the_original_is_not_changed(record, tmp_path):
     assert before == {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.directory.iterdir()}
     with pytest.raises(BagError, match="not empty"):
         recover(bag.directory, bag.directory)
-
-
-def test_topics_of_other_encodings_are_named_and_left_out(tmp_path):
-    path = tmp_path / "other.mcap"
-    with open(path, "wb") as file:
-        writer = McapWriter(file)
-        writer.start()
-        schema = writer.register_schema("thing", "jsonschema", b"{}")
-        channel = writer.register_channel("/thing", "json", schema)
-        writer.add_message(channel, 1, b"{}", 1)
-        writer.finish()
-    assert recover(path, tmp_path / "new").foreign == ["/thing"]
 
 
 def test_a_recording_that_is_killed_loses_less_than_half_a_second_even_at_few_messages(tmp_path):

@@ -44,6 +44,11 @@ class Bag:
         self.content[footer + FRAME_SIZE + 16 : footer + FRAME_SIZE + 20] = bytes(4)
         return self
 
+    def without_crc_of_the_data(self):
+        end = self.record(Opcode.DATA_END) + FRAME_SIZE
+        self.content[end : end + 4] = bytes(4)
+        return self
+
     def refusal(self, reader=lambda path: read_streams(path, LAYOUTS)):
         """Where the damage is said to be, and what it is."""
         self.file.write_bytes(self.content)
@@ -66,10 +71,11 @@ def test_a_chunk_whose_checksum_is_wrong(bag):
     assert bag.refusal() == (chunk, "the checksum of a chunk is wrong")
 
 
-def test_a_chunk_without_a_checksum_is_read_as_it_is(bag):
+def test_a_chunk_without_a_checksum_is_covered_by_that_of_the_data_section(bag):
     chunk = bag.record(Opcode.CHUNK, 1)
     bag.content[chunk + FRAME_SIZE + CRC_AT : chunk + FRAME_SIZE + CRC_AT + 4] = bytes(4)
-    bag.file.write_bytes(bag.content)
+    assert bag.refusal() == (0, "the checksum of the data section is wrong")
+    bag.without_crc_of_the_data().file.write_bytes(bag.content)
     assert len(read_streams(bag.file, LAYOUTS)["encoder"]) == 40
 
 
@@ -126,7 +132,7 @@ def test_messages_beside_the_chunks_are_read_in_their_place(record):
         bag.content[chunk : chunk + FRAME_SIZE + length] = inside
         footer = bag.without_crc_of_the_summary().record(Opcode.FOOTER)
         bag.add(footer + FRAME_SIZE, len(inside) - FRAME_SIZE - length, 8)
-    bag.file.write_bytes(bag.content)
+    bag.without_crc_of_the_data().file.write_bytes(bag.content)
     found = read_streams(bag.file, LAYOUTS)
     assert found.keys() == whole.keys()
     for topic, stream in found.items():
@@ -149,12 +155,13 @@ def test_an_attachment_whose_checksum_is_wrong(bag):
 def test_a_data_section_whose_checksum_is_wrong(bag):
     def check(path):
         with McapInput(path) as file:
-            file.check_data_section()
+            (record,) = file.records(Opcode.DATA_END)
+            file.check_data_section(record)
 
     check(bag.file)
     end = bag.record(Opcode.DATA_END)
     bag.content[end + FRAME_SIZE : end + FRAME_SIZE + 4] = b"\1\2\3\4"
-    assert bag.refusal(check) == (0, "the checksum of the whole file is wrong")
+    assert bag.refusal(check) == (0, "the checksum of the data section is wrong")
 
 
 def test_a_file_is_closed_when_it_is_refused(tmp_path):
@@ -170,6 +177,6 @@ def test_a_file_is_closed_when_it_is_refused(tmp_path):
 def test_the_shortest_message_is_one_without_data():
     # Channel, number and two times make 22 bytes.
     for length in (22, 23):
-        assert _checked(None, Record(Opcode.MESSAGE, 0, bytes(length))) == bytes(length)
+        assert _checked(None, Record(Opcode.MESSAGE, 0, bytes(length))) == (bytes(length), length)
     with pytest.raises(ValueError, match="too short"):
         _checked(None, Record(Opcode.MESSAGE, 0, bytes(21)))

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Reader
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import Field, read_field
-from straightcomp_ros.bags.folder import mcap_files
+from straightcomp_ros.bags.folder import bag_files
 from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.messages import read_messages
 from straightcomp_ros.bags.qos import TopicQos
@@ -40,7 +40,7 @@ def information(bag: Path) -> dict:
 
 
 def test_a_bag_is_split_by_duration_and_metadata_lists_its_files_as_rosbag2_does(split):
-    files = mcap_files(split.directory)
+    files = bag_files(split.directory)
     assert [file.name for file in files] == ["split_0.mcap", "split_1.mcap", "split_2.mcap"]
     found = information(split.directory)
     assert found["relative_file_paths"] == [file.name for file in files]
@@ -76,7 +76,7 @@ def test_a_chunk_is_of_half_a_mebibyte(tmp_path):
         data = bytes(64 * 1024 - 31)  # with the head of its record 64 KiB
         for stamp in range(33):
             bag.write("/encoder", data, stamp, stamp)
-    with open(mcap_files(tmp_path / "run")[0], "rb") as file:
+    with open(bag_files(tmp_path / "run")[0], "rb") as file:
         summary = make_reader(file).get_summary()
     assert [index.uncompressed_size >> 16 for index in summary.chunk_indexes][:4] == [8, 8, 8, 8]
 
@@ -89,12 +89,12 @@ def test_a_bag_is_one_file_if_nothing_else_is_asked_for(tmp_path):
             for message in range(200):
                 time_ns = 86_400_000_000_000 * day + message
                 bag.write("/encoder", data, time_ns, time_ns)
-    assert [file.name for file in mcap_files(tmp_path / "run")] == ["run_0.mcap"]
+    assert [file.name for file in bag_files(tmp_path / "run")] == ["run_0.mcap"]
 
 
 def test_a_bag_is_split_by_size(record):
     recording = record(COUNT, "large", max_size=60_000, chunk_size=20_000, compression="none")
-    sizes = [file.stat().st_size for file in mcap_files(recording.directory)]
+    sizes = [file.stat().st_size for file in bag_files(recording.directory)]
     assert len(sizes) > 3
     # The chunk that made it so, its index, and the file's own end.
     assert all(60_000 <= size < 110_000 for size in sizes[:-1])
@@ -115,7 +115,7 @@ def test_other_readers_and_ours_see_all_messages_in_their_order(split):
 
 
 def test_each_file_is_a_whole_bag_by_itself(split):
-    for file in mcap_files(split.directory):
+    for file in bag_files(split.directory):
         with file.open("rb") as stream:
             summary = make_reader(stream).get_summary()
         assert {channel.topic for channel in summary.channels.values()} == {f"/{topic}" for topic in LAYOUTS}
@@ -147,7 +147,7 @@ def test_the_last_file_of_a_killed_recording_may_be_cut_off_or_empty(split, tmp_
     result = recover(split.directory, tmp_path / "saved")
     assert result.unfinished == ["split_2.mcap"]
     assert result.saved["/encoder"] == len(stream)
-    assert len(mcap_files(tmp_path / "saved")) == 1
+    assert len(bag_files(tmp_path / "saved")) == 1
     last.write_bytes(b"")
     assert len(read_streams(split.directory, LAYOUTS)["encoder"]) == 800
 
@@ -185,7 +185,7 @@ def test_evaluation_and_audit_read_a_split_bag(tmp_path):
         writer.attach("parameters.yaml", "application/yaml", read_attachments(sample)["parameters.yaml"])
         for connection, time, data in reader.messages():
             writer.write(connection.topic, bytes(data), time, time)
-    assert len(mcap_files(bag)) > 2
+    assert len(bag_files(bag)) > 2
     whole, parts = evaluate_bag(sample), evaluate_bag(bag)
     assert parts.received_samples == whole.received_samples > 5000
     assert parts.record.y.tobytes() == whole.record.y.tobytes()

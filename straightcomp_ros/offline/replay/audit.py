@@ -9,10 +9,11 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.recorded_parameters import recorded_parameters
+from straightcomp_ros.bags.recorded_parameters import parameters_of
 from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
@@ -69,12 +70,17 @@ class Audit:
         return self.commands > 0 and not self.different
 
 
-def audit(bag: Path, remap: Mapping[str, str] | None = None) -> Audit:
+def audit(
+    bag: Path,
+    remap: Mapping[str, str] | None = None,
+    given: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Audit:
     """Audit a bag.
 
     Args:
         bag: rosbag2 folder or MCAP file.
         remap: the bag's topic for each of our topics that has another name there.
+        given: parameters by node and dotted name, of a bag that has none attached.
 
     Raises:
         BagError: the bag is refused, or lacks a stream or the controller's parameters.
@@ -84,9 +90,9 @@ def audit(bag: Path, remap: Mapping[str, str] | None = None) -> Audit:
     for stream in _AUDITED:
         if stream.topic not in streams:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; an audit needs all four of the loop")
-    values = recorded_parameters(bag, read_attachments(bag))
+    values = parameters_of(bag, read_attachments(bag), given)
     if "controller" not in values:
-        raise BagError(f"bag {bag}: the controller's parameters are not attached; name its node to the logger")
+        raise BagError(f"bag {bag}: the controller's parameters are not attached; give them with --params-file")
     try:
         parameters: ControllerNodeParameters = node_parameters("controller", values)
     except ParameterError as error:

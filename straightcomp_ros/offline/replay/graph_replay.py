@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
+from straightcomp_ros.bags.recorded_parameters import parameters_of, unpacked_map
 from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words, isolated_environment
 from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.contract import COMMAND, ENCODER
@@ -45,7 +45,12 @@ class GraphReplay:
     different: int
 
 
-def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | None = None) -> GraphReplay:
+def replay_through_graph(
+    bag: Path,
+    output: Path,
+    remap: Mapping[str, str] | None = None,
+    given: Mapping[str, Mapping[str, Any]] | None = None,
+) -> GraphReplay:
     """Play a bag to the graph, with the parameters and the map that are attached to it, and compare the commands.
 
     The controller waits for each sample's reference (trigger ``lockstep``): its answers then depend on the samples
@@ -58,6 +63,7 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
         bag: rosbag2 folder or MCAP file.
         output: folder for ``bag/`` and ``logs/``. There must be no bag.
         remap: the bag's topic for each of our topics that has another name there.
+        given: parameters by node and dotted name, of a bag that has none attached.
 
     Raises:
         BagError: the bag is refused.
@@ -65,7 +71,7 @@ def replay_through_graph(bag: Path, output: Path, remap: Mapping[str, str] | Non
     """
     streams = read_streams(bag, {stream.topic: stream.layout for stream in (ENCODER, COMMAND)}, remap)
     attachments = read_attachments(bag)
-    recorded = recorded_parameters(bag, attachments)
+    recorded = parameters_of(bag, attachments, given)
     stamps = streams[ENCODER.topic].stamp if ENCODER.topic in streams else np.zeros(1, np.int64)
     duration = float(np.ptp(stamps)) * 1e-9
     new = output / "bag"

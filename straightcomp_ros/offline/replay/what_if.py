@@ -14,7 +14,7 @@ from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import RecordedReference, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_bag, judged_run
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
+from straightcomp_ros.bags.recorded_parameters import parameters_of, unpacked_map
 from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, Values
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
@@ -47,7 +47,12 @@ class WhatIf:
     verdicts: tuple[Verdict, ...]
 
 
-def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[str, str] | None = None) -> WhatIf:
+def what_if(
+    bag: Path,
+    changes: Mapping[str, Mapping[str, Any]],
+    remap: Mapping[str, str] | None = None,
+    given: Mapping[str, Mapping[str, Any]] | None = None,
+) -> WhatIf:
     """Simulate a recorded run.
 
     The plant is that of the bag's parameters; the loop's delay is the recorded median. If no truth was recorded, the
@@ -57,6 +62,7 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
         bag: rosbag2 folder or MCAP file.
         changes: values by node and dotted name, over those of the bag.
         remap: the bag's topic for each of our topics that has another name there.
+        given: parameters by node and dotted name, of a bag that has none attached.
 
     Raises:
         BagError, MetricsError: the bag is refused, or its stage does not move.
@@ -66,14 +72,15 @@ def what_if(bag: Path, changes: Mapping[str, Mapping[str, Any]], remap: Mapping[
     evaluation = evaluate_bag(bag, remap)
     attachments = read_attachments(bag)
     record = evaluation.record
+    parameters = parameters_of(bag, attachments, given)
     with tempfile.TemporaryDirectory() as folder:
         survey = unpacked_map(attachments, Path(folder))
-        values = _recorded_values(recorded_parameters(bag, attachments), evaluation, survey)
+        values = _recorded_values(parameters, evaluation, survey)
         motion = _recorded_motion(record)
         again, law, verdict = _simulated(values, motion)
         changed, changed_law = None, None
         reference = RecordedReference(record)
-        found = judged_bag(evaluation, record, reference, evaluation.parameters, evaluation.map)
+        found = judged_bag(evaluation, record, reference, parameters, evaluation.map)
         verdicts = [found, verdict]
         if any(changes.values()):
             for node, section in changes.items():

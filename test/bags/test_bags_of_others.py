@@ -1,0 +1,494 @@
+"""Bags as other writers make them: every verb reads them with the values of the plain bag, or refuses them by name."""
+
+import json
+import shutil
+import sqlite3
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
+from straightcomp_ros.bags.fields import Field, read_field
+from straightcomp_ros.bags.messages import read_messages
+from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.recovery import recover
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import ENCODER, STREAMS
+from straightcomp_ros.offline.replay.audit import audit
+
+SAMPLE = next((Path(__file__).resolve().parents[2] / "bags" / "smc").glob("*.mcap"))
+LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}
+CYCLES = 800
+
+
+@dataclass(frozen=True)
+class One:
+    """A message of the sample bag."""
+
+    topic: str
+    type_name: str
+    text: bytes
+    data: bytes
+    log_time: int
+    publish_time: int
+
+
+@pytest.fixture(scope="module")
+def sample() -> list[One]:
+    """The first samples of the sample bag, in its order."""
+    found: list[One] = []
+    counts = dict.fromkeys(LAYOUTS, 0)
+    with SAMPLE.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
+            topic = channel.topic.lstrip("/")
+            if topic in counts and counts[topic] < CYCLES:
+                counts[topic] += 1
+                times = message.log_time, message.publish_time
+                found.append(One(channel.topic, schema.name, schema.data, message.data, *times))
+    return found
+
+
+class Variant:
+    """How a writer makes its channels and messages of ours."""
+
+    channels = 1
+    encoding = "ros2msg"
+
+    def __init__(self, **writer: object) -> None:
+        self.writer = {"compression": CompressionType.ZSTD, "chunk_size": 100_000, **writer}
+
+    def name(self, topic: str) -> str:
+        return topic
+
+    def text(self, one: One) -> bytes:
+        return one.text
+
+    def data(self, one: One) -> bytes:
+        return one.data
+
+    def write(self, messages: list[One], path: Path, parameters: bool = True) -> Path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as file:
+            writer = Writer(file, **self.writer)
+            writer.start("ros2")
+            if parameters:
+                text = read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT]
+                writer.add_attachment(0, 0, PARAMETERS_ATTACHMENT, "application/yaml", text)
+            channels: dict[tuple[str, int], int] = {}
+            for number, one in enumerate(messages):
+                key = one.topic, number * self.channels // len(messages)
+                if key not in channels:
+                    schema = writer.register_schema(one.type_name, self.encoding, self.text(one))
+                    channels[key] = writer.register_channel(self.name(one.topic), "cdr", schema)
+                writer.add_message(channels[key], one.log_time, self.data(one), one.publish_time)
+            writer.finish()
+        return path
+
+
+def _with(base: dict[str, object] | None = None, **methods: object) -> Variant:
+    return type("Made", (Variant,), methods)(**(base or {}))
+
+
+IDL = b"module sensor_msgs {};"
+READ_AS_IT_IS = {
+    "plain": Variant(),
+    "lz4": Variant(compression=CompressionType.LZ4),
+    "unchunked": Variant(use_chunking=False),
+    "no index": Variant(index_types=IndexType.NONE),
+    "two channels": _with(channels=2),
+    "three channels": _with(channels=3),
+    "channels in turn": _with(write=lambda self, messages, path: in_turn(messages, path)),
+    "no definitions": _with(text=lambda self, one: b""),
+    "one without definition": _with(text=lambda self, one: b"" if one.topic == "/encoder" else one.text),
+    "ros2idl": _with(encoding="ros2idl", text=lambda self, one: IDL),
+    "no slash": _with(name=lambda self, topic: topic[1:]),
+    "no repeated schemas": Variant(repeat_schemas=False),
+    "no repeated channels": Variant(repeat_channels=False),
+    "no repeated schemas, unchunked": Variant(repeat_schemas=False, use_chunking=False),
+    "no statistics": Variant(use_statistics=False),
+    "neither schemas, channels nor statistics": Variant(
+        repeat_schemas=False, repeat_channels=False, use_statistics=False
+    ),
+}
+
+
+def in_turn(messages: list[One], path: Path) -> Path:
+    """Each topic on two channels that take turns from message to message."""
+
+    class Turns(Variant):
+        channels = 2
+
+        def name(self, topic: str) -> str:
+            return topic.rstrip("+")
+
+    twice = [One(one.topic + "+" * (number // 6 % 2), *vars_of(one)) for number, one in enumerate(messages)]
+    return Turns.write(Turns(), twice, path)
+
+
+def vars_of(one: One) -> tuple[object, ...]:
+    return tuple(vars(one).values())[1:]
+
+
+@pytest.mark.parametrize("kind", READ_AS_IT_IS)
+def test_a_bag_of_another_writer_gives_the_same_commands_and_comes_back_whole(sample, tmp_path, kind):
+    bag = READ_AS_IT_IS[kind].write(sample, tmp_path / "b" / "b_0.mcap").parent
+    streams = read_streams(bag, LAYOUTS)
+    for topic, layout in LAYOUTS.items():
+        own = [one for one in sample if one.topic == f"/{topic}"]
+        assert streams[topic].log_time.tolist() == [one.log_time for one in own]
+        expected = np.array([layout.unpack(one.data)[1] for one in own]).T
+        assert np.array(list(streams[topic].columns.values())).tobytes() == expected.tobytes()
+    found = audit(bag)
+    assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
+    assert evaluate_bag(bag).received_samples == CYCLES
+    result = recover(bag, tmp_path / "new")
+    assert result.whole and result.saved.total() == len(sample) and not any((result.lost or {}).values())
+    again = audit(tmp_path / "new")
+    assert (again.commands, again.different) == (CYCLES, 0)
+
+
+@pytest.mark.parametrize("kind", ["no definitions", "ros2idl", "no slash", "no repeated schemas", "three channels"])
+def test_of_such_a_bag_that_was_cut_off_all_whole_messages_are_saved(sample, tmp_path, kind):
+    path = READ_AS_IT_IS[kind].write(sample, tmp_path / "b" / "b_0.mcap")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.warns(UserWarning, match="not finished"):
+        whole = read_streams(path, LAYOUTS)
+    result = recover(path, tmp_path / "new")
+    assert result.unfinished and not result.whole
+    assert result.saved.total() == sum(map(len, whole.values())) > 500
+
+
+def test_remap_finds_a_name_without_its_first_slash(sample, tmp_path):
+    bag = READ_AS_IT_IS["no slash"].write(sample, tmp_path / "b_0.mcap")
+    layouts = {"encoder": LAYOUTS["encoder"]}
+    for theirs in ("encoder", "/encoder"):
+        assert len(read_streams(bag, layouts, {"encoder": theirs})["encoder"]) == CYCLES
+
+
+def test_a_topic_of_two_types_is_named_and_what_is_not_copied_counts_as_lost(tmp_path):
+    with (tmp_path / "b.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for number, (name, encoding) in enumerate([("a", "cdr"), ("b", "cdr"), ("a", "json")]):
+            channel = writer.register_channel("/x", encoding, writer.register_schema(name, "jsonschema", b"{}"))
+            for _ in range(number + 1):
+                writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    result = recover(tmp_path / "b.mcap", tmp_path / "new")
+    assert (result.not_copied, result.saved["/x"], result.lost["/x"], result.whole) == (["/x"], 1, 5, False)
+    with pytest.raises(BagError, match="'a' and 'b'"):
+        read_messages(tmp_path / "b.mcap", "/x")
+
+
+@pytest.mark.parametrize("compress", [zstandard.compress, lz4.frame.compress])
+def test_messages_that_are_compressed_one_by_one_are_named_by_every_verb(sample, tmp_path, compress, capsys):
+    bag = _with(data=lambda self, one: compress(one.data)).write(sample, tmp_path / "b" / "b_0.mcap").parent
+    name = "zstd" if compress is zstandard.compress else "lz4"
+    information = {"compression_format": name, "compression_mode": "MESSAGE", "relative_file_paths": ["b_0.mcap"]}
+    for listed in (False, True):
+        if listed:
+            (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+        verbs = (
+            ["evaluate"],
+            ["replay"],
+            ["map", "build", "-o", str(tmp_path / "m.csv")],
+            ["recover", "-o", str(tmp_path / "new")],
+        )
+        for verb, *options in verbs:
+            words = [verb, options.pop(0)] if verb == "map" else [verb]
+            source = ["--sensor", "encoder:position[0]"] if verb == "map" else []
+            assert main([*words, str(bag), *source, *options]) != 0
+            assert f"is compressed ({name})" in capsys.readouterr().err
+        assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("where", ["message", "chunk without checksum"])
+def test_a_flipped_bit_that_only_the_checksum_of_the_data_section_covers_is_found(sample, tmp_path, where):
+    kind = (
+        Variant(use_chunking=False, enable_data_crcs=True)
+        if where == "message"
+        else Variant(compression=CompressionType.NONE)
+    )
+    path = kind.write(sample, tmp_path / "b_0.mcap")
+    content = bytearray(path.read_bytes())
+    if where != "message":
+        place = MAGIC
+        while content[place] != Opcode.CHUNK:
+            place += 9 + int.from_bytes(content[place + 1 : place + 9], "little")
+        content[place + 9 + 24 : place + 9 + 28] = bytes(4)
+        end = max(offset for offset, opcode in frames(bytes(content)) if opcode == Opcode.DATA_END)
+        content[end + 9 : end + 13] = zlib.crc32(content[:end]).to_bytes(4, "little")
+    assert path.write_bytes(content) and len(read_streams(path, LAYOUTS)["encoder"]) == CYCLES
+    wanted = next(one for one in sample[300:] if one.topic == "/encoder")
+    content[content.index(wanted.data) + len(wanted.data) - 30] ^= 1
+    path.write_bytes(content)
+    for read in (lambda: evaluate_bag(path), lambda: audit(path), lambda: read_field(path, Field("encoder", "x"))):
+        with pytest.raises(BagError, match="checksum of the data section"):
+            read()
+    result = recover(path, tmp_path / "new")
+    assert not result.whole and "checksum" in result.gaps[0][3] and result.saved.total() == len(sample)
+
+
+MAGIC = 8
+
+
+def frames(content: bytes) -> list[tuple[int, int]]:
+    """Offset and opcode of each record of a file."""
+    found, place = [], MAGIC
+    while place < len(content) - MAGIC:
+        found.append((place, content[place]))
+        place += 9 + int.from_bytes(content[place + 1 : place + 9], "little")
+    return found
+
+
+def test_statistics_that_count_too_few_are_no_negative_loss(sample, tmp_path):
+    path = Variant(enable_crcs=False).write(sample, tmp_path / "b_0.mcap")
+    content = bytearray(path.read_bytes())
+    place = next(offset for offset, opcode in frames(bytes(content)) if opcode == Opcode.STATISTICS) + 9
+    content[place : place + 8] = (len(sample) - 10).to_bytes(8, "little")
+    counts = place + 8 + 2 + 4 * 4 + 16 + 4
+    content[counts + 2 : counts + 10] = (CYCLES - 10).to_bytes(8, "little")
+    path.write_bytes(content)
+    result = recover(path, tmp_path / "new")
+    assert min(result.lost.values()) == 0 and not result.whole and result.saved.total() == len(sample)
+
+
+# SQLite
+
+
+DEFINITION = b"std_msgs/Header header\ngeometry_msgs/Point point\n"
+TRACER = "acme_msgs/msg/Tracer"
+HEAD = "=" * 80 + "\n"
+
+
+def custom_messages() -> tuple[str, list[bytes]]:
+    """The text of a type that ROS 2 lacks, and three messages of it: point.y is 0.5, 1.5, 2.5."""
+    text = get_typestore(Stores.ROS2_JAZZY).generate_msgdef("geometry_msgs/msg/PointStamped", ros_version=2)[0]
+    pack = struct.Struct("<4sII4s4x3d").pack
+    return text, [pack(b"\0\1\0\0", 10 + n, 0, b"\1\0\0\0", 0.0, n + 0.5, 0.0) for n in range(3)]
+
+
+def sqlite_bag(path: Path, topics: dict[str, str], rows: list[tuple[str, int, bytes]], definitions=()) -> Path:
+    with sqlite3.connect(path) as connection:
+        run = connection.execute
+        run("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format, offered_qos_profiles)")
+        run("CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        ids = {name: number for number, name in enumerate(topics, 1)}
+        for name, number in ids.items():
+            run("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, name.rstrip("+"), topics[name]))
+        for name, time_ns, data in rows:
+            run("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", (ids[name], time_ns, data))
+        if definitions:
+            run("CREATE TABLE message_definitions (id, topic_type, encoding, encoded_message_definition, hash)")
+            for one in definitions:
+                run("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, '')", one)
+    connection.close()
+    return path
+
+
+def idl_of(text: str) -> str:
+    struct_of = "module {0} {{ module msg {{ struct {1} {{ {2} }}; }}; }};\n"
+    parts = [
+        ("acme_msgs", "Tracer", "std_msgs::msg::Header header; geometry_msgs::msg::Point point;"),
+        ("geometry_msgs", "Point", "double x; double y; double z;"),
+    ]
+    return "".join(f"{HEAD}IDL: {a}/msg/{b}\n{struct_of.format(a, b, c)}" for a, b, c in parts)
+
+
+@pytest.mark.parametrize("encoding", ["ros2msg", "ros2idl"])
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encoding, storage, fresh_types):
+    text, messages = custom_messages()
+    text = text if encoding == "ros2msg" else idl_of(text)
+    if storage == "sqlite3":
+        rows = [("/probe", 10 + n, data) for n, data in enumerate(messages)]
+        bag = sqlite_bag(tmp_path / "b_0.db3", {"/probe": TRACER}, rows, [(TRACER, encoding, text)])
+    else:
+        bag = _with(encoding=encoding).write(
+            [One("/probe", TRACER, text.encode(), data, 10, 10) for data in messages], tmp_path / "b_0.mcap"
+        )
+    assert read_field(bag, Field("/probe", "point.y")).values.tolist() == [0.5, 1.5, 2.5]
+
+
+@pytest.mark.parametrize("text", [b"", b" \n", b"acme_msgs/Other other\n"])
+def test_a_type_that_the_bag_does_not_describe_is_named(tmp_path, text, fresh_types):
+    _, messages = custom_messages()
+    bag = Variant().write([One("/probe", TRACER, text, data, 10, 10) for data in messages], tmp_path / "b_0.mcap")
+    with pytest.raises(BagError, match=f"'{TRACER}', which the bag does not describe"):
+        read_field(bag, Field("/probe", "point.y"))
+
+
+@pytest.fixture
+def fresh_types(monkeypatch):
+    """No type of another test."""
+    from straightcomp_ros.bags import definitions, fields, messages
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for module in (definitions, fields, messages):
+        monkeypatch.setattr(module, "typestore", lambda: store)
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2, 3])
+def test_a_split_sqlite_bag_without_one_of_its_files_is_refused_by_every_verb(sample, tmp_path, missing, capsys):
+    bag = tmp_path / "b"
+    bag.mkdir()
+    types = {one.topic: one.type_name for one in sample}
+    names = [f"b_{number}.db3" for number in range(4)]
+    for number, name in enumerate(names):
+        part = sample[number * 1200 : (number + 1) * 1200]
+        sqlite_bag(bag / name, types, [(one.topic, one.log_time, one.data) for one in part])
+    (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}}))
+    assert evaluate_bag(bag).received_samples == CYCLES
+    (bag / names[missing]).unlink()
+    store = str(tmp_path / "store")
+    for words in (
+        ["evaluate", str(bag)],
+        ["map", "build", str(bag), "-o", str(tmp_path / "m.csv")],
+        ["history", "add", str(bag), "-o", store],
+    ):
+        assert main(words) != 0
+        assert f"lacks {names[missing]}" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_topic_that_an_sqlite_bag_has_twice_is_read_in_the_order_of_time(sample, tmp_path):
+    own = [one for one in sample if one.topic == "/encoder"]
+    rows = [("/encoder" + "+" * (number % 2), one.log_time, one.data) for number, one in enumerate(own)]
+    kind = ENCODER.layout.type_name
+    bag = sqlite_bag(tmp_path / "b_0.db3", {"/encoder": kind, "/encoder+": kind}, rows)
+    stamps = read_streams(bag, {"encoder": ENCODER.layout})["encoder"].stamp
+    assert len(stamps) == CYCLES and (np.diff(stamps) > 0).all()
+
+
+# Files and recordings
+
+
+ROLLING = [f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range(12)]
+
+
+@pytest.mark.parametrize(
+    ("names", "listed"), [(ROLLING, True), (ROLLING, False), (["zulu.mcap", "alpha.mcap", "mike.mcap"], True)]
+)
+def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_path, names, listed):
+    from straightcomp_ros.history.bag_places import bags_in
+
+    bag = tmp_path / "b"
+    step = -(-len(sample) // len(names))
+    for number, name in enumerate(names):
+        Variant().write(sample[number * step : (number + 1) * step], bag / name, parameters=not number)
+    if listed:
+        information = {"relative_file_paths": names, "compression_mode": ""}
+        (bag / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+    found = audit(bag)
+    assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
+    assert [place.location for place in bags_in(str(tmp_path))] == [str(bag)]
+
+
+def test_files_that_a_user_renamed_are_in_the_order_of_their_messages(sample, tmp_path):
+    for number, name in enumerate(("z.mcap", "a.mcap", "m.mcap")):
+        Variant().write(sample[number * 1600 : (number + 1) * 1600], tmp_path / "b" / name, parameters=not number)
+    information = {"relative_file_paths": ["b_0.mcap", "b_1.mcap", "b_2.mcap"]}
+    (tmp_path / "b" / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+    found = audit(tmp_path / "b")
+    assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
+
+
+def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_another_verb(sample, tmp_path, capsys):
+    from straightcomp_ros.history.bag_places import bags_in
+
+    for name in ("a_run.mcap", "z_run.mcap"):
+        Variant().write(sample, tmp_path / "b" / name)
+    for words in (["evaluate"], ["replay"], ["recover"]):
+        assert main([*words, str(tmp_path / "b")]) != 0
+        said = capsys.readouterr().err
+        assert "a_run.mcap" in said and "z_run.mcap" in said
+    assert [Path(place.location).name for place in bags_in(str(tmp_path))] == ["a_run.mcap", "z_run.mcap"]
+    for name in ("a_1.mcap", "a_2.mcap"):
+        shutil.copy(tmp_path / "b" / "a_run.mcap", tmp_path / "b" / name)
+    assert [Path(place.location).name for place in bags_in(str(tmp_path))] == ["b"]
+
+
+@pytest.mark.parametrize("name", ["b_0.db3.zstd", "b_0.mcap.zstd", "b_0.mcap.lz4"])
+def test_a_bag_that_is_compressed_as_a_whole_is_listed_as_refused(tmp_path, name, capsys):
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / name).write_bytes(zstandard.compress(b"bag"))
+    assert main(["history", "add", str(tmp_path / "b"), "-o", str(tmp_path / "store"), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["refused"] == 1
+
+
+def test_the_history_takes_other_names_of_topics(sample, tmp_path, capsys):
+    bag = _with(name=lambda self, topic: f"/machine{topic}s").write(sample, tmp_path / "b" / "b_0.mcap").parent
+    store = str(tmp_path / "store")
+    remap = [word for topic in LAYOUTS for word in ("--remap", f"{topic}:=/machine/{topic}s")]
+    for options, added in (([], 0), (["--again", *remap], 1)):
+        main(["history", "add", str(bag), "-o", store, "--json", *options])
+        assert json.loads(capsys.readouterr().out)["added"] == added
+
+
+def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, capsys):
+    bag = Variant().write(sample, tmp_path / "b_0.mcap", parameters=False)
+    file = tmp_path / "parameters.yaml"
+    file.write_bytes(read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT])
+    assert main(["replay", str(bag)]) != 0
+    capsys.readouterr()
+    assert main(["replay", str(bag), "--params-file", str(file), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["commands"], found["different"]) == (CYCLES, 0)
+    assert main(["replay", str(SAMPLE), "--params-file", str(file)]) != 0
+
+
+# Sizes that records declare
+
+
+def mcap_of(*records: tuple[int, bytes]) -> bytes:
+    """A file with these records of the data section."""
+    parts = [(Opcode.HEADER, bytes(8)), *records, (Opcode.DATA_END, bytes(4)), (Opcode.FOOTER, bytes(20))]
+    magic = b"\x89MCAP0\r\n"
+    return magic + b"".join(struct.pack("<BQ", opcode, len(content)) + content for opcode, content in parts) + magic
+
+
+def chunk_of(compression: bytes, data: bytes, size: int) -> tuple[int, bytes]:
+    fields = struct.pack("<QQQII", 0, 1, size, 0, len(compression)) + compression
+    return Opcode.CHUNK, fields + struct.pack("<Q", len(data)) + data
+
+
+HUGE = 1 << 60
+ZEROS = zstandard.compress(bytes(10_000))
+SIZES = {
+    "zstd of an impossible size": chunk_of(
+        b"zstd", zstandard.ZstdCompressor(write_content_size=False).compress(b"x"), HUGE
+    ),
+    "frame of more than its chunk": chunk_of(b"zstd", ZEROS, 3),
+    "lz4 of more than its chunk": chunk_of(b"lz4", lz4.frame.compress(bytes(10_000_000)), 3),
+    "lz4 of an impossible size": chunk_of(b"lz4", lz4.frame.compress(b"x"), HUGE),
+    "unknown compression": chunk_of(b"xz", b"abc", 3),
+    "none of an impossible size": chunk_of(b"", b"abc", HUGE),
+    "a chunk's data": (Opcode.CHUNK, struct.pack("<QQQIIQ", 0, 1, 3, 0, 0, HUGE) + b"abc"),
+    "an attachment's data": (Opcode.ATTACHMENT, struct.pack("<QQIIQ", 0, 0, 0, 0, HUGE) + b"abc"),
+    "a metadata's name": (Opcode.METADATA, struct.pack("<I", 0xFFFFFFFF) + b"abc"),
+    "a channel's topic": (Opcode.CHANNEL, struct.pack("<HHI", 1, 0, 0xFFFFFFFF) + b"abc"),
+    "a schema's text": (Opcode.SCHEMA, struct.pack("<HIII", 1, 0, 0, 0xFFFFFFFF) + b"abc"),
+}
+
+
+@pytest.mark.parametrize("what", SIZES)
+def test_a_declared_size_that_cannot_be_is_a_sentence(tmp_path, what, capsys):
+    path = tmp_path / "b.mcap"
+    path.write_bytes(mcap_of(SIZES[what]))
+    assert main(["evaluate", str(path)]) in (1, 2) and main(["recover", str(path)]) == 1
+    assert "Traceback" not in capsys.readouterr().err
+    for read in (lambda: read_streams(path, LAYOUTS), lambda: read_attachments(path), lambda: read_metadata(path)):
+        try:
+            read()
+        except BagError as error:
+            assert str(path) in str(error)
