@@ -72,8 +72,8 @@ def bag_files(bag: Path) -> list[Path]:
     """The first of what :func:`found_files` returns. Raises BagError when a file is missing, too."""
     files, missing = found_files(bag)
     if missing:
-        advice = "copy the whole folder again, or save what is there with `straightcomp recover`"
-        raise BagError(f"bag {bag} lacks {', '.join(missing)}; {advice}")
+        rest = ", or save what is there with `straightcomp recover`" if files[0].suffix == ".mcap" else ""
+        raise BagError(f"bag {bag} lacks {', '.join(missing)}; copy the whole folder again{rest}")
     return files
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cell.cycle import RECORDED
 from straightcomp_ros.cell.launcher import Graph, LaunchError, verb_command
 from straightcomp_ros.configuration.node_parameters import node_parameters
@@ -45,6 +46,11 @@ class Kill(NamedTuple):
     def named(self) -> bool:
         """Whether the cell failed and named the node."""
         return self.exit_code == 1 and self.node in self.cell
+
+    @property
+    def judged(self) -> bool:
+        """Whether neither `evaluate` nor the history calls the run in order."""
+        return '"exit_code": 0' not in self.evaluate and IN_ORDER not in self.history
 
 
 def run_kills(
@@ -96,8 +102,15 @@ def _killed(values: Mapping[str, Mapping[str, Any]], folder: Path, node: str, at
         code,
         str(bag),
         _said("evaluate", str(bag)),
-        _said("history", "add", str(bag), "-o", str(folder / "store")),
+        _in_history(bag, folder / "store"),
     )
+
+
+def _in_history(bag: Path, store: Path) -> str:
+    """What a history with this bag alone says of its last stroke, or why it refuses the bag."""
+    added = _said("history", "add", str(bag), "-o", str(store))
+    last = "SELECT verdict, reason, faults FROM strokes ORDER BY stroke DESC LIMIT 1"
+    return _said("history", "query", str(store), last, "--json") if '"exit_code": 0' in added else added
 
 
 def _said(*words: str) -> str:

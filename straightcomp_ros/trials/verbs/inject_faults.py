@@ -102,15 +102,16 @@ def _run_kills(options: argparse.Namespace) -> int:
             lambda name, done: bar.update(task, description=name, completed=done),
         )
     if options.json:
-        print_json({"kills": [{**kill._asdict(), "named": kill.named} for kill in kills]})
+        print_json({"kills": [{**kill._asdict(), "named": kill.named, "judged": kill.judged} for kill in kills]})
     else:
         for kill in kills:
             words = f"{kill.node} killed {kill.at:.1f} s after the start: cell ended with {kill.exit_code}: {kill.cell}"
             console.print(
                 f"{words}\n  bag {kill.bag}\n  evaluate {kill.evaluate}\n  history {kill.history}", markup=False
             )
-        console.print(f"{sum(kill.named for kill in kills)} of {len(kills)} kills were named by the cell")
-    return 0 if all(kill.named for kill in kills) else 1
+        named, judged = sum(kill.named for kill in kills), sum(kill.judged for kill in kills)
+        console.print(f"of {len(kills)} kills the cell named {named}; {judged} bags are not in order")
+    return 0 if all(kill.named and kill.judged for kill in kills) else 1
 
 
 def _table(figures: dict[str, Any]) -> Table:
