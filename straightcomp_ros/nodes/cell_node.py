@@ -25,9 +25,9 @@ from straightcomp_ros.timing.node_timing import LOST, blamed, held_up
 _TICK_S = 0.05
 _REPORTED_S = 1.5
 """Every node publishes its next diagnostics within this time."""
+_GIVEN_UP = (State.STOPPING, State.STOPPED, State.ABORTING, State.ABORTED)
 _QUIET_S = 0.5
 """A node without a heartbeat for this time, of ten in a second, may have ended."""
-_GIVEN_UP = (State.STOPPING, State.STOPPED, State.ABORTING, State.ABORTED)
 
 
 class CycleFailed(Exception):
@@ -57,6 +57,7 @@ class CellNode(Runnable):
             home=parameters.home,
             recoveries=parameters.recoveries,
         )
+        self._failing = False
         self._steps = self._explained(self._cycle())
         node.create_timer(_TICK_S, self._tick)
 
@@ -65,6 +66,7 @@ class CellNode(Runnable):
         try:
             yield from cycle
         except CycleFailed as failure:
+            self._failing = True
             before, end = self._watch.reports(), time.monotonic() + _REPORTED_S
             # Keep ticking: the sequencer still has to switch the amplifier off.
             while time.monotonic() < end or (not self._seen.missing and self._services.quiet(_QUIET_S)):
@@ -139,7 +141,7 @@ class CellNode(Runnable):
         """Switch the amplifier off if the cycle is not finished."""
         if self._sequence.at_work:
             return self._services.leave()
-        if self._sequence.state not in _GIVEN_UP or self.done.result() != 0:
+        if not self._failing or self.done.result() != 0:
             return None
         # Stopped while it waits for the reason of its failure: the amplifier is off.
         left = Future()

@@ -18,7 +18,7 @@ def test_the_timing_of_the_nodes_fits_a_terminal_of_80_columns_with_all_names_an
         "timer_error_us": LATE,
         "no_cpu_us": 6400.0,
     }
-    console = Console(width=80, record=True, file=io.StringIO())
+    console = Console(width=80, record=True, file=io.StringIO(), markup=False)
     console.print(timing_table(dict.fromkeys(("driver", "feedforward", "controller", "logger"), values)))
     text = console.export_text()
     assert max(map(len, text.splitlines())) <= 80
