@@ -178,11 +178,17 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     told = np.isfinite(latency)
     answers = max(int(unique[topic][0][-1]) for topic in (REFERENCE.topic, COMMAND.topic))
     reported = max((own[-1].time_ns for own in reports.values()), default=0)
-    goes_on = answers > encoder[-1] or reported > encoder[-1] + ENDS_APART * 1e9
     for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
         begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))
         warnings.warn(f"the recording was paused for {end - begin:.6g} s after {begin:.6g} s", stacklevel=2)
-    run = encoder_run(encoder, streams[ENCODER.topic].columns["x"][rows], on, int(common[-1]), goes_on or not finished)
+    run = encoder_run(
+        encoder,
+        streams[ENCODER.topic].columns["x"][rows],
+        on,
+        int(common[-1]),
+        goes_on=answers > encoder[-1] or reported > encoder[-1] + ENDS_APART * 1e9,
+        silent=not finished or reported > encoder[-1] + PAUSE * 1e9,
+    )
     stalls = stalls_of(encoder - common[0], answered - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,

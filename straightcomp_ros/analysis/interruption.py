@@ -46,6 +46,7 @@ class EncoderRun(NamedTuple):
         strokes: movements of the stage.
         jumps: (m,) samples at which x is not where the stage can have gone.
         lost_at: speed in m/s at the last sample, if the recording was cut off there or went on without samples; else 0.
+        left_on: whether the samples end so with the amplifier on.
     """
 
     stamps: NDArray[np.int64]
@@ -54,6 +55,7 @@ class EncoderRun(NamedTuple):
     strokes: Sequence[Stroke]
     jumps: NDArray[np.intp]
     lost_at: float
+    left_on: bool
 
     @property
     def end_ns(self) -> int:
@@ -65,10 +67,17 @@ class EncoderRun(NamedTuple):
 
 
 def encoder_run(
-    stamps: NDArray[np.int64], x: NDArray[np.float64], on: NDArray[np.bool_], judged_ns: int, cut_off: bool
+    stamps: NDArray[np.int64],
+    x: NDArray[np.float64],
+    on: NDArray[np.bool_],
+    judged_ns: int,
+    *,
+    goes_on: bool = False,
+    silent: bool = False,
 ) -> EncoderRun:
-    """The run with these samples (n,): stamps in ns, rising, x in m, and whether the amplifier was on; ``cut_off`` if
-    the machine is known to have run on after the last."""
+    """The run with these samples (n,): stamps in ns, rising, x in m, and whether the amplifier was on. Whether the
+    machine ``goes_on`` after the last of them, or is ``silent``: the recording is cut off, or goes on without samples
+    for longer than a host stalls."""
     off = ~on if on.any() else np.zeros(on.size, np.bool_)
     # An encoder that fails reads NaN.
     known = np.flatnonzero(np.isfinite(x))
@@ -79,8 +88,8 @@ def encoder_run(
         strokes = ()
     placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
     jumps = jumps_of(time, x) if known.size > 2 else known[:0]
-    lost_at = speed_at_end(time, x) if cut_off and known.size > 2 else 0.0
-    return EncoderRun(stamps, off, judged_ns, placed, known[jumps], lost_at)
+    lost_at = speed_at_end(time, x) if (goes_on or silent) and known.size > 2 else 0.0
+    return EncoderRun(stamps, off, judged_ns, placed, known[jumps], lost_at, silent and bool(on[-1]))
 
 
 def interruption(run: EncoderRun, faults: Sequence[LatchedFault], begin_ns: int, until_ns: int) -> str:
@@ -106,8 +115,9 @@ def interruption(run: EncoderRun, faults: Sequence[LatchedFault], begin_ns: int,
         reasons.append(
             f"after {at(run.judged_ns)} no sample has both reference and command, {left} more of the motion have none"
         )
-    if begin_ns <= run.stamps[-1] < until_ns and run.lost_at >= MOVING:
-        reasons.append(f"the samples end while the stage moves at {run.lost_at * 1e3:.3g} mm/s")
+    if begin_ns <= run.stamps[-1] < until_ns and (run.lost_at >= MOVING or run.left_on):
+        moves = f" and the stage moving at {run.lost_at * 1e3:.3g} mm/s" if run.lost_at >= MOVING else ""
+        reasons.append(f"the samples end with the amplifier {'on' if run.left_on or not run.off[-1] else 'off'}{moves}")
     return "; ".join(reasons)
 
 

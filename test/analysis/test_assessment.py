@@ -36,7 +36,7 @@ def as_evaluation(record, **changes) -> BagEvaluation:
     }
     values |= changes
     x = record.x[np.isin(np.round(record.time * 1e9).astype(np.int64), values["stamps"])]
-    run = encoder_run(values["stamps"], x, values["amplifier_on"], int(stamps[-1]), False)
+    run = encoder_run(values["stamps"], x, values["amplifier_on"], int(stamps[-1]))
     return BagEvaluation(**values, encoder=run)
 
 

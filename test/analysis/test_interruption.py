@@ -149,3 +149,15 @@ def test_a_jump_of_x_interrupts_a_run(tmp_path, capsys):
         return stamp, [numbers[0] + 0.1, *numbers[1:]] if topic == ENCODER.topic and stamp >= S else numbers
 
     assert judged(rewritten(SMC, tmp_path / "b", change), capsys)[1]["verdict"] == "interrupted"
+
+
+def test_a_recording_that_is_cut_off_at_rest_with_the_amplifier_on_is_interrupted(tmp_path, capsys):
+    def change(topic, stamp, numbers):
+        return (stamp, numbers) if stamp < 2.25 * S else None
+
+    bag = rewritten(SMC, tmp_path / "b", change)
+    assert judged(bag, capsys)[1]["verdict"] == "in_order"
+    (file,) = bag.glob("*.mcap")
+    # Without the summary: the logger was killed.
+    file.write_bytes(file.read_bytes()[:-200])
+    assert judged(bag, capsys)[1]["verdict"] == "interrupted"
