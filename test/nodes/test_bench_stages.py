@@ -24,7 +24,7 @@ def short(folder, name):
 def test_stages_at_once_record_their_own_strokes_and_are_compared_with_each_alone(capfd, tmp_path):
     stages = [short(tmp_path, "left"), short(tmp_path, "right")]
     words = [word for stage in stages for word in ("--stage", stage)]
-    code = main(["bench", "stages", "--json", "--output", str(tmp_path), *words])
+    code = main(["bench", "stages", "--json", "--output", str(tmp_path / "out"), *words])
     figures = json.loads(capfd.readouterr().out)
     assert code == (0 if figures["in_order"] else 1)
     assert [figure["file"] for figure in figures["stages"].values()] == stages
@@ -32,6 +32,6 @@ def test_stages_at_once_record_their_own_strokes_and_are_compared_with_each_alon
         figure = figures["stages"][name]
         assert figure["ratio"] == pytest.approx(figure["at_once"]["pp_um"] / figure["alone"]["pp_um"])
         for folder in ("alone_0", "at_once_0"):
-            record = evaluate_bag(tmp_path / folder / name / "bag").record
+            record = evaluate_bag(tmp_path / "out" / folder / name / "bag").record
             assert 0.059 < record.x.max() - record.x.min() < 0.061
-            assert f"stage.name: {stage}\n" in (tmp_path / folder / name / "parameters.yaml").read_text()
+            assert f"stage.name: {stage}\n" in (tmp_path / "out" / folder / name / "parameters.yaml").read_text()
