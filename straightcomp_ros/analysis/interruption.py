@@ -145,12 +145,14 @@ def clock_jump(samples: StreamColumns) -> str:
     if not rising.size:
         return ""
     period = int(np.median(rising))
+    places = np.flatnonzero(np.abs(steps - period) > max(_NOTICED * 1e9, 1.5 * period))
+    if not places.size and rising.size == steps.size:
+        return ""
     usual = int(np.median(recorded - stamps))
 
     def late_by(part: slice) -> int:
         return int(np.abs(recorded[part] - stamps[part] - usual).max())
 
-    places = np.flatnonzero(np.abs(steps - period) > max(_NOTICED * 1e9, 1.5 * period))
     edges = [0, *(places + 1).tolist(), len(stamps)]
     parts = [slice(*edge) for edge in itertools.pairwise(edges)]
     # Single messages that came late stand among later ones.

@@ -4,6 +4,7 @@ import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -108,10 +109,18 @@ def _begin(file: Path) -> int | None:
 
 
 def _information(bag: Path) -> Mapping[str, Any]:
+    file = bag / "metadata.yaml"
     try:
-        found = load_yaml(bag / "metadata.yaml", _LARGEST_METADATA, _LARGEST_METADATA // 32)[ROOT_KEY]
+        stat = file.stat()
+        return _information_of(file.absolute(), stat.st_mtime_ns, stat.st_size)
     except (OSError, ValueError, LookupError, TypeError):
         return {}  # a bag whose metadata cannot be read still has its messages
+
+
+@lru_cache(maxsize=4)
+def _information_of(file: Path, changed_ns: int, size: int) -> Mapping[str, Any]:
+    """Content of a metadata.yaml with this time of its last change; an evaluation opens its bag several times."""
+    found = load_yaml(file, _LARGEST_METADATA, _LARGEST_METADATA // 32)[ROOT_KEY]
     return found if isinstance(found, Mapping) else {}
 
 
