@@ -150,8 +150,8 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
             common = np.intersect1d(common, unique[stream.topic][0], assume_unique=True)
     if len(common) < 2:
         raise BagError(f"bag {bag}: its streams do not belong together: they have no common stamps")
-    x = streams[ENCODER.topic].columns["x"][rows[np.searchsorted(encoder, common)]]
-    common = common[_judged(common, x)]
+    if (np.diff(common) >= PAUSE * 1e9).any():
+        common = common[_judged(common, streams[ENCODER.topic].columns["x"][rows[np.searchsorted(encoder, common)]])]
 
     def column(stream: Stream, name: str) -> NDArray[np.float64]:
         stamps, rows = unique[stream.topic]
@@ -232,7 +232,7 @@ def _judged(stamps: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.boo
     may have been anywhere."""
     judged = np.ones(stamps.size, np.bool_)
     pauses = np.flatnonzero(np.diff(stamps) >= PAUSE * 1e9) + 1
-    if pauses.size and np.isfinite(x).all():
+    if np.isfinite(x).all():
         with contextlib.suppress(MetricsError):
             strokes = motion_of((stamps - stamps[0]) * 1e-9, x).strokes
             begins, ends = (np.array([getattr(one, name) for one in strokes]) for name in ("start", "stop"))

@@ -106,9 +106,7 @@ def _run_kills(options: argparse.Namespace) -> int:
     else:
         for kill in kills:
             words = f"{kill.node} killed {kill.at:.1f} s after the start: cell ended with {kill.exit_code}: {kill.cell}"
-            console.print(
-                f"{words}\n  bag {kill.bag}\n  evaluate {kill.evaluate}\n  history {kill.history}", markup=False
-            )
+            console.print(f"{words}\n  bag {kill.bag}\n  evaluate {kill.evaluate}\n  history {kill.history}")
         named, judged = sum(kill.named for kill in kills), sum(kill.judged for kill in kills)
         console.print(f"of {len(kills)} kills the cell named {named}; {judged} bags are not in order")
     return 0 if all(kill.named and kill.judged for kill in kills) else 1
