@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
@@ -60,13 +62,27 @@ def add(
     for bag in spread(
         partial(evaluated, remap=remap), (), chain(first, new), jobs=jobs if len(first) > 1 else 1, dask=dask
     ):
-        store.put(bag)
-        if bag.row.reason is None:
-            tally.added += 1
-            tally.strokes += bag.row.strokes
-        else:
-            tally.refused += 1
+        with _whole():
+            store.put(bag)
+            if bag.row.reason is None:
+                tally.added += 1
+                tally.strokes += bag.row.strokes
+            else:
+                tally.refused += 1
         told(bag.row)
+
+
+@contextmanager
+def _whole() -> Iterator[None]:
+    """Delays Ctrl-C until the end of the block: what was stored is also counted."""
+    interrupts: list[int] = []
+    former = signal.signal(signal.SIGINT, lambda number, frame: interrupts.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+    if interrupts:
+        raise KeyboardInterrupt
 
 
 def _new(store: Store, places: Iterable[BagPlace], tally: Tally, again: bool) -> Iterator[BagPlace]:
