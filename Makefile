@@ -47,7 +47,7 @@ demo: setup
 
 # What of the core is only reached through a running graph is not tested well enough: it has a figure of its own.
 CORE := analysis control messages model stage straightness timing
-CORE_FILES := straightcomp_ros/contract.py straightcomp_ros/settings/declaration.py
+CORE_FILES := straightcomp_ros/contract.py straightcomp_ros/parameters/declaration.py
 comma_separated = $(subst $(space),$(comma),$(strip $(1)))
 # Live nodes share the machine with nothing else; the other tests share out its cores first.
 define TEST_ALL

@@ -29,7 +29,7 @@ setup(
     license=MANIFEST.findtext("license"),
     maintainer=MANIFEST.findtext("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").get("email"),
-    packages=find_packages(exclude=["test", "test.*"]),
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={f"{NAME}.view": ["*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -1,6 +1,6 @@
 """Machines that are drawn blindly, each commissioned without a look at the truth, beside what full knowledge gives.
 
-    python -m scripts.blind_trials test/commissioning/rough.yaml --machines 50 --seed 1 -o DIR
+    python -m scripts.blind_trials test/tuning/commissioning/rough.yaml --machines 50 --seed 1 -o DIR
 
 All is drawn within `stage.uncertainty`, friction and amplifier log-uniformly, and the encoder's count log-uniformly
 from 0.05 to 0.5 µm. Full knowledge is the same design with the same effort, from a description that is the machine.
@@ -22,22 +22,22 @@ import numpy as np
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.oscillation import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.run_verdict import judged_run
-from straightcomp_ros.commissioning.procedure import Procedure
-from straightcomp_ros.commissioning.simulated_machine import SimulatedMachine
-from straightcomp_ros.configuration.node_parameters import Values, by_node, node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
-from straightcomp_ros.design.automatic_design import design_gains
-from straightcomp_ros.design.feasible_gains import DesignError
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.starts import runs_of_starts, spread
-from straightcomp_ros.settings.output_folder import making
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
+from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.trials.faults.faulty_machine import FaultyHardware
+from straightcomp_ros.tuning.commissioning.procedure import Procedure
+from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
+from straightcomp_ros.tuning.design.automatic_design import design_gains
+from straightcomp_ros.tuning.design.feasible_gains import DesignError
+from trials.faults.faulty_machine import FaultyHardware
 
 STARTS = 3
 COUNTS = (0.05e-6, 0.5e-6)

@@ -17,15 +17,15 @@ from typing import NamedTuple
 
 from scripts.stage_files import STAGES, stage_names, stage_scenario
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.design.automatic_design import Design, closed_form, design_gains
-from straightcomp_ros.design.feasible_gains import DesignError
-from straightcomp_ros.design.gain_search import search
-from straightcomp_ros.design.judged_gains import judge_of
-from straightcomp_ros.design.prepared_stroke import prepared_stroke
-from straightcomp_ros.design.searched_gains import starts, with_gains
 from straightcomp_ros.offline.sweep.scenario import Scenario
 from straightcomp_ros.offline.sweep.starts import spread
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.tuning.design.automatic_design import Design, closed_form, design_gains
+from straightcomp_ros.tuning.design.feasible_gains import DesignError
+from straightcomp_ros.tuning.design.gain_search import search
+from straightcomp_ros.tuning.design.judged_gains import judge_of
+from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke
+from straightcomp_ros.tuning.design.searched_gains import starts, with_gains
 
 FOUND = STAGES / "found_gains.json"
 LAW = "smc_observer"

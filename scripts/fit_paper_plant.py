@@ -19,7 +19,7 @@ from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.control.surface_design import SlidingDesign, reaching_bound
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
 LINEAR, SMC = 1.77, 0.40

@@ -1,6 +1,6 @@
 """Machines within the uncertainty of a rough description, each commissioned in real time through the whole graph.
 
-    python -m scripts.live_trials test/commissioning/rough.yaml -o DIR
+    python -m scripts.live_trials test/tuning/commissioning/rough.yaml -o DIR
 
 Run it on a computer at rest: what else runs makes commands late. A row is printed as soon as it is known; the bags,
 logs and certificates are in DIR. Exit code 1 unless every machine gets its certificate within the time allowed.
@@ -16,10 +16,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from straightcomp_ros.cli.graph_option import EMULATED, START
-from straightcomp_ros.commissioning import STEP_NAMES
-from straightcomp_ros.commissioning.procedure import RECORD
-from straightcomp_ros.settings.output_folder import making
+from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.tuning.commissioning import STEP_NAMES
+from straightcomp_ros.tuning.commissioning.procedure import RECORD
+from straightcomp_ros.tuning.verbs.graph_option import EMULATED, START
 
 ALLOWED_S = 300.0
 _LONGEST_S = 600.0

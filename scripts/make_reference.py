@@ -11,16 +11,16 @@ from pathlib import Path
 import cantools
 
 from straightcomp_ros import contract
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
-from straightcomp_ros.configuration.parameter_file import DEFAULT_FILE, DEFAULT_STAGE
+from straightcomp_ros.fleet.history.bag_row import BagRow
+from straightcomp_ros.fleet.history.row_columns import columns_of
+from straightcomp_ros.fleet.history.store import BAGS, STROKES
+from straightcomp_ros.fleet.history.stroke_row import StrokeRow
 from straightcomp_ros.hardware.can import emulator_frames, shipped_wire
-from straightcomp_ros.history.bag_row import BagRow
-from straightcomp_ros.history.row_columns import columns_of
-from straightcomp_ros.history.store import BAGS, STROKES
-from straightcomp_ros.history.stroke_row import StrokeRow
 from straightcomp_ros.messages.batch import BATCH_TYPE
-from straightcomp_ros.settings.declaration import Declaration, declarations
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.parameters.declaration import Declaration, declarations
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
+from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE
+from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -31,7 +31,7 @@ ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime")
 HEAD = """\
 # Reference
 
-Made by `scripts/make_reference.py` from `contract.py`, `configuration/parameter_sets.py`, the nodes, the DBC files and
+Made by `scripts/make_reference.py` from `contract.py`, `parameters/parameter_sets.py`, the nodes, the DBC files and
 `history/`; a test holds it to them. Numbers are SI where no unit is named. All names of topics, services and nodes are
 relative: a namespace or a remapping moves them.
 

@@ -20,11 +20,11 @@ from straightcomp_ros.bags.origin import ORIGIN_METADATA, origin
 from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration.node_parameters import by_node
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STROKE
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import by_node
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 

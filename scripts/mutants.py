@@ -9,7 +9,7 @@ source is as likely as any other. Left out are:
   integer changes by 1, and any other number is doubled or halved.
 - Annotations, decorators, ``if TYPE_CHECKING``, texts for people (f-strings) and the look of a picture (``LOOK``).
 - Defaults and ranges of parameters: the files in config/ and docs/reference.md repeat them, and
-  test/settings/test_parameters.py compares.
+  test/parameters/test_parameters.py compares.
 - How long something is waited for that answers at once, and the line that a warning names (``UNSEEN``).
 - Renamed exceptions and variables: mypy and ruff find them.
 

@@ -8,9 +8,9 @@ from types import ModuleType
 
 import pytest
 
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.offline.comparison import LawFigures, figures_of, with_values
 from straightcomp_ros.offline.sweep.starts import spread
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 SHORT = {
     "driver": {"simulated.truth.guide": "config/guide_synthetic.csv"},

@@ -17,7 +17,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion
 from straightcomp_ros.analysis.run_verdict import judged_bag, partial_run
-from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
+from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
 _AT_LIMIT = 1.0 - 1e-9
 """Fraction of the current limit from which the command counts as limited."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags.recorded_parameters import unpacked_map
-from straightcomp_ros.settings.declaration import ParameterError, from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
 

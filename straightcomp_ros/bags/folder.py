@@ -12,7 +12,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.sqlite_input import SqliteInput
-from straightcomp_ros.settings.yaml_text import load_yaml
+from straightcomp_ros.parameters.yaml_text import load_yaml
 
 BagInput = McapInput | SqliteInput
 _LARGEST_METADATA = 32 << 20

@@ -8,7 +8,7 @@ from functools import cache
 import yaml
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.settings.yaml_text import load_yaml
+from straightcomp_ros.parameters.yaml_text import load_yaml
 
 _POLICIES = {
     "history": ("keep_last", "keep_all", "unknown", "system_default"),

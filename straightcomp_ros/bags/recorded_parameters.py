@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.settings.declaration import ParameterError, belongs_to_ros, flatten
-from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
+from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, flatten
+from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 from straightcomp_ros.stage.former_names import present_names
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.recorded_parameters import attach_map
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
-from straightcomp_ros.settings.yaml_text import dump_yaml
+from straightcomp_ros.parameters.yaml_text import dump_yaml
 
 START_NS = 1_000_000_000
 """Stamp of the first sample: simulated time has no date, but ROS takes a stamp of zero for none."""

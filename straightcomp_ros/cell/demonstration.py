@@ -18,13 +18,13 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, run_cycle
 from straightcomp_ros.cell.launcher import LaunchError, executable_command, in_namespace, verb_command
-from straightcomp_ros.configuration.node_parameters import Values, by_node, node_parameters
-from straightcomp_ros.configuration.parameter_file import as_parameter_file
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.users import OPERATOR, add_user
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
+from straightcomp_ros.parameters.parameter_file import as_parameter_file
+from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, blamed, summarise
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from straightcomp_ros.cli.options import add_force, named_files
 from straightcomp_ros.cli.output import CommandFailed, console, print_json
 from straightcomp_ros.cli.parameter_options import add_setting_option, add_stage_argument, stage_values
-from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.dbc_file import DbcError
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
-from straightcomp_ros.settings.output_folder import making
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.whole_file import write_whole
 
 SUMMARY = "write the frames of a board in C, for its firmware"
 

@@ -14,7 +14,6 @@ import can
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frame_log import (
@@ -26,6 +25,7 @@ from straightcomp_ros.hardware.can.frame_log import (
 )
 from straightcomp_ros.hardware.can.link import check_interface, opened_bus
 from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.parameters.node_parameters import node_parameters
 
 SUMMARY = "send a recorded board's frames to a driver"
 _SLOWEST, _FASTEST = 0.01, 100.0

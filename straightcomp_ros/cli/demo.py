@@ -18,7 +18,7 @@ from straightcomp_ros.cli.options import add_force, add_namespace, named_files, 
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
-from straightcomp_ros.settings.output_folder import making
+from straightcomp_ros.parameters.output_folder import making
 
 SUMMARY = "run the node graph for one stroke, record and evaluate it"
 

@@ -10,9 +10,9 @@ from straightcomp_ros.cli import main as command_line
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.configuration.node_parameters import node_parameters
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import check_interface
+from straightcomp_ros.parameters.node_parameters import node_parameters
 
 SUMMARY = "emulate the DSP board on a CAN bus"
 _MOST_DRIFT_PPM = 1000.0

@@ -14,7 +14,7 @@ from straightcomp_ros.cli.law_tables import marked, shown, titled_table
 from straightcomp_ros.cli.options import add_force, add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, working
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.parameters.whole_file import write_whole
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.assessment import Assessment

@@ -2,23 +2,26 @@
 
 import argparse
 import importlib
+import importlib.util
 import os
 import re
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 from xml.etree import ElementTree
 
 from straightcomp_ros.cli.output import CommandFailed, Terminated, print_in_any_encoding, printable
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.share import share_path
 
-_TRIALS = {"bench": "trials.verbs.bench", "faults": "trials.verbs.inject_faults", "soak": "trials.verbs.soak"}
-_NAMES = (
-    "bench can commission completion demo design doctor dsp evaluate faults frequency-response friction history map "
-    "opcua recover replay reproduce robustness simulate soak stage view"
-)
-_VERBS = {name: _TRIALS.get(name, f"cli.{name.replace('-', '_')}") for name in _NAMES.split()}
+_NAMES = "bench can completion demo doctor dsp evaluate map opcua recover replay reproduce simulate stage view"
+_TUNING = "commission design frequency-response friction robustness"
+_FOLDERS = {"cli": _NAMES, "tuning.verbs": _TUNING, "fleet.verbs": "history"}
+_VERBS = {
+    name: f"straightcomp_ros.{folder}.{name.replace('-', '_')}"
+    for folder, names in _FOLDERS.items()
+    for name in sorted(names.split())
+}
 """The module of each verb."""
 _FIRST_STEPS = """\
 first steps:
@@ -37,12 +40,17 @@ _TERMINATED = 143
 """The same of SIGTERM."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong use."""
+def main(
+    arguments: Sequence[str] | None = None, verbs: Mapping[str, str] = _VERBS, program: str = "straightcomp"
+) -> int:
+    """Run one command of ``program``, whose ``verbs`` are in modules of these names; returns its exit code.
+
+    0 is done, 1 failed, 2 wrong use.
+    """
     print_in_any_encoding()
     given = list(sys.argv[1:] if arguments is None else arguments)
     # A verb that is named is imported alone: all of them together take seconds.
-    options = make_parser(given[:1]).parse_args(given)
+    options = make_parser(given[:1], verbs, program).parse_args(given)
     try:
         code = int(options.run(options) or 0)
         sys.stdout.flush()
@@ -74,17 +82,19 @@ def _ended(options: argparse.Namespace, sentence: str, exit_code: int) -> int:
     return exit_code
 
 
-def make_parser(complete: Collection[str] = _VERBS.keys()) -> argparse.ArgumentParser:
+def make_parser(
+    complete: Collection[str] = _VERBS.keys(), table: Mapping[str, str] = _VERBS, program: str = "straightcomp"
+) -> argparse.ArgumentParser:
     """The parser of all verbs; those that are not in ``complete`` with their summary only."""
     parser = _Parser(
-        prog="straightcomp",
+        prog=program,
         description="Straightness compensation of linear-motor stages: simulate, run, record and judge.",
-        epilog=_FIRST_STEPS,
+        epilog=_FIRST_STEPS if table is _VERBS else None,
         formatter_class=_Help,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
-    for name, source in _VERBS.items():
+    for name, source in table.items():
         if name in complete:
             _add_command(verbs, name, source)
         else:
@@ -94,7 +104,7 @@ def make_parser(complete: Collection[str] = _VERBS.keys()) -> argparse.ArgumentP
 
 def _add_command(commands: Any, name: str, source: str) -> None:
     """Add the parser of a verb or tool, from its module, with those of all its tools."""
-    module = importlib.import_module(f"straightcomp_ros.{source}")
+    module = importlib.import_module(source)
     parser = commands.add_parser(name, help=module.SUMMARY, description=module.__doc__, formatter_class=_Help)
     if not hasattr(module, "TOOLS"):
         module.add_arguments(parser)
@@ -136,8 +146,10 @@ class _Version(argparse.Action):
 
 def _summary(source: str) -> str:
     """SUMMARY of a verb, read without importing it."""
-    path = Path(__file__).parents[1].joinpath(*source.split(".")).with_suffix(".py")
-    return str(re.findall(r'^SUMMARY = "(.*)"$', path.read_text(encoding="utf-8"), re.MULTILINE)[0])
+    specification = importlib.util.find_spec(source)
+    assert specification is not None and specification.origin is not None
+    text = Path(specification.origin).read_text(encoding="utf-8")
+    return str(re.findall(r'^SUMMARY = "(.*)"$', text, re.MULTILINE)[0])
 
 
 if __name__ == "__main__":

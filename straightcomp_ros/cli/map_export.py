@@ -8,7 +8,7 @@ import argparse
 from straightcomp_ros.cli.map_convert import add_table_options, chosen_conventions
 from straightcomp_ros.cli.options import add_force, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, print_json
-from straightcomp_ros.settings.whole_file import write_whole
+from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.tables.error_table import sampled
 from straightcomp_ros.straightness.tables.formats import WRITTEN, format_of

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from straightcomp_ros.settings.plain_json import plain
+from straightcomp_ros.parameters.plain_json import plain
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from straightcomp_ros.cli.options import add_repeatable
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, node_parameters
-from straightcomp_ros.configuration.parameter_file import DEFAULT_FILE, DEFAULT_STAGE, shipped_parameters
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.settings.declaration import ParameterError
-from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, node_parameters
+from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE, shipped_parameters
+from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:

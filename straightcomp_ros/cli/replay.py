@@ -42,8 +42,8 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _given(options: argparse.Namespace) -> dict[str, dict[str, Any]] | None:
-    from straightcomp_ros.configuration.node_parameters import by_node
-    from straightcomp_ros.configuration.parameter_file import shipped_parameters
+    from straightcomp_ros.parameters.node_parameters import by_node
+    from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
     return by_node(shipped_parameters(options.params_file)) if options.params_file else None
 
@@ -100,7 +100,7 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], give
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
     from straightcomp_ros.cell.launcher import LaunchError
     from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
-    from straightcomp_ros.settings.output_folder import making
+    from straightcomp_ros.parameters.output_folder import making
 
     require_ros()
     output = output_folder("--output", options.output)

@@ -8,10 +8,10 @@ from pathlib import Path
 from straightcomp_ros.cli.law_tables import shown, titled_table
 from straightcomp_ros.cli.options import add_force, output_folder
 from straightcomp_ros.cli.output import console, notes, print_json, working
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.paper.all_figures import PICTURES, Reproduction, reproduce
 from straightcomp_ros.paper.ideal_machine import DELAY, machine_from
-from straightcomp_ros.settings.output_folder import making
+from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 SUMMARY = "compute the paper's figures, and its numbers beside ours"
 

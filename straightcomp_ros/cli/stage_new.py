@@ -10,12 +10,12 @@ from typing import Any
 
 from straightcomp_ros.cli.options import add_force, add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console
-from straightcomp_ros.configuration.commented_file import commented
-from straightcomp_ros.configuration.node_parameters import STAGE
-from straightcomp_ros.configuration.parameter_file import ALL_NODES
-from straightcomp_ros.settings.declaration import Declaration, ParameterError, declarations, from_mapping
-from straightcomp_ros.settings.whole_file import write_whole
-from straightcomp_ros.settings.yaml_text import YamlError, load_yaml
+from straightcomp_ros.parameters.commented_file import commented
+from straightcomp_ros.parameters.declaration import Declaration, ParameterError, declarations, from_mapping
+from straightcomp_ros.parameters.node_parameters import STAGE
+from straightcomp_ros.parameters.parameter_file import ALL_NODES
+from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey

@@ -9,7 +9,7 @@ import sys
 from straightcomp_ros.cell.launcher import in_namespace
 from straightcomp_ros.cli.options import add_namespace, check_range
 from straightcomp_ros.cli.output import print_json, require_ros
-from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 SUMMARY = "live plots of the running graph in a browser"

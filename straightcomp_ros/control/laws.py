@@ -1,7 +1,7 @@
 """The laws by name, and the parameters that the controller takes."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from straightcomp_ros.control import open_loop, sliding_mode, smc_observer
@@ -9,7 +9,7 @@ from straightcomp_ros.control.friction_size import LagWeights, SizeGains
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
 from straightcomp_ros.control.surface_design import SlidingDesign, reaching_bound
-from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
+from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.stage.description import StageParameters
 
 LAWS = ("linear", "smc", "smc_observer")
@@ -145,3 +145,18 @@ def _stiffness(design: ObserverDesign, factor: float, period: float) -> smc_obse
         observer_gains(bandwidth, design.third_pole, period),
         LagWeights(1.0 - math.exp(-rate), 1.0 - math.exp(-rate * design.third_pole)),
     )
+
+
+def stiffened(control: ControlParameters) -> ControlParameters:
+    """The law as it is when its friction model explains too little: 'smc_observer' stiffest, others as they are."""
+    if control.law != "smc_observer":
+        return control
+    design, factor = control.smc_observer, control.smc_observer.stiffening
+    stiff = replace(
+        design,
+        bandwidth=factor * design.bandwidth,
+        surface=factor * design.surface,
+        reaching=factor * design.reaching,
+        stiffening=1.0,
+    )
+    return replace(control, smc_observer=stiff)

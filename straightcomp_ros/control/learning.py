@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.control.learning_file import read_tables, write_tables
-from straightcomp_ros.settings.declaration import ParameterError, parameter
+from straightcomp_ros.parameters.declaration import ParameterError, parameter
 from straightcomp_ros.straightness.stage_tracking import restarted, updated
 
 Reference = Sequence[float]

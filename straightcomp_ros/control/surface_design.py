@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.model.actuator import stiffness_errors
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 from straightcomp_ros.stage.description import StageParameters
 
 

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from straightcomp_ros.doctor.finding import Finding
-from straightcomp_ros.settings.middlewares import MIDDLEWARES, RANGE_VARIABLE, description
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description
+from straightcomp_ros.parameters.share import share_path
 
 _OLDEST, _NEWEST = (3, 10), (3, 13)
 _DISTRIBUTION = "jazzy"

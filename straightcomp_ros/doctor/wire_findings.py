@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.doctor.finding import Finding
 from straightcomp_ros.hardware.can.budget import Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.message_code import Signals
 from straightcomp_ros.hardware.can.wire_gaps import gaps
+from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 
 _FULL = 0.8

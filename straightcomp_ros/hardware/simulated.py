@@ -19,8 +19,8 @@ from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample,
 from straightcomp_ros.model.commanded_plant import BIAS, COMMAND, Hold, advance_to_sample, commanded_plant
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.model.plant import PlantState
+from straightcomp_ros.parameters.declaration import group, parameter
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.settings.declaration import group, parameter
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import TruthParameters, true_plant
 from straightcomp_ros.straightness.guide_map import StraightnessMap

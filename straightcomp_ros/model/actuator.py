@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 
 MU_0 = 4e-7 * math.pi
 """Vacuum permeability, H/m."""

@@ -8,7 +8,7 @@ from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from straightcomp_ros.settings.share import private_folder
+from straightcomp_ros.parameters.share import private_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
 

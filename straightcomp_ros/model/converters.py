@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 
 
 @compilable

@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 
 _MASK = 0xFFFFFFFF
 

@@ -14,7 +14,7 @@ import numpy as np
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.friction_changes import BandParameters, RestParameters, StepParameters
 from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS, MaxwellSlipParameters
-from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
+from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 
 _MODELS = ("lugre", "maxwell_slip")
 NO_EXTENSION = (0.0,) * (12 + 2 * MOST_BLOCKS)

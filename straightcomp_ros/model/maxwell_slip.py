@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 
 MOST_BLOCKS = 8
 """Room for blocks in the plant's constants and state."""

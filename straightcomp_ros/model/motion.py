@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.contract import STROKE
-from straightcomp_ros.settings.declaration import RefusedParameter, parameter
+from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 
 _NS = 1e9
 _HEADROOM = 1.5

@@ -24,7 +24,7 @@ from straightcomp_ros.model.lugre import (
     bristle_after,
     friction_force,
 )
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 
 SUBSTEP_NS = 25_000
 """Longest substep: 20 in a control cycle at 2 kHz."""

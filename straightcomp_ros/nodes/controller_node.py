@@ -8,16 +8,17 @@ from functools import partial
 
 from rclpy.node import Node
 
-from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import OPEN_LOOP, make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
+from straightcomp_ros.control.least_margins import missing_margin
+from straightcomp_ros.control.loop_excitation import made_injection
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
-from straightcomp_ros.design.least_margins import missing_margin
-from straightcomp_ros.frequency_response.loop_excitation import made_injection
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop, awaited
 from straightcomp_ros.runtime.excitation_service import ExcitationService
@@ -30,7 +31,6 @@ from straightcomp_ros.runtime.streams import SubscriptionQueue, subscribe, unspu
 from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ErrorWatch
-from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.node_timing import EXCITATION, LOST, OVERRUNS, SAMPLES
 

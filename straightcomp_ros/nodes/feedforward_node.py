@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.configuration.parameter_sets import FeedforwardNodeParameters
 from straightcomp_ros.contract import ENCODER, REFERENCE
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.parameter_sets import FeedforwardNodeParameters
 from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import awaited
 from straightcomp_ros.runtime.locked_loop import LockedLoop
@@ -18,7 +19,6 @@ from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.streams import unspun_node
 from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError

@@ -17,9 +17,10 @@ from straightcomp_ros.bags.definitions import definition
 from straightcomp_ros.bags.recorded_parameters import attach_map
 from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration.parameter_sets import LoggerNodeParameters
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.messages.cdr import header_stamp_ns
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.parameter_sets import LoggerNodeParameters
 from straightcomp_ros.runtime.batch_streams import BatchQueue
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -28,7 +29,6 @@ from straightcomp_ros.runtime.recorder_services import serve_recorder
 from straightcomp_ros.runtime.remote_parameters import RemoteParameters
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.streams import Fetched, RawQueue, message_type, stream_qos, unspun_node
-from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.timing.gaps import StampGaps
 from straightcomp_ros.timing.histogram import Histogram
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written

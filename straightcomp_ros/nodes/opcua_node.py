@@ -13,17 +13,17 @@ from rclpy.task import Future
 
 from straightcomp_ros.cell.packml import Order
 from straightcomp_ros.cell.packml_sequence import CellSequence
-from straightcomp_ros.configuration.parameter_sets import OpcuaNodeParameters
-from straightcomp_ros.maintenance.due_maintenance import WatchedAdvice
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.opcua.users import UsersError
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.parameter_sets import OpcuaNodeParameters
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.graph_services import GraphServices
 from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.remote_parameters import RemoteParameters
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, run
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 
 if TYPE_CHECKING:
     # It needs asyncua, an optional dependency.

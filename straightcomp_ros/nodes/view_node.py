@@ -8,12 +8,12 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, REFERENCE
-from straightcomp_ros.maintenance.due_maintenance import WatchedAdvice
 from straightcomp_ros.runtime.batch_streams import batched_queue
 from straightcomp_ros.runtime.graph_services import GraphServices
 from straightcomp_ros.runtime.graph_watch import GraphWatch
 from straightcomp_ros.runtime.runner import run
 from straightcomp_ros.runtime.streams import unspun_node
+from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
 from straightcomp_ros.timing.realtime import RealtimeParameters
 from straightcomp_ros.view.page_server import ActionRefused, ViewServer

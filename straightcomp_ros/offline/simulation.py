@@ -10,8 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.configuration import node_parameters as nodes
-from straightcomp_ros.configuration.node_parameters import Values
 from straightcomp_ros.control.injection import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
@@ -21,7 +19,9 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters import node_parameters as nodes
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.feedforward import Feedforward
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 

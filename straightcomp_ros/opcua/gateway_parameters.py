@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from straightcomp_ros.settings.declaration import RefusedParameter, parameter
+from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 AUTO, NONE, ENCRYPTED = "auto", "none", "encrypted"

@@ -7,7 +7,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from straightcomp_ros.settings.declaration import ParameterError, belongs_to_ros, declarations, from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, declarations, from_mapping
 
 Prepare = Callable[[Any], Callable[[], None]]
 

@@ -6,8 +6,8 @@ from typing import TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE, refuse_former_names
-from straightcomp_ros.settings.declaration import Declaration, belongs_to_ros, declarations, from_mapping
+from straightcomp_ros.parameters.declaration import Declaration, belongs_to_ros, declarations, from_mapping
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, refuse_former_names
 
 T = TypeVar("T")
 

@@ -12,7 +12,6 @@ from rclpy.node import Node
 
 from straightcomp_ros.cell.observation import ABSENT, SILENT, Observation
 from straightcomp_ros.cell.stroke_errors import StrokeErrors
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.contract import (
     ALWAYS_PUBLISHED,
     CONTROLLER_STATE,
@@ -22,6 +21,7 @@ from straightcomp_ros.contract import (
     SAFETY_STATE,
     UNCONNECTED,
 )
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.batch_streams import batched_queue
 from straightcomp_ros.runtime.safety_panel import LATCHED, LONGEST_REASON, SafetyState
 from straightcomp_ros.runtime.streams import SubscriptionQueue, unspun_node

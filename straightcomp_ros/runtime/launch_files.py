@@ -18,10 +18,10 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-from straightcomp_ros.configuration.node_parameters import STAGE
-from straightcomp_ros.configuration.parameter_file import files_beside, read_parameter_file
 from straightcomp_ros.contract import PACKAGE
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import STAGE
+from straightcomp_ros.parameters.parameter_file import files_beside, read_parameter_file
 
 SHARE = FindPackageShare(PACKAGE)
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"

@@ -23,13 +23,13 @@ from rclpy.task import Future
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.contract import HEARTBEAT
 from straightcomp_ros.hardware.interface import HardwareError
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.runtime.changes import ParameterChanges
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.guarded_node import Complaints, refusal
 from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service
 from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
-from straightcomp_ros.settings.declaration import ParameterError
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.normal_priority import at_normal_priority
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import rclpy
 
-from straightcomp_ros.settings import middlewares
+from straightcomp_ros.parameters import middlewares
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
 
-from straightcomp_ros.settings.yaml_text import dump_yaml
+from straightcomp_ros.parameters.yaml_text import dump_yaml
 
 _LOOK_EVERY_S = 0.25
 _AGAIN_AFTER = 8

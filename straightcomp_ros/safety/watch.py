@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.motion import Trajectory
+from straightcomp_ros.parameters.declaration import parameter
 from straightcomp_ros.safety.faults import Fault, Finding
-from straightcomp_ros.settings.declaration import parameter
 from straightcomp_ros.stage.description import StageParameters
 
 _MEAN_TIME = 0.005

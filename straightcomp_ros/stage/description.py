@@ -14,7 +14,7 @@ from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
-from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter, to_mapping
+from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter, to_mapping
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 from straightcomp_ros.straightness.guide_map import MapParameters
 

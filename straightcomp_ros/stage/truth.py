@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.lugre import ContactParameters, LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.settings.declaration import ParameterError, group, parameter
+from straightcomp_ros.parameters.declaration import ParameterError, group, parameter
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 

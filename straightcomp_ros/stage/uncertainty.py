@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from straightcomp_ros.settings.declaration import RefusedParameter, parameter
+from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.motion import MotionParameters
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.stage_tracking import restarted, updated
 

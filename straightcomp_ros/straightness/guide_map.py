@@ -10,8 +10,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from straightcomp_ros.settings.declaration import parameter
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.declaration import parameter
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.common_grid import cubic_spline, on_common_grid
 from straightcomp_ros.straightness.repeatability import repeatability
 from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey

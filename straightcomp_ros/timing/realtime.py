@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 from straightcomp_ros.timing.exclusive import keep_others_off, kept_free, left_behind
 from straightcomp_ros.timing.loop_cpu import loop_cpu, loop_cpus
 

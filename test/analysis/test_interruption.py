@@ -11,8 +11,8 @@ from rewritten_bag import SMC, rewritten
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE
-from straightcomp_ros.history.evaluated_bag import evaluate_bag
-from straightcomp_ros.history.strokes_of_bag import Recorded, rows_of
+from straightcomp_ros.fleet.history.evaluated_bag import evaluate_bag
+from straightcomp_ros.fleet.history.strokes_of_bag import Recorded, rows_of
 
 S = 1_000_000_000
 LAW = (REFERENCE.topic, COMMAND.topic, "controller_state")

@@ -21,9 +21,9 @@ from straightcomp_ros.bags.recorder import DiskGuard
 from straightcomp_ros.bags.sqlite_input import SqliteInput
 from straightcomp_ros.bags.topics import chosen_topics, resolved
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import ENCODER
-from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
 
 MESSAGE, OTHER = 5, 4
 

@@ -380,7 +380,7 @@ ROLLING = [f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range
     ("names", "listed"), [(ROLLING, True), (ROLLING, False), (["zulu.mcap", "alpha.mcap", "mike.mcap"], True)]
 )
 def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_path, names, listed):
-    from straightcomp_ros.history.bag_places import bags_in
+    from straightcomp_ros.fleet.history.bag_places import bags_in
 
     bag = tmp_path / "b"
     step = -(-len(sample) // len(names))
@@ -404,7 +404,7 @@ def test_files_that_a_user_renamed_are_in_the_order_of_their_messages(sample, tm
 
 
 def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_another_verb(sample, tmp_path, capsys):
-    from straightcomp_ros.history.bag_places import bags_in
+    from straightcomp_ros.fleet.history.bag_places import bags_in
 
     for name in ("a_run.mcap", "z_run.mcap"):
         Variant().write(sample, tmp_path / "b" / name)

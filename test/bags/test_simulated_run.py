@@ -10,9 +10,9 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import by_node
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
 VALUES = {"controller": {"control.law": "linear"}, "stage": {**CYCLE, "drive.delay": 0.5}}

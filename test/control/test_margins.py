@@ -15,7 +15,7 @@ from straightcomp_ros.control.margins import (
 )
 from straightcomp_ros.control.surface_design import SlidingDesign, closed_loop_poles
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = from_mapping(StageParameters, {"drive.delay": 0.5})

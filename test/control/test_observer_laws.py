@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import from_mapping
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()

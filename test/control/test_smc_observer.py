@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import _stiffness
 from straightcomp_ros.model.lugre import bristle_after, friction_force
 from straightcomp_ros.offline.sweep.compiled_stroke import run_stroke
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()

@@ -13,7 +13,7 @@ import pytest
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor import can_bus, capacity, examination, scheduling, software
 from straightcomp_ros.doctor.finding import Finding
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.share import share_path
 
 MIB = 1 << 20
 

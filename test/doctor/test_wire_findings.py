@@ -5,8 +5,8 @@ import json
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.parameter_file import as_parameter_file, shipped_parameters
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.parameter_file import as_parameter_file, shipped_parameters
+from straightcomp_ros.parameters.share import share_path
 
 OWN = str(share_path("config/stage_synthetic.yaml"))
 FOREIGN = str(share_path("config/board_motorola.yaml"))

@@ -7,17 +7,17 @@ import time
 
 import numpy as np
 
-from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.design.automatic_design import closed_form
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.nodes.dsp_emulator import emulate
 from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import load_map
+from straightcomp_ros.tuning.design.automatic_design import closed_form
 
 RATE = 100
 """Hz: what the guest's processor carries on a busy computer. No law holds the shipped platform then, friction does."""

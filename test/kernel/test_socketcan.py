@@ -29,7 +29,7 @@ from straightcomp_ros.hardware.can.frame_log import recorded_frames
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.share import share_path
 
 pytestmark = pytest.mark.live
 

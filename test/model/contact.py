@@ -12,7 +12,7 @@ from straightcomp_ros.model.extended_friction import (
 )
 from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
-from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import TruthParameters, true_plant
 

@@ -21,7 +21,7 @@ from straightcomp_ros.model.extended_friction import (
 from straightcomp_ros.model.lugre import LuGreParameters, bristle_after, friction_force, stribeck_force
 from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS, MaxwellSlipParameters, block_after
 from straightcomp_ros.model.plant import Plant, PlantParameters, PlantState, advance, as_array
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
 
 
 def test_the_shipped_parameters_are_plain_lugre():

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.model.lugre import LuGreParameters, bristle_after, friction_force, stribeck_force
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
 
 PARAMETERS = LuGreParameters()
 LUGRE = PARAMETERS.constants()

@@ -4,8 +4,8 @@ import random
 import pytest
 
 from straightcomp_ros.cell.launcher import Graph, ros_available
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 if not ros_available():
     pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)

@@ -17,13 +17,13 @@ from trajectory_msgs.msg import JointTrajectory
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
 from straightcomp_ros.cell.launcher import verb_command
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.contract import ENCODER, STAGE_TRAJECTORY
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, recorded_frames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
 from straightcomp_ros.runtime.streams import subscribe
 

@@ -7,10 +7,10 @@ from contextlib import contextmanager
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.commissioning import CommissioningError
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
-from straightcomp_ros.runtime import machine_access
-from straightcomp_ros.runtime.machine_access import Access
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.tuning.commissioning import CommissioningError
+from straightcomp_ros.tuning.graph import machine_access
+from straightcomp_ros.tuning.graph.machine_access import Access
 
 
 class StandIn:

@@ -9,11 +9,11 @@ import pytest
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.contract import COMMAND
 from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 
 SMC = Path(__file__).resolve().parents[2] / "bags" / "smc"
 SHORT = ["--set", "stage.motion.stroke=0.02", "--lockstep", "--json"]

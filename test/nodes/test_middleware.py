@@ -11,9 +11,9 @@ import pytest
 import rclpy
 
 import straightcomp_ros
+from straightcomp_ros.parameters.middlewares import RANGE_VARIABLE
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
-from straightcomp_ros.settings.middlewares import RANGE_VARIABLE
-from straightcomp_ros.settings.share import share_path
 
 FAST_DDS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 CYCLONE = "CYCLONEDDS_URI"

@@ -5,16 +5,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from straightcomp_ros.commissioning import CommissioningError
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
-from straightcomp_ros.frequency_response import ExcitationEnded
-from straightcomp_ros.frequency_response.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.excitation_parameters import ExcitationParameters, MultisineParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
-from straightcomp_ros.runtime import running_machine
-from straightcomp_ros.runtime.running_machine import RunningMachine
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.safety_panel import SafetyState
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.state_machine import Condition
+from straightcomp_ros.tuning.commissioning import CommissioningError
+from straightcomp_ros.tuning.frequency_response import ExcitationEnded
+from straightcomp_ros.tuning.graph import running_machine
+from straightcomp_ros.tuning.graph.running_machine import RunningMachine
 
 LOGGER = {"output": "", "record_at_start": False, "compression": "zstd"}
 OFF, ON = SafetyState(), SafetyState(Condition.ON)

@@ -10,11 +10,11 @@ from rclpy.parameter import Parameter
 
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.safety.faults import HELD_UP, Fault
-from straightcomp_ros.trials.faults.stand import MOTION, Seen
-from straightcomp_ros.trials.soak import actions as soak_actions
-from straightcomp_ros.trials.soak import scene as soak_scene
-from straightcomp_ros.trials.soak.scene import Scene
-from straightcomp_ros.trials.soak.verdict import Soak
+from trials.faults.stand import MOTION, Seen
+from trials.soak import actions as soak_actions
+from trials.soak import scene as soak_scene
+from trials.soak.scene import Scene
+from trials.soak.verdict import Soak
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 

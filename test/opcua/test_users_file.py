@@ -11,7 +11,7 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.opcua.snapshot import Alarms
 from straightcomp_ros.opcua.users import Users, UsersError, add_user
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
 
 
 def test_a_user_is_known_by_the_right_password_only_and_the_file_does_not_hold_it(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 import straightcomp_ros
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.share import share_path
 
 GROUPS = {
     name: group

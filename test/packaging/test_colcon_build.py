@@ -87,7 +87,7 @@ def test_configuration_launch_files_and_index_marker_are_installed(prefix: Path)
 def test_the_sourced_workspace_shadows_the_checkout_and_finds_its_own_files(
     prefix: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    program = "import straightcomp_ros.settings.share as s; print(s.__file__, s.share_path('package.xml'), sep='\\n')"
+    program = "import straightcomp_ros.parameters.share as s; print(s.__file__, s.share_path('package.xml'), sep='\\n')"
     module, manifest = subprocess.run(
         [sys.executable, "-c", program], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True
     ).stdout.split()

@@ -39,7 +39,7 @@ def test_every_part_of_the_core_is_among_what_mypy_judges() -> None:
         "hardware",
         "messages",
         "contract.py",
-        "settings/declaration.py",
+        "parameters/declaration.py",
     )
     assert {f"straightcomp_ros/{part}" for part in parts} <= judged
 

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 import yaml
 
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))

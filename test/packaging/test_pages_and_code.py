@@ -11,8 +11,8 @@ from test_imports_point_inward import SOURCE
 
 from straightcomp_ros import contract
 from straightcomp_ros.cli.main import make_parser
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, STAGE
-from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = SOURCE.parent

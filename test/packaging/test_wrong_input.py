@@ -144,7 +144,7 @@ def test_trouble_with_a_file_that_no_verb_foresaw_is_a_sentence_too(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = OSError(28, "No space left on device", "map.csv")
-    monkeypatch.setattr("straightcomp_ros.cli.friction.write_survey", _raising(full))
+    monkeypatch.setattr("straightcomp_ros.tuning.verbs.friction.write_survey", _raising(full))
     assert "straightcomp friction: map.csv: No space left on device" in refusal("friction --excitation map.csv", capsys)
 
 
@@ -154,13 +154,13 @@ def test_trouble_with_a_file_that_no_verb_foresaw_is_a_sentence_too(
 def test_an_error_of_the_package_is_a_sentence_with_its_exit_code(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, error: Exception, code: int
 ) -> None:
-    monkeypatch.setattr("straightcomp_ros.cli.friction.write_survey", _raising(error))
+    monkeypatch.setattr("straightcomp_ros.tuning.verbs.friction.write_survey", _raising(error))
     assert main(["friction", "--excitation", "map.csv"]) == code
     assert capsys.readouterr().err == "straightcomp friction: cut\n"
 
 
 def test_an_error_that_is_not_the_packages_shows_where_it_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("straightcomp_ros.cli.friction.write_survey", _raising(ValueError("a bug")))
+    monkeypatch.setattr("straightcomp_ros.tuning.verbs.friction.write_survey", _raising(ValueError("a bug")))
     with pytest.raises(ValueError, match="a bug"):
         main(["friction", "--excitation", "map.csv"])
 

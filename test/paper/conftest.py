@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.paper.ideal_machine import DELAY, Machine, machine_from
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 
 @dataclass(frozen=True)

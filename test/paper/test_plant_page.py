@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "plant.md").read_text(encoding="utf-8")

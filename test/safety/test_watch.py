@@ -7,6 +7,7 @@ import pytest
 
 from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import (
     ClockWatch,
@@ -17,7 +18,6 @@ from straightcomp_ros.safety.watch import (
     WatchParameters,
     current_against_friction,
 )
-from straightcomp_ros.settings.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()

@@ -3,7 +3,7 @@
 import pytest
 
 from straightcomp_ros.model.plant import PlatformParameters
-from straightcomp_ros.settings.declaration import ParameterError, from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
 

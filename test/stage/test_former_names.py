@@ -1,7 +1,7 @@
 import pytest
 
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS
-from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.stage.former_names import _FORMER, FORMER_OBSERVER, present_names
 
 

@@ -6,8 +6,8 @@ import pytest
 import yaml
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.parameter_file import read_stage_file
-from straightcomp_ros.settings.declaration import declarations, from_mapping
+from straightcomp_ros.parameters.declaration import declarations, from_mapping
+from straightcomp_ros.parameters.parameter_file import read_stage_file
 from straightcomp_ros.stage.description import StageParameters
 
 SHORT = ["--set", "motion.speed=0.1", "--set", "motion.acceleration=0.5"]

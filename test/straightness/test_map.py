@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from straightcomp_ros.settings.declaration import declarations
+from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, find_survey, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, write_survey
 

@@ -8,11 +8,11 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import by_node
 from straightcomp_ros.contract import COMMAND, DEFAULT_RATE
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.trials.bench import bag_costs as bags
-from straightcomp_ros.trials.bench.traffic_streams import TRAFFIC, lost
+from straightcomp_ros.parameters.node_parameters import by_node
+from trials.bench import bag_costs as bags
+from trials.bench.traffic_streams import TRAFFIC, lost
 
 
 @pytest.fixture(scope="module")

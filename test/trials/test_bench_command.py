@@ -5,11 +5,11 @@ import math
 
 import pytest
 
+from straightcomp_ros.bench.step_costs import cost
+from straightcomp_ros.cli.bench_graph import ratios
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.trials.bench.step_costs import cost
-from straightcomp_ros.trials.verbs.bench_graph import ratios
 
 SHORT = ["--set", "stage.motion.stroke=0.05", "--set", "stage.motion.settle=0.1"]
 

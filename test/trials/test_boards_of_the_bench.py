@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.settings.share import share_path
-from straightcomp_ros.trials.bench.boards import boards, measure
-from straightcomp_ros.trials.bench.demo_strokes import BenchFailed
+from straightcomp_ros.parameters.share import share_path
+from trials.bench.boards import boards, measure
+from trials.bench.demo_strokes import BenchFailed
 
 FOREIGN = str(share_path("config/board_motorola.yaml"))
 
@@ -61,7 +61,7 @@ def test_a_stroke_that_fails_is_counted_and_the_next_one_is_made(monkeypatch, tm
     figures |= dict.fromkeys(("residual_pp_um", "true_pp_um", "latency_p50_us", "latency_p99_us"), 2.0)
     said = iter([("", "the board fell silent\n"), (json.dumps(figures), "")])
     ended = SimpleNamespace(communicate=lambda: next(said))
-    monkeypatch.setattr("straightcomp_ros.trials.bench.boards.started", lambda arguments: ended)
+    monkeypatch.setattr("trials.bench.boards.started", lambda arguments: ended)
     (board,) = boards([None], None, tmp_path)
     found = measure([board], 2, [], tmp_path)
     (one,) = found["boards"]

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.hardware.can.bus_faults import KINDS
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.interface import State
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.trials.bench.can_servo_trial import run_servo_trial
+from trials.bench.can_servo_trial import run_servo_trial
 
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
 FOREIGN = node_parameters("driver", shipped_parameters(stage=str(share_path("config/board_motorola.yaml")))).can

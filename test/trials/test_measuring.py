@@ -10,15 +10,15 @@ import pytest
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.configuration.node_parameters import NODE_PARAMETERS, node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
+from straightcomp_ros.bench.graph_bench import bench_parameters
+from straightcomp_ros.bench.processes import Usage, cores, usage
+from straightcomp_ros.bench.recorded_window import read_window
+from straightcomp_ros.bench.window import Window, growth_mb_per_hour
 from straightcomp_ros.contract import DRIVER_STATE, STREAMS
 from straightcomp_ros.model.motion import forward_and_back
-from straightcomp_ros.settings.declaration import ParameterError
-from straightcomp_ros.trials.bench.graph_bench import bench_parameters
-from straightcomp_ros.trials.bench.processes import Usage, cores, usage
-from straightcomp_ros.trials.bench.recorded_window import read_window
-from straightcomp_ros.trials.bench.window import Window, growth_mb_per_hour
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 START = 1_700_000_000_000_000_000
 PERIOD = 500_000

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from straightcomp_ros.hardware.can.wire import Wire, make_wire
 from straightcomp_ros.hardware.can.wire_parameters import WireParameters
-from straightcomp_ros.settings.declaration import RefusedParameter, group, parameter
+from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 
 _LOG_ENDINGS = (".log", ".blf")
 

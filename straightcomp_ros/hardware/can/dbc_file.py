@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from straightcomp_ros.hardware.can.frames import EXTENDED_ID
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.share import share_path
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal

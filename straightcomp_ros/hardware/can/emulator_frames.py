@@ -14,7 +14,7 @@ from straightcomp_ros.hardware.can.message_code import Signals
 from straightcomp_ros.hardware.can.wire import Wire
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Truth
 from straightcomp_ros.model.motion import Trajectory, Waypoint
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
 
 FILE = "config/emulator.dbc"
 _POINTS = "Points"

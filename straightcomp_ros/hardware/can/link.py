@@ -21,7 +21,7 @@ from straightcomp_ros.hardware.can.frame_log import FrameLog
 from straightcomp_ros.hardware.can.frames import EXTENDED_ID
 from straightcomp_ros.hardware.can.hub import ERROR, Frame, address, addressed
 from straightcomp_ros.hardware.can.hub_bus import HubBus, frame_of, message_of
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
 
 _SHORTEST_WAIT_S, _LONGEST_WAIT_S = 0.02, 1.0
 _AT_ONCE = 256

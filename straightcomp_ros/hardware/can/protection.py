@@ -21,7 +21,7 @@ from fastcrc import crc8, crc16
 
 from straightcomp_ros.hardware.can.dbc_file import DbcError, modulus
 from straightcomp_ros.hardware.can.signal_code import byte_order, raw_expression
-from straightcomp_ros.settings.declaration import parameter
+from straightcomp_ros.parameters.declaration import parameter
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal

@@ -9,7 +9,7 @@ from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, is_fd, limits
 from straightcomp_ros.hardware.can.frames import UNITS, Amplifier
 from straightcomp_ros.hardware.can.signal_code import refuse_signal, selectors
 from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, WireParameters
-from straightcomp_ros.settings.declaration import RefusedParameter
+from straightcomp_ros.parameters.declaration import RefusedParameter
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal

@@ -19,7 +19,7 @@ from straightcomp_ros.hardware.can.roles import OF_BOARD, OF_HOST, READINGS, Rol
 from straightcomp_ros.hardware.can.shipped_wire import FILE, shipped_wire
 from straightcomp_ros.hardware.can.signal_code import used_part
 from straightcomp_ros.hardware.can.wire_parameters import WireParameters
-from straightcomp_ros.settings.declaration import RefusedParameter, to_mapping
+from straightcomp_ros.parameters.declaration import RefusedParameter, to_mapping
 
 if TYPE_CHECKING:
     from cantools.database.can import Signal

@@ -6,7 +6,7 @@ Names of messages and signals are those of the file; where they lie, their scale
 from dataclasses import dataclass
 
 from straightcomp_ros.hardware.can.protection import ProtectionParameters
-from straightcomp_ros.settings.declaration import group, parameter
+from straightcomp_ros.parameters.declaration import group, parameter
 
 
 def _message() -> str:

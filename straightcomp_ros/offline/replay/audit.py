@@ -14,13 +14,13 @@ from typing import Any
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.recorded_parameters import parameters_of
-from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.pairing import extrapolated
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
 
 _AUDITED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE)
 _COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1])

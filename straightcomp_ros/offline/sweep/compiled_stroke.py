@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.configuration.node_parameters import Values
 from straightcomp_ros.model.plant import PlantState
 from straightcomp_ros.offline.simulation import node_set
 from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import LOWEST_RATE, make_scenario
 from straightcomp_ros.offline.sweep.trial import laws_of
+from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 

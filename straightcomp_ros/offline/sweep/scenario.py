@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.configuration.node_parameters import Values
-from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import node_set
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import Values
+from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import Factors, deviating
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters

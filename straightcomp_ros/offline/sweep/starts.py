@@ -14,10 +14,10 @@ import numpy as np
 
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.configuration.node_parameters import Values
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
+from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 STARTS = 9

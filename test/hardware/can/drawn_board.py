@@ -4,7 +4,7 @@ import random
 
 from straightcomp_ros.hardware.can.protection import ProtectionParameters
 from straightcomp_ros.hardware.can.wire_parameters import WireParameters
-from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import from_mapping
 
 _IDS_OF_2 = " ".join(str(37 * number % 256) for number in range(16))
 _X = [("m", 1e-7, 32), ("um", 0.05, 33), ("nm", 10, 40), ("mm", 1, "float"), ("m", 1, "double")]

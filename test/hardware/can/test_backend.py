@@ -10,8 +10,6 @@ from types import SimpleNamespace
 import pytest
 from forgery import forged
 
-from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
@@ -25,7 +23,9 @@ from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 

@@ -23,10 +23,10 @@ from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.model.motion import Waypoint
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.trials.bench.can_fault_trial import position, run_trial
-from straightcomp_ros.trials.bench.can_servo_trial import _START_NS, _TRANSIT_NS, _Trial
+from trials.bench.can_fault_trial import position, run_trial
+from trials.bench.can_servo_trial import _START_NS, _TRANSIT_NS, _Trial
 
 PERIOD = 500_000
 EMULATOR = EmulatorFrames(1, CanParameters().make_wire())

@@ -16,8 +16,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.board import Board
@@ -33,7 +31,9 @@ from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 

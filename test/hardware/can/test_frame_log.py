@@ -26,7 +26,7 @@ from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 

@@ -11,7 +11,7 @@ from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageR
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, FrameError, Report
 from straightcomp_ros.hardware.interface import HardwareError, Truth
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.share import share_path
 
 DBC = cantools.database.load_file(share_path("config/straightcomp.dbc"))
 EMULATED = cantools.database.load_file(share_path("config/emulator.dbc"))

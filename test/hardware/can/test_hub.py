@@ -17,7 +17,7 @@ from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_o
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.interface import HardwareError
-from straightcomp_ros.settings.declaration import ParameterError
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
 
 

@@ -10,14 +10,14 @@ import cantools
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.parameter_sets import DriverNodeParameters
 from straightcomp_ros.doctor.wire_findings import wire_findings
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError
 from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
 from straightcomp_ros.hardware.can.wire_parameters import WireParameters
-from straightcomp_ros.settings.declaration import RefusedParameter, from_mapping
+from straightcomp_ros.parameters.declaration import RefusedParameter, from_mapping
+from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 REAL = sorted((Path(__file__).resolve().parents[2] / "cases" / "dbc" / "opendbc").glob("*.dbc"))

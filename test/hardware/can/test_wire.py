@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
-from straightcomp_ros.settings.declaration import ParameterError
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.share import share_path
 
 MEANING = str(share_path("config/board_motorola.yaml"))
 SPLIT = Path(__file__).with_name("split.yaml")

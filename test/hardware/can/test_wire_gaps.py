@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.configuration.node_parameters import node_parameters
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Amplifier, Report
 from straightcomp_ros.hardware.can.protection import ProtectionParameters
@@ -16,10 +14,12 @@ from straightcomp_ros.hardware.can.shipped_wire import FILE, shipped_wire
 from straightcomp_ros.hardware.can.wire_gaps import gaps
 from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, SignalParameters
 from straightcomp_ros.hardware.interface import State
-from straightcomp_ros.settings.share import share_path
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.trials.bench.can_servo_trial import run_servo_trial
+from trials.bench.can_servo_trial import run_servo_trial
 
 STAGE = StageParameters()
 PERIOD = STAGE.period_ns

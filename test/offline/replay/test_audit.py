@@ -12,8 +12,6 @@ from straightcomp_ros.bags.recorded_parameters import recorded_parameters
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.configuration.node_parameters import by_node, node_parameters
-from straightcomp_ros.configuration.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, STREAMS
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.pairing import Pairing
@@ -21,6 +19,8 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.offline.replay.audit import audit
 from straightcomp_ros.offline.replay.what_if import what_if
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
+from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
 
 CYCLE = {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.05}
 LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}

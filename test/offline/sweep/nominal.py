@@ -1,6 +1,6 @@
 """A sweep without uncertainty."""
 
-from straightcomp_ros.settings.declaration import to_mapping
+from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 
 EXACT = UncertaintyParameters(

@@ -10,7 +10,7 @@ from numpy.random import SeedSequence, default_rng
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.sweep.draws import draw, mismeasured, sample_times, streams
 from straightcomp_ros.offline.sweep.scenario import make_scenario
-from straightcomp_ros.settings.declaration import ParameterError, from_mapping
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import deviating
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey

@@ -17,7 +17,7 @@ from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.sweep.references import readings, references, served
 from straightcomp_ros.offline.sweep.scenario import make_scenario
 from straightcomp_ros.offline.sweep.trial import laws_of
-from straightcomp_ros.settings.declaration import from_mapping
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map

@@ -5,9 +5,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from straightcomp_ros.configuration.parameter_file import shipped_parameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.sweep.compiled_stroke import can_run, run_stroke
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 
 @pytest.fixture

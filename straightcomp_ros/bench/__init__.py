@@ -1,0 +1,1 @@
+"""What a control cycle and the running graph cost on this machine."""

@@ -1,0 +1,100 @@
+"""Measures the functions that are called once in each cycle: laws, messages, and a cycle of the simulation."""
+
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from straightcomp_ros.contract import STREAMS
+from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.stage.description import StageParameters
+
+_CALLS = 1000
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Time of one call in µs: the median over repeats of many calls, the smallest and the largest."""
+
+    median: float
+    least: float
+    largest: float
+
+    def to_display(self) -> dict[str, float]:
+        """Values by name, in µs."""
+        return {"median_us": self.median, "min_us": self.least, "max_us": self.largest}
+
+
+def cost(work: Callable[[], object], calls: int, repeats: int) -> Cost:
+    """Time ``work``, which makes ``calls`` calls, ``repeats`` times after one call to warm up."""
+    work()
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter_ns()
+        work()
+        times.append((time.perf_counter_ns() - begin) * 1e-3 / calls)
+    return Cost(statistics.median(times), min(times), max(times))
+
+
+def law_costs(parameters: ControlParameters, stage: StageParameters, repeats: int) -> dict[str, Cost]:
+    """One step of each law, with the platform's error swinging by half a micrometre about the reference."""
+    return {name: _law_cost(replace(parameters, law=name), stage, repeats) for name in LAWS}
+
+
+def _law_cost(parameters: ControlParameters, stage: StageParameters, repeats: int) -> Cost:
+    law = make_law(parameters, stage)
+    # Both signs of the error, and amplitudes inside and outside the boundary layer.
+    readings = [0.5e-6 * (-1) ** k * (k % 10) / 10 for k in range(_CALLS)]
+
+    def work() -> None:
+        step = law.step
+        law.reset(0.0)
+        for y in readings:
+            step(y, 1e-6, 1e-5, 1e-4, 0.1)
+
+    return cost(work, _CALLS, repeats)
+
+
+def message_costs(repeats: int) -> dict[str, dict[str, Cost]]:
+    """Serialising (``pack``) and reading (``unpack``) one message of each stream, by topic."""
+    return {stream.topic: _message_costs(stream.layout, repeats) for stream in STREAMS}
+
+
+def _message_costs(layout: Any, repeats: int) -> dict[str, Cost]:
+    numbers = [0.1 * k for k in range(len(layout.columns))]
+    data = layout.pack(1_700_000_000_123_456_789, *numbers)
+
+    def pack() -> None:
+        packed = layout.pack
+        for stamp_ns in range(_CALLS):
+            packed(stamp_ns, *numbers)
+
+    def unpack() -> None:
+        unpacked = layout.unpack
+        for _ in range(_CALLS):
+            unpacked(data)
+
+    return {"pack": cost(pack, _CALLS, repeats), "unpack": cost(unpack, _CALLS, repeats)}
+
+
+def simulation_cost(values: Mapping[str, Mapping[str, Any]], repeats: int) -> tuple[Cost, float]:
+    """Cost of one sample of `straightcomp simulate`, and how many seconds it simulates in one.
+
+    Raises:
+        ParameterError: a parameter is refused.
+        SurveyError: the map is refused.
+    """
+    rate = node_parameters("driver", values).stage.rate
+    # Exclude what is made once, before the first sample.
+    simulations = [Simulation(values) for _ in range(repeats + 1)]
+    samples = len(simulations.pop().run().time)
+    times = []
+    for simulation in simulations:
+        begin = time.perf_counter_ns()
+        simulation.run()
+        times.append((time.perf_counter_ns() - begin) * 1e-3 / samples)
+    found = Cost(statistics.median(times), min(times), max(times))
+    return found, 1e6 / (found.median * rate)

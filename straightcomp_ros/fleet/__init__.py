@@ -1,0 +1,1 @@
+"""A wing: the figures of every stroke of many stages over months, and the maintenance that they ask for."""

@@ -1,0 +1,178 @@
+"""Finds bags below a folder, on this machine or at any URL that fsspec knows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import datetime, timezone
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
+
+from mcap.writer import MCAP0_MAGIC
+
+from straightcomp_ros.bags.folder import STORED, split_number
+from straightcomp_ros.fleet.history import HistoryError, StorageError
+
+_METADATA = "metadata.yaml"
+
+
+class BagPlace(NamedTuple):
+    """A bag that was found, and how its files were at that time.
+
+    Attributes:
+        location: full path or URL of the folder or file.
+        names: of its files, within the folder; a bag that is one file has none.
+        size: of its files, bytes.
+        modified: when the newest of them was changed, UTC; None where the storage does not tell.
+    """
+
+    location: str
+    names: tuple[str, ...]
+    size: int
+    modified: datetime | None
+
+    @property
+    def paths(self) -> list[str]:
+        """Full paths or URLs of the files."""
+        return [f"{self.location}/{name}" for name in self.names] or [self.location]
+
+
+class _Entry(NamedTuple):
+    name: str
+    size: int
+    modified: datetime | None
+
+
+def file_system(url: str) -> tuple[Any, str, bool]:
+    """The fsspec file system of a path or URL, the path on it, and whether it is this machine's own. Raises
+    HistoryError when there is none for such URLs."""
+    try:
+        import fsspec
+        from fsspec.implementations.local import LocalFileSystem
+    except ImportError as error:
+        remedy = "pip install 'straightcomp_ros[history]'"
+        raise HistoryError(f"the history needs fsspec, which is not installed. Remedy: {remedy}") from error
+    try:
+        # A list that is kept would hide changes, and fill the memory.
+        files, path = fsspec.url_to_fs(url, use_listings_cache=False)
+    except ImportError as error:
+        raise HistoryError(f"{url}: {error}; e.g. pip install s3fs") from error
+    except ValueError as error:
+        raise HistoryError(f"{url}: {error}; allowed: a path, or a URL such as s3://BUCKET/FOLDER") from error
+    return files, path, isinstance(files, LocalFileSystem)
+
+
+@contextmanager
+def reaching(url: str) -> Iterator[None]:
+    """Raise StorageError for whatever the client of a storage raises but FileNotFoundError: each has its own errors."""
+    try:
+        yield
+    except (FileNotFoundError, HistoryError, StorageError):
+        raise
+    except Exception as error:
+        raise StorageError(f"{url}: {error}") from error
+
+
+def bags_in(url: str) -> Iterator[BagPlace]:
+    """The bag at ``url``, or all bags below that folder, in the order of their names.
+
+    A folder with metadata.yaml is a bag, as is one whose files are the parts of recordings by their numbers (of several
+    recordings: a bag that cannot be evaluated). Other MCAP and SQLite files, compressed as a whole or not, are bags of
+    their own. Links to folders are not followed.
+
+    Raises:
+        HistoryError: nothing is there.
+        StorageError: it cannot be listed.
+    """
+    with reaching(url):
+        yield from _found(url)
+
+
+def is_finished(place: BagPlace) -> bool:
+    """Whether whoever wrote a bag has finished it: metadata.yaml is there, and each MCAP file has its end."""
+    if place.names and _METADATA not in place.names:
+        return False
+    for path in place.paths:
+        if path.endswith(".mcap"):
+            files, inside, _ = file_system(path)
+            size = files.size(inside)
+            if files.cat_file(inside, start=max(size - len(MCAP0_MAGIC), 0), end=size) != MCAP0_MAGIC:
+                return False
+    return True
+
+
+def _found(url: str) -> Iterator[BagPlace]:
+    files, path, local = file_system(url)
+    if not files.exists(path):
+        raise HistoryError(f"{url} does not exist; give a bag, a folder of bags, or a URL such as s3://BUCKET/FOLDER")
+    if files.isdir(path):
+        yield from _below(files, path.rstrip("/") or path, local)
+    elif local:
+        told = os.stat(path)
+        yield BagPlace(_location(files, path, local), (), told.st_size, _changed(told))
+    else:
+        info = files.info(path)
+        yield BagPlace(_location(files, path, local), (), info["size"], _modified(info))
+
+
+def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
+    try:
+        folders, entries = _listed(files, path, local)
+    except FileNotFoundError:
+        return  # removed meanwhile
+    messages = [entry for entry in entries if STORED.fullmatch(entry.name)]
+    numbered = [name for name, number, _ in (split_number(Path(entry.name)) for entry in messages) if number >= 0]
+    parts = len(set(numbered)) < len(numbered) or len(numbered) == len(messages) == 1
+    if messages and (parts or any(entry.name == _METADATA for entry in entries)):
+        own = [entry for entry in entries if entry.name == _METADATA or entry in messages]
+        yield _place(_location(files, path, local), own)
+        return
+    for entry in messages:
+        yield BagPlace(_location(files, f"{path}/{entry.name}", local), (), entry.size, entry.modified)
+    for name in folders:
+        yield from _below(files, f"{path}/{name}", local)
+
+
+def _place(location: str, entries: list[_Entry]) -> BagPlace:
+    times = [entry.modified for entry in entries if entry.modified is not None]
+    names = tuple(entry.name for entry in entries)
+    return BagPlace(location, names, sum(entry.size for entry in entries), max(times, default=None))
+
+
+def _listed(files: Any, path: str, local: bool) -> tuple[list[str], list[_Entry]]:
+    """Names of the folders, and the files, in a folder; each in the order of the names."""
+    folders, entries = list[str](), list[_Entry]()
+    if local:
+        # fsspec's own listing has a kilobyte for each entry.
+        with os.scandir(path) as found:
+            for one in found:
+                if one.is_dir(follow_symlinks=False):
+                    folders.append(one.name)
+                elif one.is_file():
+                    # One that was removed since the folder was listed says nothing of the others.
+                    with suppress(FileNotFoundError):
+                        told = one.stat()
+                        entries.append(_Entry(one.name, told.st_size, _changed(told)))
+    else:
+        for info in files.ls(path, detail=True):
+            name = PurePosixPath(info["name"]).name
+            if info["type"] == "directory":
+                folders.append(name)
+            elif info["name"].rstrip("/") != path:
+                entries.append(_Entry(name, info["size"], _modified(info)))
+    return sorted(folders), sorted(entries)
+
+
+def _location(files: Any, path: str, local: bool) -> str:
+    return os.path.abspath(path) if local else str(files.unstrip_protocol(path))
+
+
+def _changed(told: os.stat_result) -> datetime:
+    return datetime.fromtimestamp(told.st_mtime, timezone.utc)
+
+
+def _modified(info: Mapping[str, Any]) -> datetime | None:
+    """Storages name the time differently: S3 as the first, Azure and Google as the others."""
+    known = (info.get(name) for name in ("LastModified", "last_modified", "updated"))
+    return next((one.astimezone(timezone.utc) for one in known if isinstance(one, datetime)), None)

@@ -1,0 +1,171 @@
+"""The rows of a bag: figures of each of its strokes, by the code of `straightcomp evaluate`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta, timezone
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.assessment import at_current_limit
+from straightcomp_ros.analysis.bounds import bounds_of, recorded_drive
+from straightcomp_ros.analysis.course import Course, course_of
+from straightcomp_ros.analysis.current_path import current_path
+from straightcomp_ros.analysis.error_detail import stick_slips
+from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us, samples_taken
+from straightcomp_ros.analysis.force_balance import force_balance
+from straightcomp_ros.analysis.metrics import residual_of_stroke, stroke_figures, true_error
+from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord, check_finite, find_motion
+from straightcomp_ros.analysis.run_verdict import partial_run, verdict_of
+from straightcomp_ros.analysis.stretch import Recording
+from straightcomp_ros.fleet.history.stroke_bins import Bins, bins_over
+from straightcomp_ros.fleet.history.stroke_row import StrokeRow
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_AROUND = 0.05
+"""Time in s before and after a stroke that its verdict sees: there its motion is recognised as in the whole run."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a bag says beside its samples.
+
+    Attributes:
+        checksum, bag: key and name of the bag.
+        stage: name of the stage.
+        identity, parameters_checksum, map_checksum, software_version, software_revision, host: as in the row.
+    """
+
+    checksum: str = ""
+    bag: str = ""
+    stage: str = "unknown"
+    identity: str | None = None
+    parameters_checksum: str | None = None
+    map_checksum: str | None = None
+    software_version: str | None = None
+    software_revision: str | None = None
+    host: str | None = None
+
+
+def rows_of(evaluation: BagEvaluation, recorded: Recorded) -> list[StrokeRow]:
+    """The rows of a run, in the order of its strokes.
+
+    Raises:
+        MetricsError: the stage does not move, or a number within the motion is not finite.
+    """
+    record = evaluation.record
+    motion, reference = find_motion(record), RecordedReference(record)
+    check_finite(record, tuple(record.columns()), motion.window)
+    run = _Run(evaluation, recorded, reference, at_current_limit(evaluation))
+    begins = [run.stamp(stroke.start) for stroke in motion.strokes[1:]]
+    until = [*begins, np.iinfo(np.int64).max]
+    return [run.row(number, *one) for number, one in enumerate(zip(motion.strokes, until, strict=True), 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    evaluation: BagEvaluation
+    recorded: Recorded
+    reference: RecordedReference
+    saturated: NDArray[np.bool_]
+
+    def stamp(self, sample: int) -> int:
+        """Stamp in ns of a sample of the record."""
+        return self.evaluation.begin_ns + round(float(self.evaluation.record.time[sample]) * 1e9)
+
+    def row(self, number: int, stroke: Stroke, until_ns: int) -> StrokeRow:
+        """The row of a stroke; faults until ``until_ns`` are its own."""
+        evaluation, recorded = self.evaluation, self.recorded
+        part = part_of(evaluation.record, stroke.start, stroke.stop)
+        known = part.best_known(self.reference)
+        workpiece = residual_of_stroke(part.time, known.x, known.guide + known.y)
+        whole = Stroke(0, part.time.size, stroke.direction)
+        figures = stroke_figures(part, self.reference, true_error(part, self.reference), whole).to_display()
+        del figures["start_s"]
+        begin, end = self.stamp(stroke.start), self.stamp(stroke.stop - 1)
+        first, last = np.searchsorted(evaluation.stamps, (begin, end + 1)).tolist()
+        stamps = evaluation.stamps[first:last]
+        taken = samples_taken(stamps)
+        heard = (evaluation.latency_stamps >= begin) & (evaluation.latency_stamps <= end)
+        latency = evaluation.latency[heard]
+        partial = partial_run(evaluation, begin, until_ns)
+        verdict = partial or verdict_of(self._course(stroke), bounds_of(evaluation.parameters, evaluation.map))
+        bins = bins_over(part.x)
+        coils = evaluation.coil_current[stroke.samples]
+        balance = force_balance(part.time, part.y, coils)
+        return StrokeRow(
+            checksum=recorded.checksum,
+            bag=recorded.bag,
+            stroke=number,
+            start=_EPOCH + timedelta(microseconds=begin // 1000),
+            identity=recorded.identity,
+            law=part.law,
+            **figures,
+            control_activity_A=float(np.abs(np.diff(part.current)).sum()),
+            coil_work_A2s=_integral(part.time, part.current**2),
+            friction_A=_known(balance.friction),
+            stiffness_A_per_m=_known(balance.stiffness),
+            amplifier_bandwidth_Hz=self._bandwidth(part, coils),
+            latency_p50_us=_known(percentile_us(latency, 50)),
+            latency_p99_us=_known(percentile_us(latency, 99)),
+            expected_samples=taken,
+            lost_samples=taken - stamps.size,
+            unanswered_samples=stamps.size - part.time.size,
+            saturated_samples=int(np.count_nonzero(self.saturated[stroke.samples])),
+            amplifier_off_samples=int(np.count_nonzero(~evaluation.amplifier_on[first:last])),
+            stick_slip_events=len(stick_slips(part.time, part.x, part.y, part.r)),
+            faults=list(dict.fromkeys(one.label for one in evaluation.faults if begin <= one.time_ns < until_ns)),
+            verdict=verdict.verdict,
+            reason=verdict.reason,
+            bins_from_mm=bins.from_mm,
+            error_bins_um=bins.means((part.r - part.y) * 1e6),
+            residual_bins_um=bins.means(workpiece * 1e6),
+            current_bins_A=bins.means(part.current),
+            guide_change_um=self._guide_change(part, stroke, bins),
+            parameters_checksum=recorded.parameters_checksum,
+            map_checksum=recorded.map_checksum,
+            software_version=recorded.software_version,
+            software_revision=recorded.software_revision,
+            host=recorded.host,
+        )
+
+    def _course(self, stroke: Stroke) -> Course:
+        record = self.evaluation.record
+        times = (record.time[stroke.start] - _AROUND, record.time[stroke.stop - 1] + _AROUND)
+        start, stop = np.searchsorted(record.time, times).tolist()
+        return course_of(part_of(record, start, stop), self.reference, self.evaluation.stalls)
+
+    def _bandwidth(self, part: StrokeRecord, coils: NDArray[np.float64]) -> float | None:
+        """Of the amplifier in Hz, where no sample of the stroke is missing and its current steps tell it."""
+        steps = np.diff(part.time)
+        if not np.isfinite(coils).all() or steps.max() > 1.5 * steps.min():
+            return None
+        period_ns = round(float(np.median(steps)) * 1e9)
+        recording = Recording(period_ns, part.x, part.y, coils, part.current, part.time.size)
+        path = current_path(recording, recorded_drive(self.evaluation.parameters.get("driver", {})))
+        return path.rate / (2.0 * math.pi) if path.rate_found else None
+
+    def _guide_change(self, part: StrokeRecord, stroke: Stroke, bins: Bins) -> list[float | None] | None:
+        evaluation = self.evaluation
+        if evaluation.guide is None or evaluation.map is None:
+            return None
+        change = evaluation.guide[stroke.samples] - evaluation.map.deviations(part.x)
+        # The sensor's zero is arbitrary.
+        return bins.means((change - np.nanmean(change)) * 1e6) if np.isfinite(change).any() else None
+
+
+def part_of(record: StrokeRecord, start: int, stop: int) -> StrokeRecord:
+    """The samples ``start`` to ``stop`` (exclusive) of a record; their times stay those of the record."""
+    columns: dict[str, Any] = {name: values[start:stop] for name, values in record.columns().items()}
+    return replace(record, **columns)
+
+
+def _integral(time: NDArray[np.float64], values: NDArray[np.float64]) -> float:
+    return float((0.5 * (values[1:] + values[:-1]) * np.diff(time)).sum())
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value

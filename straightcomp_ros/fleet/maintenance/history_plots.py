@@ -1,0 +1,160 @@
+"""Plots of a stage's months: a figure from day to day, a profile over x then and now, and over x and time; faults."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from datetime import datetime
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from straightcomp_ros.analysis.html_document import BLACK, BLUE, GREEN, GREY, VERMILION, line_figure
+from straightcomp_ros.fleet.maintenance.advice import Advice, all_figures
+from straightcomp_ros.fleet.maintenance.day_levels import PROFILES, DayLevels
+from straightcomp_ros.fleet.maintenance.guide_shift import guide_shifts
+from straightcomp_ros.fleet.maintenance.level_change import SLACK, LevelChange, baseline_of
+from straightcomp_ros.fleet.maintenance.watched_figures import BY_NAME, GUIDE
+
+Array = NDArray[np.float64]
+_WEEK = 7
+_SMALL, _HEIGHT = 230, 360
+_FAULT = 34
+"""Height in pixels of a line of marks."""
+_FAINT_NM = 20.0
+"""Values that are less than this are pale: noise must not look like a matter."""
+_GUIDE, _ERROR = PROFILES
+
+
+def history_plot(levels: DayLevels, values: Array, name: str, changes: Sequence[LevelChange]) -> go.Figure:
+    """A figure (n,) from day to day, its baseline, and its changes."""
+    watched = BY_NAME[name]
+    title = f"{watched.words} / {watched.unit}" if watched.unit else watched.words
+    figure = line_figure("", "")
+    heading = {"text": title, "font": {"size": 14}, "x": 0.01, "y": 0.97}
+    figure.update_layout(height=_SMALL, showlegend=False, title=heading, margin={"l": 70, "r": 10, "t": 32, "b": 30})
+    figure.update_yaxes(tickformat=".4~g")
+    days = [levels.date(place).isoformat() for place in range(len(levels.day))]
+    figure.add_scatter(x=days, y=values, mode="markers", marker={"size": 3, "color": GREY}, name="day")
+    figure.add_scatter(x=days, y=_weekly(values), mode="lines", line={"color": BLUE, "width": 1.5}, name="week")
+    baseline = baseline_of(values, watched)
+    if baseline is not None:
+        low, high = baseline.centre - SLACK * baseline.sigma, baseline.centre + SLACK * baseline.sigma
+        figure.add_hrect(low, high, fillcolor=GREEN, opacity=0.12, line_width=0)
+    for change in changes:
+        for place, colour, dash in ((change.begin, BLACK, "dot"), (change.found, VERMILION, "solid")):
+            figure.add_vline(days[place], line={"color": colour, "width": 1.2, "dash": dash})
+    return figure
+
+
+def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
+    """What speaks for the cause: the figure's history, or the guide's profiles."""
+    first = advice.changes[0]
+    if first.figure != GUIDE:
+        figure = history_plot(levels, all_figures(levels)[first.figure], first.figure, [first])
+        figure.update_layout(height=_HEIGHT - 60)
+        figure.add_annotation(**_corner("green: baseline; dotted: began; red: alarm"))
+        return figure
+    shifts = guide_shifts(levels.profiles[_GUIDE], levels.x)
+    measured = np.flatnonzero(np.isfinite(shifts).any(axis=1))
+    figure = line_figure("slider position x / mm", "change of the guide / µm")
+    figure.update_layout(height=_HEIGHT - 60)
+    # From then to now, the last one strongest.
+    chosen = np.unique(np.linspace(_WEEK, len(measured), 5).astype(int))
+    for number, stop in enumerate(chosen):
+        days = measured[max(0, stop - _WEEK) : stop]
+        newest = number == len(chosen) - 1
+        figure.add_scatter(
+            x=levels.x * 1e3,
+            y=np.nanmedian(shifts[days], axis=0),
+            name=f"week until {levels.date(int(days[-1]))}",
+            mode="lines",
+            line={"color": VERMILION if newest else BLUE, "width": 2.5 if newest else 1},
+            opacity=1.0 if newest else 0.25 + 0.6 * number / len(chosen),
+        )
+    if advice.place is not None:
+        figure.add_vrect(advice.place.first, advice.place.last, fillcolor=VERMILION, opacity=0.1, line_width=0)
+    return figure
+
+
+def error_map(levels: DayLevels) -> go.Figure | None:
+    """The mean error in each bin over x and time, by weeks; None without one."""
+    return _over_time(levels, levels.profiles[_ERROR] * 1e3)
+
+
+def guide_map_over_time(levels: DayLevels) -> go.Figure | None:
+    """The guide's change over x and time, by weeks; None without a sensor."""
+    return _over_time(levels, guide_shifts(levels.profiles[_GUIDE], levels.x) * 1e3)
+
+
+def faults_over_time(starts: Sequence[datetime], faults: Sequence[Sequence[str]]) -> go.Figure | None:
+    """A mark for each stroke with a fault, over its start, in a line for each kind, the most frequent one on top; None
+    without one. The axis is that of all strokes, so that a quiet month is seen to be quiet."""
+    count = Counter(label for labels in faults for label in labels)
+    if not count:
+        return None
+    figure = line_figure("", "")
+    figure.update_layout(height=_FAULT * len(count) + 110, showlegend=False, margin={"l": 10, "b": 40})
+    for label, times in reversed(count.most_common()):
+        at = [start.isoformat() for start, labels in zip(starts, faults, strict=True) if label in labels]
+        figure.add_scatter(
+            x=at,
+            y=[f"{label}: {times}"] * len(at),
+            mode="markers",
+            marker={"symbol": "line-ns-open", "size": 15, "color": VERMILION, "line": {"width": 1.5}},
+            name=label,
+            hovertemplate="%{x}: %{fullData.name}<extra></extra>",
+        )
+    figure.update_xaxes(type="date", range=[starts[0].isoformat(), starts[-1].isoformat()])
+    figure.update_yaxes(automargin=True, range=[-0.6, len(count) - 0.4])
+    return figure
+
+
+def _over_time(levels: DayLevels, profiles: Array) -> go.Figure | None:
+    if np.count_nonzero(np.isfinite(profiles).any(axis=1)) < 2:
+        return None
+    week = (levels.day - levels.day[0]) // _WEEK
+    weeks = np.unique(week)
+    with np.errstate(all="ignore"):
+        rows = [_middle(profiles[week == one]) for one in weeks]
+    values = np.array(rows)
+    begins = [levels.date(int(np.flatnonzero(week == one)[0])).isoformat() for one in weeks]
+    largest = max(float(np.nanpercentile(np.abs(values), 99.5)), _FAINT_NM)
+    figure = line_figure("", "slider position x / mm")
+    figure.update_layout(height=_HEIGHT)
+    figure.add_heatmap(
+        x=begins,
+        y=levels.x * 1e3,
+        z=values.T,
+        zmin=-largest,
+        zmax=largest,
+        # Blue to vermilion through white: told apart with any colour vision.
+        colorscale=[[0.0, BLUE], [0.5, "#FFFFFF"], [1.0, VERMILION]],
+        colorbar={"title": "nm"},
+        hovertemplate="%{x}, x = %{y} mm: %{z:.1f} nm<extra></extra>",
+    )
+    return figure
+
+
+def _middle(values: Array) -> Array:
+    """Median over the first axis without NaN, NaN where there is nothing else."""
+    known = np.isfinite(values).any(axis=0)
+    found = np.full(values.shape[1], np.nan)
+    if known.any():
+        found[known] = np.nanmedian(values[:, known], axis=0)
+    return found
+
+
+def _weekly(values: Array) -> Array:
+    """Running median over a week, NaN where there is no value."""
+    return np.array(
+        [
+            float(np.nanmedian(part)) if np.isfinite(part).any() else np.nan
+            for part in (values[max(0, k - 3) : k + 4] for k in range(values.size))
+        ]
+    )
+
+
+def _corner(text: str) -> dict[str, object]:
+    return {"text": text, "xref": "paper", "yref": "paper", "x": 0.01, "y": 0.98, "showarrow": False}

@@ -1,0 +1,165 @@
+"""Finds when the level of a figure changed: CUSUM control charts tell that it did, ruptures when and how.
+
+Levels of days are compared with those of a baseline, the first four weeks. The sums
+
+    S⁺ ← max(0, S⁺ + z − k),    S⁻ ← max(0, S⁻ − z − k),    z = (level − median of the baseline) / σ
+
+(Page, Biometrika 41, 1954) pass the threshold h soon after a lasting change, while days that scatter both ways leave
+them near zero. An alarm stands until the figure is back, then the sums begin anew; each day is judged by what was known
+on it. k and h are tuned on simulated sound stages, see docs/maintenance.md. The day of the change is where two
+constants, or a constant and a slope, fit the levels best.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.fleet.maintenance.watched_figures import Watched
+
+Array = NDArray[np.float64]
+BASELINE = 28
+"""Days with strokes that make the baseline."""
+SLACK = 2.0
+"""k: levels within so many standard deviations of the baseline's median add nothing."""
+THRESHOLD = 25.0
+"""h, in standard deviations."""
+_MOST_ALIKE = 0.8
+"""Largest correlation of a day with the next that is read from a baseline: of four weeks it is uncertain."""
+_BACK = 1.0
+"""A figure is back when the median of its last week is within so many standard deviations of the baseline's median."""
+_WEEK = 7
+_LEAST = 3
+"""Days before a change, and of a slope. A step may have come on the last day."""
+
+
+class LevelChange(NamedTuple):
+    """A change of a figure.
+
+    Attributes:
+        figure: its name.
+        begin: place of the day from which the level is another one.
+        found: place of the day whose level gave the alarm.
+        ended: place of the day from which the level counts as back at its baseline; None while it is not.
+        before, after: median of the baseline, and of the last days of the change, at most a week.
+        sigma: standard deviation from day to day that the baseline lets expect.
+        step: whether it came within days; otherwise the level drifts.
+    """
+
+    figure: str
+    begin: int
+    found: int
+    ended: int | None
+    before: float
+    after: float
+    sigma: float
+    step: bool
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the figure is still beside its baseline: one that went back needs nobody."""
+        return self.ended is None
+
+
+class Baseline(NamedTuple):
+    """The median of the first days of a figure, and the standard deviation from day to day that they let expect."""
+
+    centre: float
+    sigma: float
+
+
+def baseline_of(levels: Array, watched: Watched) -> Baseline | None:
+    """The baseline of ``levels`` (n,); None while it is not complete. NaN: a day without the figure."""
+    values = levels[np.isfinite(levels)][:BASELINE]
+    if values.size < BASELINE:
+        return None
+    centre = float(np.median(values))
+    return Baseline(centre, max(_scatter(values), watched.relative * abs(centre), watched.absolute))
+
+
+def _scatter(values: Array) -> float:
+    """Standard deviation of later days about the mean of ``values`` (n,).
+
+    Days that are alike count as fewer, n (1 − ρ) / (1 + ρ) with the correlation ρ of a day with the next: from few days
+    the standard deviation comes out too small, and the mean lies beside that of the year.
+    """
+    scatter = float(values.std())
+    if scatter == 0.0:
+        return 0.0
+    beside = values - values.mean()
+    alike = min(max(float(beside[1:] @ beside[:-1] / (beside @ beside)), 0.0), _MOST_ALIKE)
+    days = values.size * (1.0 - alike) / (1.0 + alike)
+    return scatter * math.sqrt((days + 1.0) / (days - 1.0))
+
+
+def changes_of_figure(levels: Array, watched: Watched) -> list[LevelChange]:
+    """The changes of ``levels`` (n,) in the order of time; each day's judgement is by what was known then."""
+    baseline = baseline_of(levels, watched)
+    if baseline is None:
+        return []
+    known = np.flatnonzero(np.isfinite(levels))
+    values = levels[known]
+    changes, start = [], 0
+    for found, ended in _alarms((values - baseline.centre) / baseline.sigma, watched.falling):
+        # Until the week that was judged to be back.
+        stop = values.size if ended is None else ended - _WEEK + 1
+        begin, step = _onset(values[start:stop] / baseline.sigma)
+        # It cannot have begun after it was found.
+        begin = min(start + begin, found)
+        after = float(np.median(values[begin:stop][-_WEEK:]))
+        ended_at = None if ended is None else int(known[ended])
+        changes.append(
+            LevelChange(
+                watched.name,
+                int(known[begin]),
+                int(known[found]),
+                ended_at,
+                baseline.centre,
+                after,
+                baseline.sigma,
+                step,
+            )
+        )
+        start = stop
+    return changes
+
+
+def _alarms(z: Array, falling: bool) -> list[tuple[int, int | None]]:
+    """When the sums passed the threshold, and when the figure was back; from then on they begin at 0 again."""
+    alarms: list[tuple[int, int | None]] = []
+    high = low = 0.0
+    standing = False
+    for place in range(BASELINE, z.size):
+        if not standing:
+            high = max(0.0, high + z[place] - SLACK)
+            low = max(0.0, low - z[place] - SLACK) if falling else 0.0
+            standing = max(high, low) > THRESHOLD
+            if standing:
+                alarms.append((place, None))
+        elif place - alarms[-1][0] >= _WEEK and abs(float(np.median(z[place - _WEEK + 1 : place + 1]))) < _BACK:
+            alarms[-1] = (alarms[-1][0], place)
+            high = low = 0.0
+            standing = False
+    return alarms
+
+
+def _onset(values: Array) -> tuple[int, bool]:
+    """Where ``values`` (n,) change, and whether a step describes that better than a slope from there on."""
+    import ruptures
+
+    last = values.size
+    step_at = int(ruptures.Binseg(model="l2", min_size=1, jump=1).fit(values).predict(n_bkps=1)[0])
+    step_cost = sum(float(np.sum((part - part.mean()) ** 2)) for part in (values[:step_at], values[step_at:]))
+    places = np.arange(last, dtype=np.float64)
+
+    def ramp_cost(at: int) -> float:
+        terms = np.stack([np.ones(last), np.maximum(places - at, 0.0)], axis=1)
+        weights, *_ = np.linalg.lstsq(terms, values, rcond=None)
+        return float(np.sum((values - terms @ weights) ** 2))
+
+    costs = {at: ramp_cost(at) for at in range(_LEAST, last - _LEAST)}
+    ramp_at = min(costs, key=costs.__getitem__)
+    return (step_at, True) if step_cost <= costs[ramp_at] else (ramp_at, False)

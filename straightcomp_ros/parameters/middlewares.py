@@ -1,0 +1,74 @@
+"""The known ROS 2 middlewares: our profile for each, and what differs under it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from straightcomp_ros.parameters.share import share_path
+
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+@dataclass(frozen=True)
+class Middleware:
+    """What differs between middlewares.
+
+    Attributes:
+        variables: environment variables that name a profile; if the user has set one, ours is not used.
+        loopback: our profile for nodes on this computer only; empty for none.
+        network: our profile for any other discovery range; empty for none.
+        uri: prefix of a profile's path in the variables.
+        loopback_range: discovery range required with ``loopback``.
+        stamps_arrival: the reception time is a message's time of arrival, not of its take.
+    """
+
+    variables: tuple[str, ...] = ()
+    loopback: str = ""
+    network: str = ""
+    uri: str = ""
+    loopback_range: str = "LOCALHOST"
+    stamps_arrival: bool = False
+
+
+_FAST_DDS = Middleware(
+    # Old name and new name.
+    variables=("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
+    loopback="config/fastdds_loopback.xml",
+    network="config/fastdds.xml",
+    # With LOCALHOST rmw_fastrtps adds shared memory, whatever the profile says.
+    loopback_range="SYSTEM_DEFAULT",
+    stamps_arrival=True,
+)
+MIDDLEWARES = {
+    "rmw_fastrtps_cpp": _FAST_DDS,
+    "rmw_fastrtps_dynamic_cpp": _FAST_DDS,
+    "rmw_cyclonedds_cpp": Middleware(
+        variables=("CYCLONEDDS_URI",), loopback="config/cyclonedds_loopback.xml", uri="file://"
+    ),
+}
+
+
+def middleware(identifier: str) -> Middleware:
+    """The middleware of this name; an unknown one gets no profile, and its reception times are not used."""
+    return MIDDLEWARES.get(identifier, Middleware())
+
+
+def profile_variables(identifier: str, environment: Mapping[str, str]) -> dict[str, str]:
+    """Environment variables that give a participant our profile; empty if the user has set one, or we have none."""
+    chosen = middleware(identifier)
+    on_loopback = environment.get(RANGE_VARIABLE) == "LOCALHOST"
+    profile = chosen.loopback if on_loopback else chosen.network
+    if not profile or any(name in environment for name in chosen.variables):
+        return {}
+    variables = dict.fromkeys(chosen.variables, f"{chosen.uri}{share_path(profile)}")
+    return {**variables, RANGE_VARIABLE: chosen.loopback_range} if on_loopback else variables
+
+
+def description(identifier: str, environment: Mapping[str, str]) -> str:
+    """One line for a log: the middleware's name, its profile, and what differs from Fast DDS."""
+    chosen, ours = middleware(identifier), profile_variables(identifier, environment)
+    names = [name for name in chosen.variables if name in environment]
+    profile = next(iter((*names, *ours.values())), "its own default")
+    differs = (
+        "" if chosen.stamps_arrival else "; it does not say when a message arrived: latencies end when it was sent"
+    )
+    return f"{identifier}, profile: {profile}{differs}"

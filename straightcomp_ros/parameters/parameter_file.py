@@ -1,0 +1,117 @@
+"""Reads and writes the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.parameters.declaration import ParameterError, flatten
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, by_node
+from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
+
+ALL_NODES = "/**"
+"""Key of a parameter file for what holds for every node."""
+_PARAMETERS = "ros__parameters"
+DEFAULT_FILE = "config/straightcomp.yaml"
+DEFAULT_STAGE = "config/stage_synthetic.yaml"
+"""Installed files: settings of the nodes, and the description of the synthetic stage."""
+_FILES = ((STAGE, "guide.file"), ("driver", "simulated.truth.guide"), ("driver", "can.dbc"))
+"""Node and parameter of what a stage file may name: surveys, and the DBC file of its board."""
+
+
+def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
+    """Values of a ROS 2 parameter file by node and dotted name, with a key for each node of this package.
+
+    The description of the stage, which the file gives to all nodes under ``/**``, has the key :data:`STAGE`.
+
+    Raises:
+        ParameterError: the file cannot be read, is not YAML, is empty, or does not have the layout of a parameter file.
+    """
+    try:
+        tree = load_yaml(Path(path))
+    except OSError as error:
+        raise ParameterError(f"parameter file {path}: cannot be read: {error.strerror}") from error
+    except YamlError as error:
+        raise ParameterError(f"parameter file {path}: {error}") from error
+    return _read_tree(tree, f"parameter file {path}")
+
+
+def _read_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
+    """Values in the content of a parameter file; ``source`` names the file in messages.
+
+    A key is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**`` for all.
+
+    Raises:
+        ParameterError: another layout, or an unknown node.
+    """
+    values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
+    if not isinstance(tree, Mapping):
+        raise ParameterError(f"{source}: has no 'NODE: ros__parameters:' level")
+    for key, section in tree.items():
+        name = str(key).rsplit("/", 1)[-1]
+        if name not in (*NODE_PARAMETERS, "**"):
+            raise ParameterError(f"{source}: node '{key}' is unknown; known: {', '.join(NODE_PARAMETERS)}, {ALL_NODES}")
+        if not isinstance(section, Mapping) or not isinstance(section.get(_PARAMETERS), Mapping):
+            raise ParameterError(f"{source}: node '{key}' has no 'ros__parameters:'")
+        try:
+            given = flatten(section[_PARAMETERS])
+        except ParameterError as error:
+            raise ParameterError(f"{source}: {error}") from error
+        if name != "**":
+            values[name].update(given)
+            continue
+        for parameter, value in given.items():
+            group, _, rest = parameter.partition(".")
+            if group != STAGE or not rest:
+                raise ParameterError(f"{source}: '{parameter}' under '{key}'; allowed for all nodes: {STAGE}.…")
+            values[STAGE][rest] = value
+    return values
+
+
+def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
+    """As :func:`read_parameter_file`; a survey or DBC file of a relative name is looked for beside it first."""
+    values = read_parameter_file(path)
+    for node, found in files_beside(path, values).items():
+        values[node].update(found)
+    return values
+
+
+def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """Full names, by node and parameter, of the files that lie beside the stage file ``path`` with ``values``."""
+    folder = Path(path).resolve().parent
+    found: dict[str, dict[str, str]] = {}
+    for node, name in _FILES:
+        file = values[node].get(name)
+        if isinstance(file, str) and file and os.path.isfile(folder / file):
+            found.setdefault(node, {})[name] = str(folder / file)
+    return found
+
+
+def shipped_parameters(params_file: str | None = None, stage: str | None = None) -> dict[str, dict[str, Any]]:
+    """Values by node and dotted name of a parameter file and a stage file; the installed ones by default.
+
+    A parameter file that is named describes the stage too, unless there is a ``stage`` file.
+    """
+    values = read_parameter_file(params_file or share_path(DEFAULT_FILE))
+    if stage or not params_file:
+        for node, described in read_stage_file(stage or share_path(DEFAULT_STAGE)).items():
+            values[node].update(described)
+    return values
+
+
+def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
+    """Text of a ROS 2 parameter file with these values, by node and dotted name."""
+    # What is given for all nodes comes last: a parameter on a node's command line joins it, and rcl takes the last.
+    own = {
+        name for node, section in values.items() if node != STAGE for name in section if name.startswith(f"{STAGE}.")
+    }
+    sections = {}
+    for node, section in by_node(values).items():
+        kept = {k: v for k, v in section.items() if k in own or not k.startswith(f"{STAGE}.")}
+        sections[f"{ALL_NODES}/{node}"] = kept
+    described = {f"{STAGE}.{name}": value for name, value in values.get(STAGE, {}).items()}
+    sections[ALL_NODES] = {name: value for name, value in described.items() if name not in own}
+    # rcl refuses an empty section.
+    tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
+    return dump_yaml(tree)

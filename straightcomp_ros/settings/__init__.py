@@ -1,1 +1,0 @@
-"""Parameters: declared once, found with what the package installs. No ROS."""

@@ -1,0 +1,162 @@
+"""The procedure of commissioning: steps in their order, each done once, with a record that no interrupt harms."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.parameters.node_parameters import Values, node_parameters
+from straightcomp_ros.parameters.plain_json import plain
+from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.tuning.commissioning import STEP_NAMES, CommissioningError
+from straightcomp_ros.tuning.commissioning.acceptance import acceptance
+from straightcomp_ros.tuning.commissioning.certificate import certificate
+from straightcomp_ros.tuning.commissioning.connection import connection
+from straightcomp_ros.tuning.commissioning.designed_law import design
+from straightcomp_ros.tuning.commissioning.identified_machine import identification
+from straightcomp_ros.tuning.commissioning.loop_response import frequency_response
+from straightcomp_ros.tuning.commissioning.machine import Machine
+from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
+from straightcomp_ros.tuning.commissioning.safe_loop import safe_loop
+from straightcomp_ros.tuning.commissioning.signs_and_scales import signs_and_scales
+from straightcomp_ros.tuning.commissioning.step_files import RECORD, STEP_FILES
+
+_DONE_BY = (
+    connection,
+    signs_and_scales,
+    safe_loop,
+    identification,
+    design,
+    frequency_response,
+    acceptance,
+    certificate,
+)
+STEPS: Mapping[str, Callable[[Work], Outcome]] = dict(zip(STEP_NAMES, _DONE_BY, strict=True))
+"""The steps by name, in their order."""
+
+
+class Procedure:
+    """Commissioning of one machine in one folder.
+
+    Args:
+        machine: the machine.
+        values: its description by node and dotted name.
+        folder: where the record and all files are; a record of the same description is taken up again.
+        evaluations: candidates of the search for gains.
+        machines: uncertain machines of its verification.
+        learning_strokes: cycles in which `acceptance` first lets the controller learn; 0 for none.
+        check_survey: an independent measurement of the guide, by which `acceptance` checks the map.
+
+    Raises:
+        CommissioningError: the folder has a record of another description, or one that cannot be read.
+        ParameterError: a value is refused.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        values: Values,
+        folder: Path,
+        *,
+        evaluations: int,
+        machines: int,
+        learning_strokes: int = 0,
+        check_survey: Survey | None = None,
+    ) -> None:
+        self._machine, self._values, self._folder = machine, values, folder
+        self._evaluations, self._machines = evaluations, machines
+        self._learning_strokes, self._check_survey = learning_strokes, check_survey
+        self._description = node_parameters("controller", values).stage
+        self._identity = hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
+        self.outcomes = self._read()
+
+    def run(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Outcome:
+        """Do one step, even if it is done; forget those after it, if they rest on something else now.
+
+        The certificate is void from the beginning: it names the bag and the figures that the step replaces.
+
+        Raises:
+            CommissioningError: a step before it has not passed.
+        """
+        names = list(STEPS)
+        for before in names[: names.index(step)]:
+            if before not in self.outcomes or not self.outcomes[before].passed:
+                raise CommissioningError(f"step '{step}' rests on '{before}', which has not passed; do that one first")
+        former = self.outcomes.get(step)
+        # Before the step begins, since an interrupt leaves neither its old files nor its new ones.
+        self._forget(step, "certificate")
+        outcome = STEPS[step](self.work(step, progress))
+        if former is None or (former.stage, former.gains) != (outcome.stage, outcome.gains) or not outcome.passed:
+            self._forget(*names[names.index(step) + 1 :])
+        self.outcomes[step] = outcome
+        self._write()
+        return outcome
+
+    def _forget(self, *steps: str) -> None:
+        """Take ``steps`` out of the record, then remove their files."""
+        for step in steps:
+            self.outcomes.pop(step, None)
+        # First the record: a file that it does not name misleads nobody for long, since the next call removes it.
+        self._write()
+        for step in steps:
+            for name in STEP_FILES.get(step, ()):
+                (self._folder / name).unlink(missing_ok=True)
+
+    def remaining(self) -> list[str]:
+        """Names of the steps from the first on that has not passed, in their order.
+
+        Those after it are among them even if they have passed: where a repeat was interrupted, nobody knows any more
+        whether they rest on what it will find.
+        """
+        names = list(STEPS)
+        passed = [name in self.outcomes and self.outcomes[name].passed for name in names]
+        return [] if all(passed) else names[passed.index(False) :]
+
+    def work(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Work:
+        """What ``step`` works on: the description with what the steps before it found."""
+        values = {node: dict(section) for node, section in self._values.items()}
+        names = list(STEPS)
+        for name in names[: names.index(step)]:
+            if name in self.outcomes:
+                values.setdefault("stage", {}).update(self.outcomes[name].stage)
+                values.setdefault("controller", {}).update(self.outcomes[name].gains)
+        return Work(
+            self._machine,
+            values,
+            self._description,
+            self._folder,
+            self._evaluations,
+            self._machines,
+            dict(self.outcomes),
+            self._learning_strokes,
+            self._check_survey,
+            progress,
+        )
+
+    def _write(self) -> None:
+        record: dict[str, Any] = {
+            "description": self._identity,
+            "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
+        }
+        write_whole(self._folder / RECORD, json.dumps(plain(record), indent=1, ensure_ascii=False) + "\n")
+
+    def _read(self) -> dict[str, Outcome]:
+        path = self._folder / RECORD
+        if not path.exists():
+            return {}
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+            outcomes = {name: Outcome(**one) for name, one in record["steps"].items()}
+            identity = record["description"]
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise CommissioningError(
+                f"record {path}: cannot be read ({error}); remove it, or name another folder"
+            ) from error
+        if identity != self._identity:
+            raise CommissioningError(
+                f"record {path}: is of another description, or of other parameters; name another folder, or remove it"
+            )
+        return outcomes

@@ -1,0 +1,205 @@
+"""The gains of a law from the description of a stage, with what they promise and where they fail.
+
+    found = design_gains(make_scenario(values, ["smc_observer"]), "smc_observer", quiet=0.3)
+    found.values        # {'control.smc_observer.bandwidth': 231.4, …}
+
+1. A closed form gives a start (`searched_gains.py`, `following_parameters.py`).
+2. If it misses the linear demands and no gains hold them, the stage is refused (`feasible_gains.py`).
+3. CMA-ES looks for the least cost (`gain_search.py`, `judged_gains.py`).
+4. The best candidates run the whole stroke from more starts; the best of them is verified on uncertain machines
+   (`verified_design.py`). If one of these fails, the demands are tightened, and the search goes on.
+5. The budget and the limits of the result are computed (`error_budget.py`, `failing_limits.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from straightcomp_ros.control.laws import LAWS, make_law
+from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.sweep.starts import Spread, spread
+from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budget
+from straightcomp_ros.tuning.design.failing_limits import FailingLimits, failing_limits
+from straightcomp_ros.tuning.design.feasible_gains import feasible_gains, mended_starts, refusal
+from straightcomp_ros.tuning.design.following_parameters import following
+from straightcomp_ros.tuning.design.gain_search import Found, search
+from straightcomp_ros.tuning.design.judged_gains import Judge, judge_of
+from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, RunFigures, prepared_stroke
+from straightcomp_ros.tuning.design.searched_gains import rule, starts, with_gains
+from straightcomp_ros.tuning.design.stability_demands import STANDARD, Demands
+from straightcomp_ros.tuning.design.verified_design import Verification, verify
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction of it that is done."""
+
+SHIPPED_QUIET = 0.3
+"""Between accuracy and quiet coils as the shipped gains."""
+_EVALUATIONS = 400
+_MACHINES = 200
+_ROUNDS = 3
+_TIGHTER = 1.1
+_FINALISTS = 4
+_FINAL_STARTS = 5
+
+
+class DesignFigures(NamedTuple):
+    """Figures on the stage as described, over some starts: true error p-p and RMS in m; RMS step of the current from
+    sample to sample in A, while the stage moves and at rest."""
+
+    pp: Spread
+    rms: Spread
+    work: Spread
+    rest_work: Spread
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A design.
+
+    Attributes:
+        law: its name.
+        values: what to set, by dotted name in the node controller.
+        figures: what is predicted.
+        start_values, start_figures: those of the closed form.
+        quiet: the trade that was asked for.
+        demands: what the linear loop holds.
+        verification: on uncertain machines.
+        budget: what limits the error, the stage as described first.
+        limits: until where the linear loop is stable, by the law's state.
+        rounds: searches, more than one if the first result failed on an uncertain machine.
+    """
+
+    law: str
+    values: Mapping[str, float]
+    figures: DesignFigures
+    start_values: Mapping[str, float]
+    start_figures: DesignFigures
+    quiet: float
+    demands: Demands
+    verification: Verification
+    budget: Sequence[BudgetEntry]
+    limits: Mapping[str, FailingLimits]
+    rounds: int
+
+
+def closed_form(scenario: Scenario, law: str) -> dict[str, float]:
+    """The values of ``law`` in closed form, by dotted name: gains, and what follows from the stage."""
+    return {**rule(law, scenario.description), **following(scenario, law)}
+
+
+def design_gains(
+    scenario: Scenario,
+    law: str = "smc_observer",
+    *,
+    quiet: float = SHIPPED_QUIET,
+    evaluations: int = _EVALUATIONS,
+    machines: int = _MACHINES,
+    demands: Demands = STANDARD,
+    seed: int = 1,
+    jobs: int = -1,
+    progress: Progress = lambda part, fraction: None,
+) -> Design:
+    """Design ``law`` for the stage of ``scenario``.
+
+    Args:
+        scenario: the stage with its uncertainty; the gains of its controls are not read.
+        law: name of the law.
+        quiet: 0 for the least error, 1 for the quietest coils.
+        evaluations: candidates of the first search; half as many of one after a failed verification.
+        machines: of the verification.
+        demands: of the linear loop.
+        seed: of all random numbers; the same seed gives the same design on the same processor.
+        jobs: processes; −1 takes all cores. The result does not depend on it.
+        progress: see `Progress`.
+
+    Raises:
+        DesignError: no gains hold the demands; the message says what would have to change.
+        ValueError: ``law`` or ``quiet`` is not allowed.
+    """
+    if law not in LAWS:
+        raise ValueError(f"law {law!r}; allowed: {', '.join(LAWS)}")
+    if not 0.0 <= quiet <= 1.0:
+        raise ValueError(f"quiet {quiet!r}; allowed: 0 to 1")
+    start = closed_form(scenario, law)
+    progress("feasible", 0.0)
+    tighter = feasible_gains(scenario, law, start, demands, seed=seed)
+    if tighter is None:
+        raise refusal(scenario, law, demands, seed=seed)
+    progress("feasible", 1.0)
+    full = prepared_stroke(scenario)
+    kept: tuple[Verification, Found, Judge] | None = None
+    rounds, held, begin = 0, demands, starts(law, start)
+    for rounds in range(1, _ROUNDS + 1):
+        judge = judge_of(scenario, law, quiet, held)
+        found = search(
+            judge,
+            mended_starts(scenario, law, [*begin, tighter], held, seed=seed),
+            evaluations=evaluations if rounds == 1 else evaluations // 2,
+            seed=seed + rounds - 1,
+            jobs=jobs,
+            progress=lambda fraction: progress("search", fraction),
+        )
+        best = _best_on_the_whole_stroke(judge, full, found, start)
+        verification = verify(
+            scenario,
+            with_gains(judge.control, law, best.gains),
+            machines=machines,
+            seed=seed,
+            jobs=jobs,
+            progress=lambda fraction: progress("verify", fraction),
+        )
+        if kept is None or verification.misses < kept[0].misses:
+            kept = verification, best, judge
+            demands = held
+        if verification.holds:
+            break
+        held, begin = held.tightened(_TIGHTER), [*starts(law, start), dict(best.gains)]
+        tighter = feasible_gains(scenario, law, start, held, seed=seed)
+        if tighter is None:
+            break
+    assert kept is not None  # there is a first round
+    verification, best, judge = kept
+    control = with_gains(judge.control, law, best.gains)
+    budget = error_budget(scenario, law, best.gains, seed=seed, progress=lambda fraction: progress("budget", fraction))
+    return Design(
+        law=law,
+        values=best.gains,
+        figures=_figures(judge, full, best.gains),
+        start_values=start,
+        start_figures=_figures(judge, full, start),
+        quiet=quiet,
+        demands=demands,
+        verification=verification,
+        budget=budget,
+        limits=failing_limits(scenario, control),
+        rounds=rounds,
+    )
+
+
+def _best_on_the_whole_stroke(
+    judge: Judge, full: PreparedStroke, found: Sequence[Found], rule_gains: Mapping[str, float]
+) -> Found:
+    """The best of the first candidates and the closed form: short strokes may have flattered one of them."""
+
+    def cost(one: Found) -> float:
+        pp = spread(run.pp for run in _runs(judge, full, one.gains)).median
+        if not math.isfinite(pp):
+            return math.inf
+        return one.judgement.cost + math.log(pp / one.judgement.pp)
+
+    first = [one for one in found if one.gains == rule_gains]
+    finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.judgement.pp)]
+    return min(finalists, key=cost) if finalists else found[0]
+
+
+def _runs(judge: Judge, full: PreparedStroke, gains: Mapping[str, float]) -> list[RunFigures]:
+    law = make_law(with_gains(judge.control, judge.law, gains), judge.stage)
+    return [full.run(law, judge.delay, start) for start in range(_FINAL_STARTS)]
+
+
+def _figures(judge: Judge, full: PreparedStroke, gains: Mapping[str, float]) -> DesignFigures:
+    runs = _runs(judge, full, gains)
+    return DesignFigures(*(spread(getattr(run, name) for run in runs) for name in ("pp", "rms", "work", "rest_work")))

@@ -1,0 +1,147 @@
+"""What is designed of each law: its gains by name, the closed-form rule that gives a start, and how they are put in.
+
+Lengths of time scale with the loop's dead time T_d (:mod:`straightcomp_ros.stage.description`).
+A gain that is a rate is a constant over T_d. The constants were found by a search on the shipped stage.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.control.surface_design import reaching_bound
+from straightcomp_ros.stage.description import StageParameters
+
+Values = Mapping[str, float]
+"""Numbers by dotted name, from ``control.`` on."""
+
+
+@dataclass(frozen=True)
+class SearchedGain:
+    """One gain of a law.
+
+    Attributes:
+        name: dotted, from ``control.`` on.
+        low, high: range of the search, relative to the rule's value; itself if ``power`` is 0.
+        power: of 1/T_d with which the gain grows; 0 for a gain whose useful range is the same for all stages.
+    """
+
+    name: str
+    low: float
+    high: float
+    power: int = 1
+
+
+_OBSERVER = "control.smc_observer."
+_SMC = "control.smc."
+_LINEAR = (
+    SearchedGain(_SMC + "zeta", 0.3, 3.0, power=0),
+    SearchedGain(_SMC + "natural_frequency", 0.2, 5.0),
+    SearchedGain(_SMC + "phi", 0.1, 10.0),
+    SearchedGain(_SMC + "velocity_bandwidth", 0.1, 4.0),
+)
+SEARCHED: Mapping[str, tuple[SearchedGain, ...]] = {
+    "linear": _LINEAR,
+    "smc": (*_LINEAR, SearchedGain(_SMC + "boundary_layer", 0.2, 10.0, power=-1)),
+    "smc_observer": (
+        SearchedGain(_OBSERVER + "bandwidth", 0.1, 4.0),
+        SearchedGain(_OBSERVER + "third_pole", 0.2, 5.0, power=0),
+        SearchedGain(_OBSERVER + "surface", 0.1, 10.0),
+        SearchedGain(_OBSERVER + "reaching", 0.1, 10.0),
+        SearchedGain(_OBSERVER + "gain_allowance", 1.0, 4.0, power=0),
+        SearchedGain(_OBSERVER + "velocity_share", 0.05, 1.0, power=0),
+    ),
+}
+"""The gains that are searched, by law; all on a logarithmic scale."""
+
+
+_ENDS = (
+    # Where searches ended on other stages: bandwidth, λ, κ relative to the rule; third pole, allowance, share m.
+    (0.51, 0.83, 2.63, 1.28, 1.76, 0.83),  # an encoder of 5 nm
+    (0.21, 0.87, 2.86, 0.55, 1.41, 0.56),  # 20 kg
+    (2.19, 1.09, 0.57, 2.07, 1.59, 0.29),  # 1 kHz
+    (0.53, 0.43, 1.36, 0.78, 1.77, 0.34),  # an encoder of 0.5 µm
+    (2.51, 0.36, 4.42, 0.42, 1.96, 0.30),  # an amplifier of 150 Hz
+    (1.43, 0.34, 6.32, 0.31, 1.82, 0.45),  # four times the friction
+    (0.20, 0.42, 0.82, 0.83, 1.12, 0.51),  # 8 kHz and an encoder of 5 nm
+    (0.47, 4.82, 0.53, 0.34, 1.59, 0.73),  # 4 kHz
+    (0.53, 1.82, 2.00, 0.45, 1.40, 0.74),  # a joint in the guide
+    (2.26, 0.72, 0.44, 1.07, 2.02, 0.24),  # 8 kHz, 5 nm, an amplifier of 2 kHz
+)
+_FACTORS = (0.5, 0.7, 1.4, 2.0)
+
+
+def starts(law: str, gains: Values) -> list[dict[str, float]]:
+    """Gains from which a search may begin, the rule's ``gains`` first: the best of them is in the right valley."""
+    if law != "smc_observer":
+        return [dict(gains), *(scaled(law, gains, factor) for factor in _FACTORS)]
+    found = [dict(gains)]
+    for bandwidth, surface, reaching, third_pole, allowance, share in _ENDS:
+        found.append(
+            {
+                **gains,
+                _OBSERVER + "bandwidth": bandwidth * gains[_OBSERVER + "bandwidth"],
+                _OBSERVER + "surface": surface * gains[_OBSERVER + "surface"],
+                _OBSERVER + "reaching": reaching * gains[_OBSERVER + "reaching"],
+                _OBSERVER + "third_pole": third_pole,
+                _OBSERVER + "gain_allowance": allowance,
+                _OBSERVER + "velocity_share": share,
+            }
+        )
+    return found
+
+
+def rule(law: str, stage: StageParameters) -> dict[str, float]:
+    """The gains of ``law`` on ``stage`` in closed form, by dotted name."""
+    lag = stage.dead_time
+    if law == "smc_observer":
+        return {
+            _OBSERVER + "bandwidth": 0.219 / lag,
+            _OBSERVER + "third_pole": 1.28,
+            # A little less than the true delay: the law may not count on a command that is later than it believes.
+            _OBSERVER + "delay": min(1.0, 0.88 * stage.drive.delay),
+            _OBSERVER + "surface": 0.614 / lag,
+            _OBSERVER + "reaching": 0.423 / lag,
+            _OBSERVER + "gain_allowance": 1.7,
+            _OBSERVER + "velocity_share": 0.3,
+        }
+    smc = law == "smc"
+    gains = {
+        _SMC + "zeta": 0.5 if smc else 0.8,
+        _SMC + "natural_frequency": (0.04 if smc else 0.0374) / lag,
+        _SMC + "phi": (0.05 if smc else 0.107) / lag,
+        _SMC + "velocity_bandwidth": 1.07 / lag,
+    }
+    if smc:
+        # (11) first, with the gains above; inside the layer ρ/ε adds to φ.
+        rho = _reaching(with_gains(ControlParameters(), "linear", gains), stage)
+        gains |= {_SMC + "rho": rho, _SMC + "boundary_layer": rho * lag / 0.16}
+    return gains
+
+
+def scaled(law: str, gains: Values, factor: float) -> dict[str, float]:
+    """``gains`` of ``law`` as for a loop that is faster by ``factor``."""
+    powers = {gain.name: gain.power for gain in SEARCHED[law]}
+    return {name: value * factor ** powers.get(name, 0) for name, value in gains.items()}
+
+
+def _reaching(control: ControlParameters, stage: StageParameters) -> float:
+    """The least ρ in m/s² that fulfils (11), and a tenth more."""
+    return 1.1 * reaching_bound(control.smc, stage)
+
+
+def with_gains(control: ControlParameters, law: str, values: Values) -> ControlParameters:
+    """``control`` with the law ``law`` and ``values``, by dotted name.
+
+    Raises:
+        ParameterError: a value is refused.
+    """
+    changed = {
+        group: dataclasses.replace(getattr(control, group), **_of_group(values, f"control.{group}."))
+        for group in ("smc", "smc_observer")
+    }
+    return dataclasses.replace(control, law=law, **changed)
+
+
+def _of_group(values: Values, prefix: str) -> dict[str, float]:
+    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}

@@ -1,0 +1,178 @@
+"""What a design must hold in the linear loop, and by how much gains miss it.
+
+The law is linearised as in `control/margins.py` and closed over plants that are sampled once for a stage: the nominal
+one with more and less gain and with later commands, and one for each corner of the uncertainty of mass, force and air
+gap. There no current is measured, which a board may lack and which changes nothing while amplifier and delay are as
+described. With it, the amplifier's gain may be off by a factor, which is the gain margin that a frequency response of
+the machine shows. Friction is left out: in truth it helps. Growth and decay are compared in units of the loop's dead
+time T_d, so that the same numbers hold for every stage.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from straightcomp_ros.control.laws import ControlParameters, make_law, stiffened
+from straightcomp_ros.control.margins import (
+    StateSpace,
+    closed_loop,
+    linearised,
+    phase_margin,
+    sampled_plant,
+    spectral_radius,
+)
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.truth import Factors, deviating
+
+_GRID = 400
+"""Frequencies at which the phase margin is looked for: off by less than a degree."""
+_NOT_LINEAR = 100.0
+"""Miss of a law that cannot be linearised: more than any that can."""
+
+
+@dataclass(frozen=True)
+class Demands:
+    """What is demanded of the loop.
+
+    Attributes:
+        gain_low, gain_high: factors of the loop gain at which the law must be stable.
+        stiff_gain_low, stiff_gain_high: the same where the law is at its stiffest.
+        amplifier_gain: factor, up and down, of the current that the amplifier makes of a command and the law measures;
+            its square root where
+            the law is at its stiffest.
+        phase: least phase margin, degrees.
+        spare_delay: of a command beyond the longest one of the uncertainty, samples; a third of it at its stiffest.
+        decay: least decay of the nominal loop, in 1/T_d.
+    """
+
+    gain_low: float = 0.62
+    gain_high: float = 2.1
+    stiff_gain_low: float = 0.7
+    stiff_gain_high: float = 1.9
+    amplifier_gain: float = 1.5
+    phase: float = 10.0
+    spare_delay: float = 0.25
+    decay: float = 0.03
+
+    def tightened(self, by: float) -> "Demands":
+        """The demands with gain ranges wider by the factor ``by``, and ``by`` times the phase and the spare delay."""
+        return dataclasses.replace(
+            self,
+            gain_low=self.gain_low / by,
+            gain_high=self.gain_high * by,
+            stiff_gain_low=self.stiff_gain_low / by,
+            stiff_gain_high=self.stiff_gain_high * by,
+            amplifier_gain=self.amplifier_gain * by,
+            phase=self.phase * by,
+            spare_delay=self.spare_delay * by,
+        )
+
+
+STANDARD = Demands()
+"""The demands of a design, unless others are asked for."""
+
+
+class _Case(NamedTuple):
+    """One loop that must be stable: which, its plant, the gain, the least decay in 1/T_d, and whether the law measures
+    the current."""
+
+    name: str
+    plant: StateSpace
+    gain: float = 1.0
+    decay: float = 0.0
+    with_current: bool = False
+
+
+class StabilityCheck:
+    """The loops of one stage that must be stable.
+
+    Args:
+        stage: its description.
+        demands: what is asked for.
+    """
+
+    def __init__(self, stage: StageParameters, demands: Demands = STANDARD) -> None:
+        self._stage = nominal = stage
+        self._phase = demands.phase
+        self._delay = nominal.drive.delay
+        latest = self._delay * max(1.0, nominal.uncertainty.longest_delay)
+        plain = self._sampled(nominal, self._delay)
+        self._nominal = plain
+        corners = [_Case(f"corner {name}", self._sampled(corner, self._delay)) for name, corner in _corners(nominal)]
+        self._quiet = (
+            _Case("nominal", plain, decay=demands.decay),
+            _Case("least gain", plain, demands.gain_low),
+            _Case("most gain", plain, demands.gain_high),
+            *_amplifiers(plain, demands.amplifier_gain, ""),
+            _Case("late commands", self._sampled(nominal, latest + demands.spare_delay)),
+            *corners,
+        )
+        self._stiff = (
+            _Case("least gain, stiffest", plain, demands.stiff_gain_low),
+            _Case("most gain, stiffest", plain, demands.stiff_gain_high),
+            *_amplifiers(plain, math.sqrt(demands.amplifier_gain), ", stiffest"),
+            _Case("late commands, stiffest", self._sampled(nominal, latest + demands.spare_delay / 3.0)),
+        )
+
+    @staticmethod
+    def _sampled(stage: StageParameters, delay: float) -> StateSpace:
+        return sampled_plant(stage, delay * stage.period)
+
+    def violation(self, control: ControlParameters) -> float:
+        """By how much the gains miss the demands, 0 if they hold them all; a smooth measure for a search."""
+        misses = [miss for _, miss in self._misses(control)]
+        return sum(misses) + max(misses)
+
+    def missed(self, control: ControlParameters) -> list[str]:
+        """Names of the demands that the gains miss, the worst first."""
+        misses = [(miss, name) for name, miss in self._misses(control) if miss > 0.0]
+        return [name for _, name in sorted(misses, reverse=True)]
+
+    def _misses(self, control: ControlParameters) -> list[tuple[str, float]]:
+        stiff = stiffened(control)
+        ends = [(control, self._quiet)]
+        if stiff is not control:
+            ends.append((stiff, self._stiff))
+        misses = []
+        for one, cases in ends:
+            law = make_law(one, self._stage)
+            try:
+                laws = tuple(linearised(law, with_current=measured) for measured in (False, True))
+            except ValueError:
+                # The current limit is nearer than any step of the differences.
+                misses.append(("linear at rest", _NOT_LINEAR))
+                continue
+            misses += [(case.name, self._missing(case, laws[case.with_current])) for case in cases]
+            for linear, how in zip(laws, ("", ", current measured"), strict=True):
+                phase = phase_margin(self._nominal, linear, self._stage.period, _GRID)
+                misses.append((f"phase{how}", max(0.0, self._phase - phase) / 60.0))
+        return misses
+
+    def _missing(self, case: _Case, law: StateSpace) -> float:
+        radius = spectral_radius(closed_loop(case.plant, law, case.gain))
+        return max(0.0, math.log(radius) * self._stage.dead_time / self._stage.period + case.decay)
+
+
+def _amplifiers(plant: StateSpace, factor: float, where: str) -> tuple[_Case, _Case]:
+    """The amplifier with less and with more gain by ``factor``."""
+    return (
+        _Case(f"amplifier's gain × {1.0 / factor:.2g}{where}", plant, 1.0 / factor, with_current=True),
+        _Case(f"amplifier's gain × {factor:.2g}{where}", plant, factor, with_current=True),
+    )
+
+
+def _corners(stage: StageParameters) -> Sequence[tuple[str, StageParameters]]:
+    """The stages at the corners of the uncertainty of mass, force and air gap, each with its name."""
+    ranges = stage.uncertainty
+    found = []
+    for signs in itertools.product((-1, 1), repeat=3):
+        mass, force, gap = (
+            1.0 + sign * width for sign, width in zip(signs, (ranges.mass, ranges.force, ranges.air_gap), strict=True)
+        )
+        plant = deviating(stage.plant, Factors(mass, force, gap))
+        corner = dataclasses.replace(stage, platform=plant.platform, actuator=plant.actuator)
+        found.append((f"mass × {mass:g}, force × {force:g}, gap × {gap:g}", corner))
+    return found

@@ -1,0 +1,7 @@
+"""Frequency responses of plant and loop, measured in the closed loop and in closed form. No ROS."""
+
+from straightcomp_ros.control import FrequencyResponseError
+
+
+class ExcitationEnded(FrequencyResponseError):
+    """The platform left the allowed travel, and the excitation faded out."""

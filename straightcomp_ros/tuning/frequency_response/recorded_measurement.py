@@ -1,0 +1,109 @@
+"""A frequency response from a bag of the excited loop."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.stream_columns import StreamColumns
+from straightcomp_ros.bags.values_at import values_at
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER
+from straightcomp_ros.control import FrequencyResponseError
+from straightcomp_ros.control.excitation_parameters import MultisineParameters
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.loop_excitation import loop_multisine, multisine_injection
+from straightcomp_ros.control.multisine import Multisine
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.frequency_response import ExcitationEnded
+from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse, compared_response
+
+_ALIKE = 0.9
+"""Least correlation of what was injected with the excitation, of all of it and in the used period of each draw."""
+_IN_TIME = 1.02
+"""Of the time at which a command is due, that at which it is in time all the same."""
+
+
+def response_from_bag(
+    bag: Path, parameters: MultisineParameters, control: ControlParameters, stage: StageParameters
+) -> ComparedResponse:
+    """The response of a loop that the controller's service ``~/excite`` excited.
+
+    Samples are counted as the controller answered them: a lost one shifts the excitation too.
+
+    Args:
+        bag: with encoder, command and the controller's state; the driver's tells which commands came late.
+        parameters: of the excitation.
+        control: law and gains under which it was made.
+        stage: the description that the response is compared with.
+
+    Raises:
+        FrequencyResponseError: the bag cannot be read.
+        ExcitationEnded: it has not the whole excitation.
+    """
+    wanted = (ENCODER, COMMAND, CONTROLLER_STATE)
+    try:
+        streams = read_streams(bag, {stream.topic: stream.layout for stream in (*wanted, DRIVER_STATE)})
+    except BagError as error:
+        raise FrequencyResponseError(str(error)) from error
+    missing = [stream.topic for stream in wanted if stream.topic not in streams]
+    if missing:
+        raise FrequencyResponseError(f"bag {bag}: has no messages on {', '.join(missing)}")
+    common = np.unique(streams[ENCODER.topic].stamp)
+    for stream in wanted[1:]:
+        common = np.intersect1d(common, streams[stream.topic].stamp)
+    state = streams[CONTROLLER_STATE.topic]
+    commands = values_at(streams[COMMAND.topic], "control_current", common)
+    asked = values_at(state, "equivalent_current", common) + values_at(state, "switching_current", common)
+    excitation = loop_multisine(parameters, make_law(control, stage), stage)
+    limit = stage.highest_current
+    added = np.nan_to_num(commands - np.clip(asked, -limit, limit))
+    first, alike = _place(added, excitation.currents)
+    part = slice(first, first + excitation.currents.size)
+    if alike < _ALIKE or len(commands[part]) < excitation.currents.size:
+        raise ExcitationEnded(
+            f"bag {bag}: has not the whole excitation (correlation {alike:.2f}; allowed: >= {_ALIKE:g}); was it ended "
+            "early, or made with other parameters?"
+        )
+    injection = multisine_injection(parameters, excitation, stage)
+    # With its fades, of which a short period has much.
+    whole = np.array([injection.step(0.0, 0.0) for _ in range(excitation.currents.size)])
+    lacking = _missing_draws(excitation, added[part], whole)
+    if lacking:
+        raise ExcitationEnded(
+            f"bag {bag}: the excitation lacks {lacking} of its {excitation.draws} draws of phases; was it ended early?"
+        )
+    reading = values_at(streams[ENCODER.topic], "y", common)
+    clipped = int(np.count_nonzero(np.abs(commands[part]) >= limit))
+    found = compared_response(excitation, asked[part], commands[part], reading[part], control, stage, clipped)
+    return dataclasses.replace(found, late_share=_late_share(streams.get(DRIVER_STATE.topic), common[part], stage))
+
+
+def _late_share(state: StreamColumns | None, stamps: NDArray[np.int64], stage: StageParameters) -> float:
+    """Part of the samples at ``stamps`` (n,) whose command was late, as the driver recorded it; 0 if it did not.
+
+    A sample without a latency is one before which no command arrived: it came after it, together with the next one.
+    """
+    if state is None:
+        return 0.0
+    latency = values_at(state, "command_latency", stamps)
+    return float(np.mean(~(latency <= _IN_TIME * stage.drive.delay * stage.period)))
+
+
+def _missing_draws(excitation: Multisine, added: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
+    """Draws whose used period is not in ``added`` (n,): of most of an excitation the correlation is high too."""
+    there, expected = excitation.used(added), excitation.used(wanted)
+    power = np.sqrt(np.sum(there**2, axis=1) * np.sum(expected**2, axis=1))
+    return int(np.count_nonzero(np.sum(there * expected, axis=1) <= _ALIKE * power))
+
+
+def _place(series: NDArray[np.float64], wanted: NDArray[np.float64]) -> tuple[int, float]:
+    """Where ``wanted`` (m,) begins in ``series`` (n,), and how well it correlates with what is there."""
+    size = series.size + wanted.size
+    product = np.fft.irfft(np.fft.rfft(series, size) * np.fft.rfft(wanted, size).conj(), size)
+    first = int(np.argmax(product[: max(1, series.size)]))
+    there = series[first : first + wanted.size]
+    power = float(np.sqrt(np.sum(there**2) * np.sum(wanted**2)))
+    return first, float(product[first]) / power if power else 0.0

@@ -1,0 +1,1 @@
+"""The client of a running graph that tunes a machine."""

@@ -1,0 +1,146 @@
+"""Access to a running graph as a machine: one that runs already, or one that is started for it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED
+from straightcomp_ros.cell.demonstration import emulated_machine, on_hub
+from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
+from straightcomp_ros.parameters.declaration import belongs_to_ros
+from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
+from straightcomp_ros.parameters.parameter_file import as_parameter_file
+from straightcomp_ros.parameters.share import make_private
+from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.runtime.first_parameters import FirstParameters
+from straightcomp_ros.runtime.graph_client import GraphClient, GraphError
+from straightcomp_ros.tuning.commissioning import CommissioningError
+from straightcomp_ros.tuning.graph.running_machine import RunningMachine
+
+
+class Access(NamedTuple):
+    """A machine, the parameters with which its nodes were found, and how to say what is being done with it."""
+
+    machine: RunningMachine
+    values: Values
+    tell: Callable[[str], None]
+
+
+@contextmanager
+def running_graph(folder: Path, namespace: str = "", trouble: Callable[[], str] = lambda: "") -> Iterator[Access]:
+    """The machine of the graph that runs; it is released at the end.
+
+    Args:
+        folder: gets the bags.
+        namespace: of the nodes.
+        trouble: returns why the graph cannot work any more; empty if it can.
+
+    Raises:
+        CommissioningError: the graph cannot be used, or stopped working.
+    """
+    try:
+        with GraphClient(RECORDED, namespace, trouble) as client:
+            # Before the nodes are asked: another client would have its own parameters in them.
+            tell = client.claim()
+            first = FirstParameters(client.values(), client.processes())
+            values = described(first.values)
+            machine = RunningMachine(client, values, first.values["logger"], folder)
+            first.keep()
+            try:
+                yield Access(machine, values, tell)
+            finally:
+                # Whatever happened, the amplifier is off already.
+                machine.release()
+                first.forget()
+    except GraphError as error:
+        raise CommissioningError(str(error)) from error
+
+
+@contextmanager
+def started_graph(values: Values, folder: Path, *, emulated: bool = False) -> Iterator[Access]:
+    """The machine of a graph that runs for this alone, with parameters by node and dotted name.
+
+    Args:
+        values: parameters of all nodes.
+        folder: gets the bags, the parameter file and the logs.
+        emulated: the machine is an emulated board on a hub.
+
+    Raises:
+        CommissioningError: a node does not start, or ended.
+    """
+    os.environ.update(isolated_environment())
+    with _bus_folder(folder) as bus:
+        if emulated:
+            values = {**values, "driver": {**values.get("driver", {}), **on_hub(values, str(bus / "bus"))}}
+        parameter_file = folder / "parameters.yaml"
+        write_whole(parameter_file, as_parameter_file(values))
+        beside = emulated_machine(values, parameter_file)
+        try:
+            with Graph(folder / "logs") as graph:
+                for name, command in beside.items():
+                    graph.start_program(name, command)
+                for name in RECORDED:
+                    graph.start(name, {"autostart": False}, parameter_file)
+
+                def trouble() -> str:
+                    try:
+                        graph.check((*beside, *RECORDED))
+                    except LaunchError as error:
+                        return str(error)
+                    return ""
+
+                with running_graph(folder, trouble=trouble) as access:
+                    yield access
+        except LaunchError as error:
+            raise CommissioningError(f"{error} (logs in {folder / 'logs'})") from error
+
+
+@contextmanager
+def _bus_folder(folder: Path) -> Iterator[Path]:
+    """A place for the socket of a bus, the same for each run in ``folder``: it is a parameter of the nodes.
+
+    The path of a socket has room for about a hundred characters: too few for some folders.
+    """
+    name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
+    bus = Path(tempfile.gettempdir()) / f"straightcomp_bus_{name}"
+    try:
+        make_private(bus)
+    except OSError as error:
+        raise CommissioningError(f"folder of the bus {bus}: {error.strerror}; remove it") from error
+    try:
+        yield bus
+    finally:
+        shutil.rmtree(bus, ignore_errors=True)
+
+
+def described(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Parameters of the running loop as values with one description of the stage.
+
+    Raises:
+        CommissioningError: the nodes have different descriptions.
+    """
+    own = {
+        node: {name: value for name, value in parameters[node].items() if not belongs_to_ros(name)}
+        for node in IN_THE_LOOP
+    }
+    told = {node: node_parameters(node, own).stage.identity for node in own}
+    if len(set(told.values())) > 1:
+        found = ", ".join(f"{node} {identity}" for node, identity in told.items())
+        raise CommissioningError(
+            f"the nodes' descriptions of the stage differ ({found}): start all with one stage file"
+        )
+    prefix = f"{STAGE}."
+    values = {
+        node: {name: value for name, value in section.items() if not name.startswith(prefix)}
+        for node, section in own.items()
+    }
+    facts = own["controller"].items()
+    values[STAGE] = {name.removeprefix(prefix): value for name, value in facts if name.startswith(prefix)}
+    return values

@@ -1,0 +1,274 @@
+"""A running graph as a machine under commissioning: simulated, on CAN, or with a board of one's own."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from std_srvs.srv import SetBool, Trigger
+
+from straightcomp_ros.control.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.laws import OPEN_LOOP
+from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back, trapezoid
+from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.node_parameters import Values, node_parameters
+from straightcomp_ros.runtime.graph_client import ANSWER_S, GraphClient
+from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.safety.watch import WatchParameters
+from straightcomp_ros.timing.exclusive import use_kept_free
+from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
+from straightcomp_ros.tuning.commissioning.machine import Series
+from straightcomp_ros.tuning.commissioning.recorded_series import excited, recorded_series
+from straightcomp_ros.tuning.frequency_response import ExcitationEnded
+from straightcomp_ros.tuning.frequency_response.recorded_measurement import response_from_bag
+from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse
+
+_AT_ONCE = ("excitation.", "error_limit")
+"""Parameters of the controller that change without a bump, so that it need not be configured again."""
+_AT_START = ("autostart", "realtime.")
+"""Those that are fixed when a process starts."""
+_TRAVEL = "watch.travel"
+_RECORDING = ("output", "record_at_start")
+_START_S = 60.0
+_CREEP_S = 0.1
+"""s in which the magnets show whether they pull the platform away by themselves."""
+_SETTLE_S = 0.5
+"""s in which a law takes the platform to its reference."""
+_AFTER_S = 0.3
+"""s that a recording goes on after the amplifier went off: batches are on their way."""
+_LATE_S = 5.0
+_ARRIVED = 1e-5
+
+
+class RunningMachine:
+    """Drives the nodes of a graph by their services; what it records is in ``folder``.
+
+    The driver keeps its parameters; controller, feedforward and logger get those of each call, and their first ones
+    again at the end, see :meth:`release`.
+
+    Args:
+        client: of the graph.
+        values: with which the nodes of the loop were found, by node and dotted name.
+        logger: parameters with which the logger was found, by dotted name.
+        folder: gets a bag for each action.
+
+    Raises:
+        CommissioningError: somebody else uses the machine.
+    """
+
+    def __init__(self, client: GraphClient, values: Values, logger: Mapping[str, Any], folder: Path) -> None:
+        self._client, self._values, self._folder = client, values, folder
+        self._logger = {name: logger[name] for name in _RECORDING}
+        self._travel = values.get("driver", {}).get(_TRAVEL, WatchParameters().travel)
+        self._given: dict[str, dict[str, Any]] = {}
+        if client.safety.amplifier_on:
+            raise CommissioningError("the amplifier is on: somebody else uses the machine; stop that first")
+
+    def listen(self, seconds: float) -> Series:
+        """See `Machine`."""
+        self._prepare(self._in_open_loop(ExcitationParameters()))
+        bag = self._bag("connection")
+        with self._recorded(bag):
+            end = time.monotonic() + seconds
+            self._client.wait(lambda: time.monotonic() > end, seconds + _LATE_S, "time stood still")
+        return recorded_series(bag)
+
+    def play(self, excitation: ExcitationParameters) -> Series:
+        """See `Machine`."""
+        values = self._in_open_loop(excitation)
+        self._prepare(values)
+        bag = self._bag(excitation.signal)
+        try:
+            # In the driver: it switches off within a sample, and from the switch-on on.
+            self._client.give("driver", {_TRAVEL: excitation.travel})
+            with self._recorded(bag), self._switched_on(), suppress(LeftTravel):  # the series shows it
+                self._sleep(_CREEP_S)
+                self._client.require("controller/excite", SetBool.Request(data=True))
+                self._sleep(excitation.duration + _SETTLE_S)
+        finally:
+            self._client.give("driver", {_TRAVEL: self._travel})
+        self._rest()
+        stage = node_parameters("controller", values).stage
+        return excited(recorded_series(bag), excitation.travel, stage.rate)
+
+    def stroke(self, values: Values, bag: Path, travel: float, count: int = 1) -> None:
+        """See `Machine`."""
+        self._prepare(values, error_limit=travel)
+        motion = node_parameters("cell", values).stage.motion
+        self._approach(motion.start, motion.speed, motion.acceleration)
+        shutil.rmtree(bag, ignore_errors=True)
+        with self._recorded(bag), self._switched_on():
+            self._sleep(_SETTLE_S)
+            for _ in range(count):
+                self._cycle(motion)
+            self._sleep(_SETTLE_S)
+        self._rest()
+
+    def response(self, values: Values, excitation: MultisineParameters, *, moving: bool = False) -> ComparedResponse:
+        """See `Machine`; with ``moving`` the stage makes strokes meanwhile, otherwise it stands where it is."""
+        asked = to_mapping(excitation)
+        controller = {**values.get("controller", {}), **{f"excitation.{name}": one for name, one in asked.items()}}
+        controller["excitation.signal"] = "multisine"
+        values = {**values, "controller": controller}
+        nodes = node_parameters("controller", values)
+        self._prepare(values, error_limit=2.0 * excitation.travel)
+        bag, duration = self._bag("frequency_response"), excitation.seconds + 2.0 * _SETTLE_S
+        motion = nodes.stage.motion
+        if moving:
+            self._approach(motion.start, motion.speed, motion.acceleration)
+        try:
+            with self._recorded(bag), self._switched_on():
+                self._sleep(2.0 * _SETTLE_S)
+                self._client.require("controller/excite", SetBool.Request(data=True))
+                end = time.monotonic() + duration
+                while moving and time.monotonic() < end:
+                    self._cycle(motion)
+                self._sleep(max(0.0, end - time.monotonic()))
+        except LeftTravel as error:
+            raise ExcitationEnded(str(error)) from error
+        self._rest()
+        return response_from_bag(bag, excitation, nodes.control, nodes.stage)
+
+    def release(self) -> None:
+        """Leave the loop inactive and the logger unconfigured, all with the parameters with which they were found."""
+        self._prepare(self._values)
+        self._rest()
+        # It begins its next bag when it is configured.
+        self._client.bring("logger", "unconfigured")
+        self._client.give("logger", self._logger)
+
+    def _rest(self) -> None:
+        """Make the loop inactive: what is computed next needs the processor, the loop's CPU too."""
+        for node in ("controller", "feedforward", "driver"):
+            self._client.bring(node, "inactive")
+        use_kept_free(True)
+
+    def _in_open_loop(self, excitation: ExcitationParameters) -> Values:
+        own = {f"excitation.{name}": value for name, value in to_mapping(excitation).items()}
+        return {**self._values, "controller": {**self._values["controller"], "control.law": OPEN_LOOP, **own}}
+
+    def _bag(self, name: str) -> Path:
+        bag = self._folder / "bags" / name
+        shutil.rmtree(bag, ignore_errors=True)
+        return bag
+
+    def _prepare(self, values: Values, **controller: Any) -> None:
+        """Bring the loop to work with these parameters, the amplifier off."""
+        use_kept_free(False)
+        self._give("feedforward", values)
+        self._give("controller", {**values, "controller": {**values.get("controller", {}), **controller}})
+        # A client that was killed may have left another.
+        self._client.give("driver", {_TRAVEL: self._travel})
+        self._client.bring("driver", "active")
+        self._client.wait(lambda: self._client.samples_come, _START_S, "no samples come from the driver")
+
+    def _give(self, node: str, values: Values) -> None:
+        client = self._client
+        wanted = to_mapping(node_parameters(node, values))
+        wanted = {name: value for name, value in wanted.items() if not name.startswith(_AT_START)}
+        given = self._given.get(node, {})
+        changed = {name: value for name, value in wanted.items() if name not in given or given[name] != value}
+        if not all(name.startswith(_AT_ONCE) for name in changed):
+            client.bring(node, "unconfigured")
+        if changed:
+            # Until the answer it is not known what the node has.
+            self._given.pop(node, None)
+            client.give(node, changed)
+        client.bring(node, "active")
+        self._given[node] = wanted
+
+    def _approach(self, start: float, speed: float, acceleration: float) -> None:
+        """Move the stage to ``start``, the amplifier off."""
+        client = self._client
+        here = client.x
+        if not abs(here - start) > _ARRIVED:
+            return
+        points = [Waypoint(0, here, 0.0), *trapezoid(Waypoint(0, here, 0.0), start, speed, acceleration)]
+        client.wait(lambda: client.stage_listens, _START_S, "no node subscribes to the stage's trajectory")
+        client.move(points)
+        client.wait(
+            lambda: abs(client.x - start) <= _ARRIVED,
+            points[-1].time_ns * 1e-9 + _LATE_S,
+            f"the stage did not come to its start at {start:g} m",
+        )
+
+    def _cycle(self, motion: MotionParameters) -> None:
+        """Make one cycle. Each is a trajectory of its own: after an interrupt no further one begins."""
+        client, waypoints = self._client, forward_and_back(motion)
+        client.move(waypoints)
+        self._sleep(waypoints[-1].time_ns * 1e-9)
+        client.wait(
+            lambda: abs(client.x - motion.start) <= _ARRIVED,
+            _LATE_S,
+            f"the stage did not come back to its start at {motion.start:g} m",
+        )
+
+    @contextmanager
+    def _recorded(self, bag: Path) -> Iterator[None]:
+        """Record to ``bag`` with a logger that is configured for it, so that it attaches the present parameters."""
+        client = self._client
+        client.bring("logger", "unconfigured")
+        # The logger may run in another folder than this process.
+        client.give("logger", {"output": str(bag.resolve()), "record_at_start": True})
+        client.bring("logger", "active")
+        client.wait(lambda: not client.unrecorded(), _START_S, "the logger is not connected to all topics")
+        try:
+            yield
+            time.sleep(_AFTER_S)
+        finally:
+            client.bring("logger", "unconfigured")
+
+    @contextmanager
+    def _switched_on(self) -> Iterator[None]:
+        client = self._client
+        client.require("driver/reset_fault", Trigger.Request())
+        refusals: list[str] = []
+
+        def on() -> bool:
+            response = client.ask("driver/enable", SetBool.Request(data=True))
+            refusals[:] = [] if response.success else [response.message]
+            return bool(response.success)
+
+        end = time.monotonic() + ANSWER_S
+        # An interrupt may come after a request and before its answer.
+        try:
+            while not on():
+                if time.monotonic() > end:
+                    raise CommissioningError(f"the amplifier cannot be switched on: {refusals[0]}")
+                time.sleep(_SETTLE_S)
+            client.wait(
+                lambda: client.safety.amplifier_on or bool(client.safety.fault),
+                ANSWER_S,
+                "the driver does not say that the amplifier is on",
+            )
+            yield
+        finally:
+            client.require("driver/enable", SetBool.Request(data=False))
+
+    def _sleep(self, seconds: float) -> None:
+        """Wait; the amplifier must not go off meanwhile if it is on.
+
+        Raises:
+            LeftTravel: the platform left its reference.
+            CommissioningError: the amplifier went off for another reason.
+        """
+        client = self._client
+        on, end = client.safety.amplifier_on, time.monotonic() + seconds
+
+        def off() -> bool:
+            return bool(client.safety.fault) or (on and not client.safety.amplifier_on)
+
+        client.wait(lambda: time.monotonic() > end or off(), seconds + _LATE_S, "time stood still")
+        if off():
+            reason = client.safety.fault or "another client switched it off"
+            if client.safety.code == Fault.FOLLOWING_ERROR.code:
+                raise LeftTravel(
+                    f"{reason}; commands came late (straightcomp doctor says what delays this computer), or the "
+                    "machine is not as described: look at the count of the encoder of y, at the platform, and at the "
+                    "magnets"
+                )
+            raise CommissioningError(f"the amplifier went off: {reason}")

@@ -1,0 +1,224 @@
+"""The estimated parameters: values with 95 % intervals, advice for a better record, and a ROS 2 parameter file."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from straightcomp_ros.analysis.current_path import CurrentPath, current_path
+from straightcomp_ros.analysis.stretch import Recording, read_recording
+from straightcomp_ros.parameters.declaration import declarations
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.identification.block_covariance import BLOCK
+from straightcomp_ros.tuning.identification.fit import Fit, fit
+from straightcomp_ros.tuning.identification.sliding_start import Centre, centre
+from straightcomp_ros.tuning.identification.unknowns import FORCE_SCALE, NAMES, RATIO, Unknowns, unknowns
+
+POOR = 1.3
+"""Factor from the value to the bounds of its interval, beyond which it counts as poorly determined."""
+CORRELATED = 0.95
+_CONFIDENCE = 0.95
+_LEAST = 0.002
+"""Least relative standard deviation: current path and model are not better than that."""
+_ROUNDED = 0.75
+"""Standard deviation of the forces relative to the mass, per count of the encoder and RMS travel.
+
+The search takes rounding for white noise. It is not, and with a coarse encoder the acceleration is less well known than
+the spread of the prediction errors tells. Found on the machines 0 to 11 of docs/commissioning.md.
+"""
+_WIDEST = 1e3
+DERIVED = {"actuator.current_stiffness": "N/A", "actuator.position_stiffness": "N/m"}
+"""K̄_i and K̄_y with their units: shown, but not parameters of their own."""
+_DECLARED = {one.name: one.unit for one in declarations(StageParameters)}
+_SHOWN = [name.replace(RATIO, "friction.static") for name in NAMES]
+UNITS = {**{n: _DECLARED[n] for n in _SHOWN[:3]}, **DERIVED, **{n: _DECLARED[n] for n in _SHOWN[3:]}}
+"""Units of the shown parameters, in their order."""
+HELP = {
+    "platform.mass": "quick motion of the platform: force must go into acceleration, not only into friction",
+    "actuator.turns": "quick motion of the platform: force must go into acceleration, not only into friction",
+    "actuator.air_gap": "positions far to both sides of the centre",
+    "friction.coulomb": "steady sliding both ways, far faster than the Stribeck velocity",
+    "friction.static": "slow sliding and many starts from rest",
+    "friction.stribeck_velocity": "sliding at many speeds, slow ones above all",
+    "friction.bristle_stiffness": "many reversals of the motion",
+    "friction.bristle_damping": "quick small movements around rest",
+    "friction.viscous": "fast sliding",
+}
+
+PREFIX = "stage."
+_HEAD = """\
+# Plant parameters estimated from a bag, for `straightcomp simulate --stage` and for the description of the stage.
+# Only the plant is here: all other parameters take the defaults of their declarations.
+# Each value with its 95 % interval; SI units. What the bag determines poorly is left out and marked.
+"""
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """One parameter: SI value with its 95 % interval, of zero width if it was ``known``.
+
+    ``with_others`` names parameters that this record can hardly distinguish from it.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    known: bool
+    with_others: tuple[str, ...] = ()
+
+    @property
+    def poor(self) -> bool:
+        """Whether the record determines it poorly."""
+        return not self.known and max(self.high / self.value, self.value / self.low) > POOR
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """All parameters, in the order of UNITS, and how well the model explains the record.
+
+    Attributes:
+        parameters: by dotted name below ``stage.``.
+        recording: the used stretch of the bag.
+        path: the coil current between the samples.
+        fit: figures of the search.
+        centre: where the magnets balance, in the encoder's y; None where the record does not tell. If it is certainly
+            not zero, ``recording`` has y from there on.
+    """
+
+    parameters: dict[str, Estimated]
+    recording: Recording
+    path: CurrentPath
+    fit: Fit
+    centre: Centre | None = None
+
+    @property
+    def advice(self) -> dict[str, str]:
+        """For each poorly determined parameter, the excitation that would help."""
+        return {name: HELP[name] for name, found in self.parameters.items() if found.poor and name in HELP}
+
+
+def estimate_from_bag(
+    bag: Path,
+    start: StageParameters,
+    known: Sequence[str],
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Estimate:
+    """Estimate the plant's parameters from encoder and command of a bag.
+
+    Args:
+        bag: rosbag2 folder or MCAP file.
+        start: start of the search; pole area, bias current and encoder resolution are taken as given.
+        known: parameters that are held at the values of ``start``.
+        progress: called with the fraction that is done.
+
+    Raises:
+        BagError: the bag cannot be read.
+        IdentificationError: the bag is not fit for it, or ``known`` is refused.
+    """
+    searched = unknowns(start, known)
+    recording = read_recording(bag)
+    middle = centre(recording)
+    if middle is not None and middle.certain:
+        # The model has its magnets around zero.
+        recording = replace(recording, y=recording.y - middle.value)
+    path = current_path(recording, start.drive)
+    found = fit(recording, path, searched, start.encoder.y_resolution, progress)
+    rounded = _ROUNDED * start.encoder.y_resolution / float(recording.y.std())
+    parameters = _parameters(found, searched, rounded, blocks=max(2, int(recording.duration / BLOCK)))
+    return Estimate(parameters, recording, path, found, middle)
+
+
+def _parameters(found: Fit, searched: Unknowns, rounded: float, blocks: int) -> dict[str, Estimated]:
+    free = list(searched.free)
+    total = np.zeros((len(NAMES), len(NAMES)))
+    # The remaining bias is assumed as large as its last changes, each of which moves all parameters together.
+    total[np.ix_(free, free)] = found.covariance + found.pulls.T @ found.pulls
+    total[free, free] += _LEAST**2
+    scaled = rounded * _scale_of_forces(free)
+    total += np.outer(scaled, scaled)
+    quantile = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, max(1, blocks - len(free))))
+    logarithm_of: dict[str, dict[str, float]] = {name: {name: 1.0} for name in NAMES if name != RATIO}
+    logarithm_of["friction.static"] = {"friction.coulomb": 1.0, RATIO: 1.0}
+    # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0
+    logarithm_of["actuator.current_stiffness"] = {"actuator.turns": 2.0, "actuator.air_gap": -2.0}
+    logarithm_of["actuator.position_stiffness"] = {"actuator.turns": 2.0, "actuator.air_gap": -3.0}
+    # (3) at the magnets' constants: μ0 N² A / 4, y0, I0
+    coefficient, gap, bias = searched.constants(found.vector, 1.0)[3:6].tolist()
+    current_stiffness = 4.0 * coefficient * bias / gap**2
+    stiffness = dict(zip(DERIVED, (current_stiffness, current_stiffness * bias / gap), strict=True))
+    estimated = {}
+    for name in UNITS:
+        weights = np.zeros(len(NAMES))
+        for unknown, weight in logarithm_of[name].items():
+            weights[NAMES.index(unknown)] = weight
+        value = stiffness.get(name) or float(np.exp(weights @ found.vector))
+        deviation = math.sqrt(max(0.0, float(weights @ total @ weights)))
+        factor = math.exp(min(quantile * deviation, math.log(_WIDEST)))
+        others = () if name in DERIVED else _alike(name, found.covariance, free)
+        estimated[name] = Estimated(name, value, value / factor, value * factor, deviation == 0.0, others)
+    static, coulomb = estimated["friction.static"], estimated["friction.coulomb"]
+    estimated["friction.static"] = replace(static, low=max(static.low, min(coulomb.low, static.value)))
+    return estimated
+
+
+def _scale_of_forces(free: list[int]) -> NDArray[np.float64]:
+    """How the logarithms (9,) of the unknowns change with that of all forces relative to the mass."""
+    mass, turns = (NAMES.index(name) for name in FORCE_SCALE)
+    change = np.zeros(len(NAMES))
+    if mass in free:
+        change[mass] = -1.0
+    elif turns in free:
+        # (2): the magnets' force goes with the square of the turns.
+        change[turns] = 0.5
+        for name in ("coulomb", "bristle_stiffness", "bristle_damping", "viscous"):
+            change[NAMES.index(f"friction.{name}")] = 1.0
+    change[[place for place in range(len(NAMES)) if place not in free]] = 0.0
+    return change
+
+
+def _alike(name: str, covariance: NDArray[np.float64], free: list[int]) -> tuple[str, ...]:
+    """Names of the free parameters that are correlated with ``name`` by more than CORRELATED."""
+    shown = [_SHOWN[place] for place in free]
+    if name not in shown:
+        return ()
+    deviations = np.sqrt(np.diag(covariance))
+    correlation = covariance[shown.index(name)] / (deviations * deviations[shown.index(name)])
+    return tuple(
+        other for other, value in zip(shown, correlation, strict=True) if other != name and abs(value) > CORRELATED
+    )
+
+
+def parameter_file(estimate: Estimate) -> str:
+    """Text of a stage file with the plant alone."""
+    lines = [_HEAD, "/**:\n  ros__parameters:"]
+    for name, found in estimate.parameters.items():
+        if name not in DERIVED:
+            lines += _entry(found, left_out=found.poor and not _needed(found, estimate))
+    return "\n".join(lines) + "\n"
+
+
+def _needed(found: Estimated, estimate: Estimate) -> bool:
+    """Even a poor F_S is written beside F_C: its default may be below F_C, which would be refused."""
+    return found.name == "friction.static" and not estimate.parameters["friction.coulomb"].poor
+
+
+def _entry(found: Estimated, *, left_out: bool) -> list[str]:
+    unit = f" {UNITS[found.name]}" if UNITS[found.name] else ""
+    if found.known:
+        words = "given, not estimated"
+    else:
+        words = f"{found.low:.4g} to {found.high:.4g}{unit}" + (", poorly determined" if found.poor else "")
+    value = f"{PREFIX}{found.name}: {_number(found.value)}"
+    return [f"    # {words}", f"    # {value}" if left_out else f"    {value}"]
+
+
+def _number(value: float) -> str:
+    # YAML 1.1 takes 2e-05 for a text: a float needs its point.
+    text = f"{value:.6g}"
+    mantissa, exponent, power = text.partition("e")
+    return (mantissa if "." in mantissa else f"{mantissa}.0") + exponent + power

@@ -1,0 +1,225 @@
+"""The search for the unknowns: least squares on prediction errors, with less and less assumed process noise.
+
+The process noise, the model's error from sample to sample, is unknown. Assuming much of it makes the search robust but
+biased: samples then outweigh the model, and mass and friction come out too small. Assuming little removes the bias, but
+far from the solution the prediction loses the path. The search therefore starts with much and reduces it while the
+prediction errors agree with their standard deviation. The last moves of the solution, to it and, if the next step
+failed, from it, bound the remaining bias and enter the confidence intervals.
+
+The search begins at the description and where sliding alone leads (`sliding_start.py`), and goes on from the likelier
+of the two solutions. If that does not hold with the least process noise, it goes on from the other one too, and the one
+that holds with less is taken: one start alone may end in a valley that explains the record and is wrong.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from straightcomp_ros.analysis import IdentificationError
+from straightcomp_ros.analysis.current_path import CurrentPath
+from straightcomp_ros.analysis.stretch import Recording
+from straightcomp_ros.tuning.identification.block_covariance import BLOCK, block_covariance
+from straightcomp_ros.tuning.identification.predictor import Record, filter_gains, prediction_errors
+from straightcomp_ros.tuning.identification.sliding_start import sliding_start
+from straightcomp_ros.tuning.identification.unknowns import Unknowns
+
+Array = NDArray[np.float64]
+
+MISSED = (1e-5, 3e-6, 1e-6, 3e-7)
+"""Assumed standard deviations of the process noise in velocity, m/s (and a thousandth of them in m)."""
+EXPLAINED = 1.03
+"""RMS of the prediction errors, in their standard deviations, up to which the assumption holds."""
+_LOST = 1.5
+"""The same, from which the search has failed."""
+PRIOR = np.log(10.0)
+"""Standard deviation, in logarithms, of a weak prior around the start, for what the record does not determine."""
+BURN_IN = 100
+"""Samples until the first state is found."""
+_STEP = 3e-3
+_ROUNDS = 3
+_SETTLED = 5e-3
+_OUTLIER = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Solution under one assumption: vector, and Jacobian and residuals (in standard deviations) there.
+
+    ``surprise`` is minus twice the logarithm of the record's likelihood, but for a constant (L. Ljung, System
+    Identification, 2nd ed., 1999, section 7.4). It compares solutions that have gains of their own.
+    """
+
+    vector: Array
+    jacobian: Array
+    residuals: Array
+    missed: float
+    surprise: float
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+
+class Search:
+    """Least squares on the prediction errors of a record."""
+
+    def __init__(self, recording: Recording, path: CurrentPath, unknowns: Unknowns, resolution: float) -> None:
+        self._unknowns, self._rate = unknowns, path.rate
+        samples = (recording.y, recording.current, path.before, path.after, path.switch_ns)
+        self._record = Record(unknowns.bias_current, *samples, recording.period_ns)
+        self._noise = resolution / np.sqrt(12.0)
+        self._free = list(unknowns.free)
+        self._steps = _STEP * np.eye(len(self._free))
+        self.gains = np.empty((len(recording.y), 4))
+        self.evaluations = 0
+        self._counting = Lock()
+
+    def take_gains(self, vector: Array, missed: float) -> None:
+        """Run the filter at ``vector``, and keep its gains."""
+        errors = np.empty(len(self.gains))
+        deviations = np.array([self._noise, missed, 1e-3 * missed])
+        filter_gains(self._unknowns.constants(vector, self._rate), self._record, deviations, self.gains, errors)
+        self.evaluations += 4
+
+    def residuals(self, vector: Array) -> Array:
+        """Prediction errors (n − burn-in,) in standard deviations, with the present gains."""
+        errors = np.empty(len(self.gains))
+        prediction_errors(self._unknowns.constants(vector, self._rate), self._record, self.gains, errors)
+        with self._counting:
+            self.evaluations += 1
+        # How far a prediction left the path does not matter.
+        return np.clip(np.nan_to_num(errors[BURN_IN:], nan=_OUTLIER), -_OUTLIER, _OUTLIER)
+
+    def solve(self, start: Array, missed: float) -> Level:
+        """Least squares under one assumption; the gains follow the solution."""
+        vector, free = start, self._free
+        origin, low, high = (bound[free] for bound in (self._unknowns.start, self._unknowns.low, self._unknowns.high))
+        for _ in range(_ROUNDS):
+            self.take_gains(vector, missed)
+            found = least_squares(
+                lambda z: np.concatenate([self.residuals(self._whole(z)), (z - origin) / PRIOR]),
+                np.clip(vector[free], low + 1e-6, high - 1e-6),
+                jac=lambda z: np.concatenate([self.jacobian(z), np.eye(len(z)) / PRIOR]),
+                bounds=(low, high),
+                x_scale=0.3,
+                ftol=1e-3,
+                xtol=1e-3,
+                max_nfev=8,
+            )
+            moved = float(np.abs(found.x - vector[free]).max())
+            vector = self._whole(found.x)
+            if moved < _SETTLED:
+                break
+        residuals = found.fun[: -len(free)]
+        surprise = float(residuals @ residuals - 2.0 * np.log(self.gains[BURN_IN:, 3]).sum())
+        return Level(vector, found.jac[: -len(free)], residuals, missed, surprise)
+
+    def jacobian(self, free: Array) -> Array:
+        """Derivatives (n − burn-in, free) of the residuals by the free logarithms, by differences."""
+        vectors = [self._whole(free + step) for step in (np.zeros(len(free)), *self._steps)]
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
+            here, *moved = threads.map(self.residuals, vectors)
+        return np.stack([(there - here) / _STEP for there in moved], axis=1)
+
+    def _whole(self, free: Array) -> Array:
+        vector = self._unknowns.start.copy()
+        vector[self._free] = free
+        return vector
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Solution of the search, in the order of the unknowns' vector.
+
+    Attributes:
+        vector: (9,) logarithms.
+        covariance: (free, free) of the free logarithms by the spread of the prediction errors, block by block.
+        pulls: (1 or 2, free) moves of the solution to this assumption, and to the next one if that failed.
+        missed: that assumption, m/s.
+        rms_error: prediction errors in their standard deviations; about 1 if the model explains the record.
+        rms_error_m: prediction errors in m.
+        evaluations: predictions of the whole record.
+    """
+
+    vector: Array
+    covariance: Array
+    pulls: Array
+    missed: float
+    rms_error: float
+    rms_error_m: float
+    evaluations: int
+
+
+def fit(
+    recording: Recording,
+    path: CurrentPath,
+    unknowns: Unknowns,
+    resolution: float,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Fit:
+    """Find the unknowns.
+
+    Args:
+        recording, path: the record, and its current between the samples.
+        unknowns: first start, and bounds.
+        resolution: of the platform's encoder, m.
+        progress: called with the fraction that is done.
+
+    Raises:
+        IdentificationError: the prediction loses the path under every assumption.
+    """
+    search = Search(recording, path, unknowns, resolution)
+    begins = [unknowns.start]
+    if (slid := sliding_start(recording, unknowns)) is not None:
+        begins.append(slid)
+    solutions = sorted((search.solve(begin, MISSED[0]) for begin in begins), key=lambda level: level.surprise)
+    last, neighbours = _followed(search, solutions[0], unknowns.start, progress)
+    if last.missed > MISSED[-1] and len(solutions) > 1:
+        other, neighbours_there = _followed(search, solutions[1], unknowns.start, progress)
+        if other.missed < last.missed:
+            last, neighbours = other, neighbours_there
+    progress(1.0)
+    if last.rms > _LOST:
+        raise IdentificationError(
+            f"the model does not explain the record: prediction errors are {last.rms:.1f} times what they should be; "
+            "record with more excitation, or start nearer to the machine (--params-file, --set); check encoder "
+            "resolution, bias current and pole area there"
+        )
+    free = list(unknowns.free)
+    search.take_gains(last.vector, last.missed)
+    errors = search.residuals(last.vector) / search.gains[BURN_IN:, 3]
+    block = max(1, round(BLOCK / (recording.period_ns * 1e-9)))
+    return Fit(
+        vector=last.vector,
+        covariance=block_covariance(last.jacobian, last.residuals, block, float(PRIOR)),
+        pulls=np.array([(last.vector - other)[free] for other in neighbours]),
+        missed=last.missed,
+        rms_error=last.rms,
+        rms_error_m=float(np.sqrt(np.mean(errors**2))),
+        evaluations=search.evaluations,
+    )
+
+
+def _followed(
+    search: Search, first: Level, described: Array, progress: Callable[[float], None]
+) -> tuple[Level, list[Array]]:
+    """The solution with the least process noise that holds, from ``first`` on; and its neighbours: the solution that
+    its search began with (for ``first`` the description's), and the next one if that failed."""
+    last, begin = first, first.vector
+    neighbours = [described]
+    for number, missed in enumerate(MISSED[1:], 1):
+        progress(number / len(MISSED))
+        level = search.solve(begin, missed)
+        if level.rms <= max(EXPLAINED, last.rms):
+            last, neighbours = level, [begin]
+        elif len(neighbours) == 1:
+            neighbours.append(level.vector)
+        # One that hardly failed may be nearer to the next one than the last that held.
+        begin = level.vector if level.rms < _LOST else last.vector
+    return last, neighbours

@@ -1,0 +1,163 @@
+"""Commission a stage: from a rough description to gains that are designed, measured and verified.
+
+The steps follow each other; each is done once, and a later call goes on where the last one ended. A machine that is
+not as described ends it with a sentence, the amplifier off and exit code 1. Without --graph the machine is the
+simulated stage, in simulated time. --set driver.simulated.truth.… says how a simulated machine differs from its
+description, --set stage.uncertainty.… how well it is known.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.cli.options import add_force, check_range, named_files, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, styled, working
+from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
+from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.parameter_sets import CommissioningNodeParameters
+from straightcomp_ros.straightness.survey import Survey, read_survey
+from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
+from straightcomp_ros.tuning.commissioning import STEP_NAMES
+from straightcomp_ros.tuning.commissioning.step_files import MADE
+from straightcomp_ros.tuning.verbs.graph_option import (
+    RUNNING,
+    add_graph_option,
+    graph_access,
+    refuse_parameters_of_running,
+)
+
+SUMMARY = "measure, tune and verify a stage, step by step"
+_LARGEST = 100_000
+_MOST_STROKES = 1000
+_ACCEPTANCE = "acceptance"
+_DEFAULTS = CommissioningNodeParameters()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="STAGE", nargs="?", help="stage file; not with --graph running")
+    add_setting_option(parser)
+    add_graph_option(parser)
+    add = parser.add_argument
+    add("--output", "-o", metavar="DIR", required=True, help="folder of the record, the bags and the results")
+    add(
+        "--only",
+        choices=STEP_NAMES,
+        metavar="STEP",
+        help=f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}",
+    )
+    add(
+        "--evaluations",
+        type=int,
+        default=_DEFAULTS.evaluations,
+        metavar="N",
+        help="candidates of the design (default: %(default)s)",
+    )
+    add(
+        "--machines",
+        type=int,
+        default=_DEFAULTS.machines,
+        metavar="N",
+        help="uncertain machines of its check (default: %(default)s)",
+    )
+    add(
+        "--learn",
+        type=int,
+        default=0,
+        metavar="N",
+        help="before the acceptance let the controller learn from N strokes, and keep what it learned (default: none)",
+    )
+    add(
+        "--check-survey",
+        metavar="FILE",
+        help="independent measurement of the guide at some places, at least twice: acceptance checks the map by it",
+    )
+    add_force(parser)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> None:
+    for name in ("evaluations", "machines"):
+        check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
+    check_range("--learn", options.learn, 0, _MOST_STROKES)
+    if (options.graph == RUNNING) == bool(options.file):
+        raise CommandFailed(
+            f"STAGE: not with --graph {RUNNING}, whose nodes have a description; needed otherwise", exit_code=2
+        )
+    refuse_parameters_of_running(options, "--set")
+    values = stage_values(options) if options.file else {}
+    # Wide meshes will do, for a check.
+    check = (
+        read_survey(options.check_survey, min_points=LEAST_POINTS, max_gap=WIDEST_GAP) if options.check_survey else None
+    )
+    # Nodes that run may have been started in another folder.
+    folder = output_folder("--output", options.output).resolve()
+    # A record that is there is taken up again.
+    with making(folder, MADE, reads=named_files(options, "--output"), force=options.force, anew=False):
+        if options.graph:
+            with graph_access(options, values, folder) as (machine, found, tell):
+                _commission(options, folder, check, machine, found, tell)
+            return
+        # Only here: the steps import all of the design.
+        from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
+
+        _commission(options, folder, check, SimulatedMachine(values), values, lambda doing: None)
+
+
+def _refuse_to_ignore(options: argparse.Namespace, acceptance: Any, check: Survey | None) -> None:
+    """Raise CommandFailed with exit code 2 if acceptance has passed without what is asked of it now.
+
+    A command that goes on after an interrupt has asked for the same before.
+    """
+    if acceptance is None or not acceptance.passed:
+        return
+    option = ""
+    if check is not None and acceptance.figures.get("survey_check") != check.source:
+        option = "--check-survey"
+    elif options.learn and not acceptance.gains:
+        option = "--learn"
+    if option:
+        remedy = f"--only {_ACCEPTANCE} repeats it"
+        raise CommandFailed(f"{option}: step '{_ACCEPTANCE}' has passed without it; {remedy}", exit_code=2)
+
+
+def _commission(
+    options: argparse.Namespace,
+    folder: Path,
+    check: Survey | None,
+    machine: Any,
+    values: Any,
+    tell: Callable[[str], None],
+) -> None:
+    from straightcomp_ros.tuning.commissioning.procedure import Procedure
+
+    procedure = Procedure(
+        machine,
+        values,
+        folder,
+        evaluations=options.evaluations,
+        machines=options.machines,
+        learning_strokes=options.learn,
+        check_survey=check,
+    )
+    if not options.only:
+        _refuse_to_ignore(options, procedure.outcomes.get(_ACCEPTANCE), check)
+    done: dict[str, Any] = {}
+    failed = ""
+    for step in [options.only] if options.only else procedure.remaining():
+        tell(step)
+        with working(step) as advance:
+            outcome = procedure.run(step, advance)
+        done[step] = {"passed": outcome.passed, "sentence": outcome.sentence, "figures": outcome.figures}
+        if not options.json:
+            state = ("  ok", "green") if outcome.passed else ("fail", "red")
+            console.print(styled(state, f"  {step}: {outcome.sentence}"))
+        if not outcome.passed:
+            failed = step
+            break
+    if options.json:
+        print_json({"output": str(folder), "failed": failed or None, "remaining": procedure.remaining(), "steps": done})
+    elif not done:
+        console.print("all steps have been done; --only STEP repeats one", highlight=False)
+    if failed:
+        raise CommandFailed(f"step '{failed}' did not pass; the amplifier is off")

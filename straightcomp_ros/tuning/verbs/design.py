@@ -1,0 +1,167 @@
+"""Design the gains of a law for a stage: the least error that the stage's uncertainty allows, with what limits it.
+
+Takes up to two minutes on two cores. Where no gains have margins, it says what would have to change; exit code 1."""
+
+import argparse
+import re
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.cli.law_tables import titled_table
+from straightcomp_ros.cli.options import add_force, check_range, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
+from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
+from straightcomp_ros.control.laws import LAWS
+from straightcomp_ros.offline.sweep.many_trials import PERCENTILES
+from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.offline.sweep.starts import Spread
+from straightcomp_ros.parameters.commented_file import as_yaml
+from straightcomp_ros.parameters.parameter_file import ALL_NODES
+from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.yaml_text import load_yaml
+from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
+
+SUMMARY = "design the gains of a law for a stage"
+_BEGIN, _END = "# Gains by `straightcomp design`:", "# End of the designed gains."
+_OURS = re.compile(rf"^{re.escape(_BEGIN)}.*?^{re.escape(_END)}\n\n?", re.MULTILINE | re.DOTALL)
+_LARGEST = 100_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_stage_argument(parser)
+    add = parser.add_argument
+    add("--output", "-o", metavar="FILE", help="write the stage file with the gains; may be STAGE itself")
+    add("--law", choices=LAWS, default="smc_observer", help="law to design (default: %(default)s)")
+    quiet = "0 for the least error, 1 for the quietest coils (default: %(default)s)"
+    add("--quiet", type=float, default=SHIPPED_QUIET, metavar="Q", help=quiet)
+    add("--machines", type=int, default=200, metavar="N", help="uncertain machines of the check (default: %(default)s)")
+    add("--evaluations", type=int, default=400, metavar="N", help="candidates of a search (default: %(default)s)")
+    add("--seed", type=int, default=1, metavar="N", help="of all that is drawn (default: 1)")
+    add_force(parser)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> int:
+    check_range("--quiet", options.quiet, 0.0, 1.0)
+    for name in ("machines", "evaluations"):
+        check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
+    check_range("--seed", options.seed, 0, 2**31)
+    source = Path(options.file)
+    values = stage_values(options)
+    output = output_file(options, "--output", updates=options.file)
+    if output is not None:
+        _writable(source, output)
+    scenario, began = make_scenario(values, [options.law]), time.monotonic()
+    with progress_bar() as bar:
+        task = bar.add_task("design", total=1.0)
+        design = design_gains(
+            scenario,
+            options.law,
+            quiet=options.quiet,
+            evaluations=options.evaluations,
+            machines=options.machines,
+            seed=options.seed,
+            progress=lambda part, fraction: bar.update(task, description=part, completed=fraction),
+        )
+    if output is not None:
+        write_whole(output, _with_gains(source.read_text(encoding="utf-8"), design))
+    if options.json:
+        name = scenario.description.name
+        print_json({"stage": name, **_in_json(design), "seconds": time.monotonic() - began, "output": options.output})
+    else:
+        _print(design, scenario.description.name)
+        if output is None:
+            console.print("Nothing is written: -o FILE writes the stage file with these gains.", highlight=False)
+    return 0 if design.verification.holds else 1
+
+
+def _writable(source: Path, output: Path) -> None:
+    """Refuse to write what would lose something, before two minutes of work."""
+    if output.resolve().parent != source.resolve().parent:
+        raise CommandFailed(
+            f"--output {output}: is in another folder than {source}, beside which the survey lies; name a file there",
+            exit_code=2,
+        )
+    rest = load_yaml(_OURS.sub("", source.read_text(encoding="utf-8"))) or {}
+    for key in rest:
+        if str(key).rsplit("/", 1)[-1] == "controller":
+            raise CommandFailed(
+                f"{source}: has a section '{key}' of its own, to which the gains would be added; "
+                "move its parameters to a file for --params-file",
+                exit_code=2,
+            )
+
+
+def _with_gains(text: str, design: Design) -> str:
+    """The stage file with a section of gains at its beginning, in the place of an earlier one."""
+    figures = design.figures
+    lines = [
+        f"{_BEGIN} law {design.law}, --quiet {design.quiet:g};",
+        f"# {figures.pp.median * 1e6:.3f} µm p-p at {figures.work.median * 1e3:.2f} mA from sample to sample.",
+        f"{ALL_NODES}/controller:",
+        "  ros__parameters:",
+        f"    control.law: {as_yaml(design.law)}",
+        *(f"    {name}: {as_yaml(float(f'{value:.6g}'))}" for name, value in design.values.items()),
+        _END,
+    ]
+    return "\n".join(lines) + "\n\n" + _OURS.sub("", text)
+
+
+def _in_json(design: Design) -> dict[str, Any]:
+    sweep = design.verification.summary
+    return {
+        "law": design.law,
+        "quiet": design.quiet,
+        "values": dict(design.values),
+        "predicted": _figures(design.figures),
+        "closed_form": {"values": dict(design.start_values), **_figures(design.start_figures)},
+        "uncertain_machines": sweep.to_display(),
+        "budget": [{"cause": one.cause, "pp_um": one.pp * 1e6, "rms_um": one.rms * 1e6} for one in design.budget],
+        "limits": {state: one._asdict() for state, one in design.limits.items()},
+        "rounds": design.rounds,
+    }
+
+
+def _figures(figures: DesignFigures) -> dict[str, Any]:
+    def shown(spread: Spread, unit: float) -> Mapping[str, float]:
+        return spread.scaled(unit)._asdict()
+
+    return {
+        "true_pp_um": shown(figures.pp, 1e6),
+        "true_rms_um": shown(figures.rms, 1e6),
+        "control_rms_step_mA": shown(figures.work, 1e3),
+        "resting_rms_step_mA": shown(figures.rest_work, 1e3),
+    }
+
+
+def _print(design: Design, name: str) -> None:
+    gains = titled_table(f"Law '{design.law}' for stage '{name}'", "parameter", "closed form", "designed")
+    for key, value in design.values.items():
+        gains.add_row(key, f"{design.start_values[key]:.4g}", f"{value:.4g}")
+    console.print(gains)
+    told = titled_table("What it promises", "figure", "closed form", "designed", "unit", left=("unit",))
+    for words, key, unit, digits in (
+        ("true error p-p", "true_pp_um", "µm", 3),
+        ("true error RMS", "true_rms_um", "µm", 4),
+        ("step of the current", "control_rms_step_mA", "mA", 2),
+        ("the same at rest", "resting_rms_step_mA", "mA", 2),
+    ):
+        start, found = (Spread(**_figures(one)[key]) for one in (design.start_figures, design.figures))
+        told.add_row(words, start.text(digits), found.text(digits), unit)
+    console.print(told)
+    budget = titled_table("What limits it, one cause changed at a time", "cause", "p-p [µm]", "RMS [µm]")
+    for entry in design.budget:
+        budget.add_row(entry.cause, f"{entry.pp * 1e6:.3f}", f"{entry.rms * 1e6:.4f}")
+    console.print(budget)
+    for state, limit in design.limits.items():
+        console.print(
+            f"{state}: stable for gains × {limit.gain_low:.2f} to {limit.gain_high:.2f}, of the amplifier "
+            f"× {limit.amplifier_low:.2f} to {limit.amplifier_high:.2f}, masses × {limit.mass_low:.2f} to "
+            f"{limit.mass_high:.2f}, delays up to {limit.longest_delay:.2f} samples; phase {limit.phase:.0f}°",
+            highlight=False,
+        )
+    sweep = design.verification.summary
+    shown = ", ".join(f"{key} {sweep.pp[key] * 1e6:.2f}" for key in PERCENTILES)
+    console.print(f"{sweep.trials} uncertain machines, p-p in µm: {shown}; {sweep.verdict}", highlight=False)

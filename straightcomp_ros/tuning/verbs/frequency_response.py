@@ -1,0 +1,180 @@
+"""Measure the frequency responses of plant and loop: a multisine is added to the commands, at rest or in motion.
+
+Without --graph the machine is the simulated stage, in simulated time.
+
+Prints the margins as measured, beside those of the description in closed form, and says whether the description
+explains the plant: within 1 dB and 5°, or within the measurement's confidence, wherever the coherence is above 0.9. If
+it does not, the exit code is 1. The margins are those of the frequencies with a coherence above 0.9.
+"""
+
+import argparse
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from straightcomp_ros.cli.law_tables import titled_table
+from straightcomp_ros.cli.options import PICTURES, add_force, output_file, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.control.excitation_parameters import MultisineParameters
+from straightcomp_ros.parameters.declaration import Declaration, declarations, from_mapping
+from straightcomp_ros.parameters.node_parameters import Values, node_parameters
+from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.tuning.frequency_response.response_margins import ResponseMargins, response_margins
+from straightcomp_ros.tuning.frequency_response.simulated_measurement import (
+    WITHIN_DB,
+    WITHIN_DEG,
+    ComparedResponse,
+    measure_simulated,
+)
+from straightcomp_ros.tuning.verbs.graph_option import add_graph_option, graph_access, refuse_parameters_of_running
+
+SUMMARY = "measure plant, open loop, sensitivity and margins"
+_WORDS = {
+    "gain_low": "least gain",
+    "gain_high": "most gain",
+    "phase_deg": "phase margin [°]",
+    "crossover_Hz": "gain crossover [Hz]",
+    "delay_us": "delay margin [µs]",
+    "sensitivity_peak": "peak of |S|",
+    "sensitivity_peak_Hz": "at [Hz]",
+}
+
+
+def _excitation() -> list[Declaration]:
+    return list(declarations(MultisineParameters))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_parameter_options(parser)
+    add = parser.add_argument
+    for one in _excitation():
+        unit = f" {one.unit}" if one.unit else ""
+        text = f"{one.description} (default: {one.default:g}{unit})"
+        add(f"--{one.name}", type=one.kind, default=one.default, metavar=one.unit or "N", help=text)
+    add_graph_option(parser)
+    add("--moving", action="store_true", help="measure while the stage makes strokes, not at rest")
+    add("--output", "-o", metavar="FILE", help="save Bode and Nyquist plots (PNG, SVG or PDF)")
+    add_force(parser)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> None:
+    refuse_parameters_of_running(options, "--stage", "--law", "--params-file", "--set")
+    values = chosen_parameters(options)
+    plot = output_file(options, "--output", PICTURES)
+    excitation = from_mapping(MultisineParameters, {one.name: getattr(options, one.name) for one in _excitation()})
+    with working("measuring") as advance:
+        if options.graph is None:
+            found = measure_simulated(values, excitation, moving=options.moving, progress=advance)
+        else:
+            found, values = _measure_running(options, values, excitation)
+    name = node_parameters("controller", values).stage.name
+    if plot is not None:
+        # Only here: matplotlib takes longer to import than the measurement.
+        from straightcomp_ros.tuning.frequency_response.response_plot import plot_response
+
+        plot_response(found, plot, f"Stage '{name}' under law '{found.law}'")
+    if options.json:
+        print_json({"stage": name, "moving": options.moving, **_figures(found)})
+    else:
+        _print(found, name)
+    if not found.explained:
+        raise CommandFailed(_verdict(found))
+
+
+def _measure_running(
+    options: argparse.Namespace, values: Values, excitation: MultisineParameters
+) -> tuple[ComparedResponse, Values]:
+    """The response of a graph's loop, and its parameters.
+
+    The bag is kept beside the plot, if there is one, in a folder of its own: others there may have bags and parameters.
+    """
+    with ExitStack() as stack:
+        if options.output:
+            plot = Path(options.output)
+            folder = output_folder("--output", str(plot.with_name(f"{plot.stem}_graph"))).resolve()
+            names = ("bags", "logs", "parameters.yaml")
+            folder = stack.enter_context(making(folder, names, force=options.force))
+        else:
+            folder = Path(stack.enter_context(TemporaryDirectory()))
+        access = stack.enter_context(graph_access(options, values, folder))
+        access.tell("frequency response")
+        return access.machine.response(access.values, excitation, moving=options.moving), access.values
+
+
+def _margins(found: ComparedResponse) -> tuple[ResponseMargins, ResponseMargins]:
+    measured, lines = found.measured, found.measured.coherent
+    frequencies = measured.frequencies[lines]
+    return (
+        response_margins(frequencies, measured.response.open_loop[lines]),
+        response_margins(frequencies, found.model.open_loop[lines]),
+    )
+
+
+def _figures(found: ComparedResponse) -> dict[str, Any]:
+    measured, (gain, phase) = found.measured, found.deviations
+    of_measured, of_model = _margins(found)
+    return {
+        "law": found.law,
+        "duration_s": found.duration,
+        "clipped_samples": found.clipped,
+        "late_share": found.late_share,
+        "speed_rms_mm_s": measured.speed * 1e3,
+        "friction_damping_Ns_m": found.damping,
+        "margins": of_measured.to_display(),
+        "model_margins": of_model.to_display(),
+        "model_explains_the_plant": found.explained,
+        "frequency_Hz": measured.frequencies.tolist(),
+        "coherence": measured.coherence.tolist(),
+        "plant": _curve(measured.response.plant, measured.plant_radius),
+        "open_loop": _curve(measured.response.open_loop, measured.open_loop_radius),
+        "sensitivity": _curve(measured.response.sensitivity, measured.sensitivity_radius),
+        "model_plant": _curve(found.model.plant),
+        "model_open_loop": _curve(found.model.open_loop),
+        "model_sensitivity": _curve(found.model.sensitivity),
+        "deviation_dB": gain.tolist(),
+        "deviation_deg": phase.tolist(),
+    }
+
+
+def _curve(values: Any, radius: Any = None) -> dict[str, list[float]]:
+    curve = {"real": values.real.tolist(), "imag": values.imag.tolist()}
+    return curve if radius is None else {**curve, "radius_95": radius.tolist()}
+
+
+def _print(found: ComparedResponse, name: str) -> None:
+    table = titled_table(f"Loop of stage '{name}' under law '{found.law}'", "margin", "measured", "description")
+    of_measured, of_model = (margins.to_display() for margins in _margins(found))
+    for key, words in _WORDS.items():
+        table.add_row(words, *(_number(margins[key]) for margins in (of_measured, of_model)))
+    console.print(table)
+    if found.explained:
+        console.print(_verdict(found), style="green", highlight=False)
+    measured = found.measured
+    if found.lateness:
+        notes.print(found.lateness, highlight=False)
+    if found.clipped:
+        notes.print(f"The current limit cut {found.clipped} samples of the excitation: take less current")
+    notes.print(
+        f"Friction is taken as the damping that it equals at {measured.speed * 1e3:.2f} mm/s RMS: "
+        f"{found.damping:.0f} N·s/m"
+    )
+
+
+def _verdict(found: ComparedResponse) -> str:
+    """Whether the description explains the plant, in a sentence."""
+    coherent = found.measured.coherent
+    if not coherent.any():
+        return "no frequency has a coherence above 0.9: take more current"
+    gain, phase = (abs(values[coherent]).max() for values in found.deviations)
+    return (
+        f"the description {'explains' if found.explained else 'does not explain'} the plant: largest deviation "
+        f"{gain:.2f} dB and {phase:.1f}° at {coherent.sum()} of {coherent.size} frequencies with a coherence above 0.9 "
+        f"(allowed: {WITHIN_DB:g} dB, {WITHIN_DEG:g}°, or what is within the measurement's confidence)"
+    )
+
+
+def _number(value: float | None) -> str:
+    return "beyond the lines" if value is None else f"{value:.3g}"

@@ -1,0 +1,141 @@
+"""Estimate friction, mass and stiffness of the plant from a bag, with 95 % confidence intervals.
+
+Uses the streams `encoder` and `command` only, never `truth`. Position and current determine all forces only up to a
+common factor: mass or coil turns must be known (--known), and are taken from the parameters. A stroke along a good
+guide says little about mass and viscous friction; --excitation writes a map whose reference excites them:
+
+  straightcomp friction --excitation excitation.csv
+  straightcomp simulate --set stage.guide.file=excitation.csv --bag BAG     (or run it on the machine)
+  straightcomp friction BAG -o plant.yaml
+  straightcomp simulate --stage plant.yaml
+"""
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.cli.law_tables import titled_table
+from straightcomp_ros.cli.options import add_force, add_repeatable, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.straightness.survey import write_survey
+from straightcomp_ros.tuning.identification.estimate import (
+    UNITS,
+    Estimate,
+    Estimated,
+    estimate_from_bag,
+    parameter_file,
+)
+from straightcomp_ros.tuning.identification.excitation import excitation_survey
+from straightcomp_ros.tuning.identification.untold import untold
+
+SUMMARY = "estimate the plant's friction, mass and stiffness from a bag"
+_DEFAULT_KNOWN = "actuator.turns"
+_EXCITATION_COMMENTS = (
+    "Made up, not measured: a map for stage.guide.file that excites friction, mass and stiffness.",
+    "Written by straightcomp friction --excitation. The platform moves up to 57 um to each side.",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bag", nargs="?", metavar="BAG", help="rosbag2 folder or MCAP file")
+    add_parameter_options(parser)
+    known = f"hold this parameter at its value, e.g. platform.mass (default: {_DEFAULT_KNOWN})"
+    add_repeatable(parser, "--known", "NAME", known)
+    parser.add_argument("--output", "-o", metavar="FILE", help="write the parameters as a stage file")
+    parser.add_argument("--excitation", metavar="FILE", help="write a map (CSV) that excites all parameters, and stop")
+    add_force(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Estimate and print, or write the map for the excitation."""
+    if (options.bag is None) == (options.excitation is None):
+        raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
+    values = chosen_parameters(options)
+    if options.excitation is not None:
+        stroke = node_parameters("cell", values).stage.motion.stroke
+        write_survey(output_file(options, "--excitation"), excitation_survey(stroke), _EXCITATION_COMMENTS)
+        return
+    output = output_file(options, "--output")
+    start = node_parameters("driver", values).stage
+    with working("estimating") as advance:
+        estimate = estimate_from_bag(Path(options.bag), start, options.known or [_DEFAULT_KNOWN], advance)
+    if output is not None:
+        write_whole(output, parameter_file(estimate))
+    if options.json:
+        print_json(_figures(estimate))
+    else:
+        _print(estimate)
+
+
+def _figures(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "samples": len(estimate.recording.y),
+        "samples_in_bag": estimate.recording.total,
+        "duration_s": estimate.recording.duration,
+        "prediction_error_um": estimate.fit.rms_error_m * 1e6,
+        "prediction_error_ratio": estimate.fit.rms_error,
+        "amplifier_bandwidth_Hz": estimate.path.rate / (2.0 * math.pi) if estimate.path.rate_found else None,
+        "amplifier_bandwidth_deviation_Hz": estimate.path.rate_deviation / (2.0 * math.pi),
+        "delay_us": estimate.path.delay * 1e6,
+        "delay_spread_us": [delay * 1e6 for delay in estimate.path.delay_spread],
+        "centre_um": estimate.centre.to_display() if estimate.centre else None,
+        "parameters": {
+            name: {
+                "value": found.value,
+                "low": found.low,
+                "high": found.high,
+                "unit": UNITS[name],
+                "known": found.known,
+                "poorly_determined": found.poor,
+                "hardly_told_apart_from": list(found.with_others),
+            }
+            for name, found in estimate.parameters.items()
+        },
+        "advice": estimate.advice,
+        "untold": untold(estimate),
+    }
+
+
+def _print(estimate: Estimate) -> None:
+    headings = ("parameter", "value", "95 % from", "to", "unit", "remark")
+    table = titled_table("Plant parameters", *headings, left=("unit", "remark"))
+    for column in table.columns[:-1]:
+        column.no_wrap = True
+    for name, found in estimate.parameters.items():
+        bounds = ("", "") if found.known else (f"{found.low:.4g}", f"{found.high:.4g}")
+        table.add_row(name, f"{found.value:.4g}", *bounds, UNITS[name], _remark(found))
+    console.print(table)
+    path = estimate.path
+    source = "" if path.rate_found else " (from the parameters)"
+    amplifier = (
+        "the current was interpolated: command and coil current fit no first-order amplifier"
+        if math.isnan(path.delay)
+        else f"amplifier {path.rate / (2.0 * math.pi):.0f} Hz{source}, delay {path.delay * 1e6:.0f} µs "
+        f"({path.delay_spread[0] * 1e6:.0f} to {path.delay_spread[1] * 1e6:.0f} µs in 90 % of the commands)"
+    )
+    notes.print(
+        f"{len(estimate.recording.y)} of {estimate.recording.total} samples; one-step prediction error "
+        f"{estimate.fit.rms_error_m * 1e6:.3f} µm RMS; {amplifier}"
+    )
+    if estimate.centre:
+        notes.print(f"{estimate.centre}", highlight=False)
+    for sentence in untold(estimate):
+        notes.print(sentence, highlight=False)
+    for name, words in estimate.advice.items():
+        notes.print(f"{name} would need: {words}")
+    if estimate.advice:
+        notes.print("straightcomp friction --excitation FILE writes a map that does this")
+
+
+def _remark(found: Estimated) -> str:
+    if found.known:
+        return "given"
+    if not found.poor:
+        return ""
+    others = f", hardly told apart from {', '.join(found.with_others)}" if found.with_others else ""
+    return f"poorly determined by this bag{others}"

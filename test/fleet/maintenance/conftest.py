@@ -1,0 +1,54 @@
+"""Months of a stage, made by hand or from simulated strokes."""
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels
+from trials.bench.worn_stage import StrokePool, stroke_pool
+from trials.bench.worn_store import write_store
+
+DAYS, BINS = 120, 100
+LEVELS = {"friction_A": 0.007, "stiffness_A_per_m": 667.0, "amplifier_bandwidth_Hz": 500.0, "latency_p50_us": 120.0}
+TWENTY_THOUSAND = 20_454
+"""2026-01-01."""
+
+
+@pytest.fixture
+def make_levels():
+    """``make(friction_A=(n,) factors, guide=(n, m) µm, software=…)``: months that scatter by half a percent."""
+
+    def make(guide=None, software=None, days=DAYS, **factors):
+        random = np.random.default_rng(3)
+        figures = {}
+        for name in FIGURES:
+            level = 0.0 if name == "lost_samples" else LEVELS.get(name, 1.0)
+            figures[name] = level * (1.0 + 0.005 * random.standard_normal(days)) * factors.pop(name, np.ones(days))
+        assert not factors
+        x = (np.arange(BINS) + 0.5) * 0.01
+        noise = 0.005 * random.standard_normal((days, BINS))
+        profile = np.full((days, BINS), np.nan) if guide is None else guide + noise
+        return DayLevels(
+            day=TWENTY_THOUSAND + np.arange(days),
+            strokes=np.full(days, 48),
+            figures=figures,
+            x=x,
+            profiles={"guide_change_um": profile, "error_bins_um": noise},
+            software=tuple(software or ["1.1"] * days),
+            map=("a",) * days,
+            parameters=("b",) * days,
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def pool() -> StrokePool:
+    return stroke_pool(1)
+
+
+@pytest.fixture(scope="session")
+def worn(pool, tmp_path_factory):
+    """A store with some months of a stage of each wear."""
+    folder = tmp_path_factory.mktemp("worn")
+    write_store(folder, pool, days=160, begin=60)
+    return folder

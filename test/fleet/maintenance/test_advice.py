@@ -1,0 +1,137 @@
+"""From changed figures to a cause and a remedy."""
+
+from datetime import date
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.fleet.maintenance.advice import advice_of
+from straightcomp_ros.fleet.maintenance.day_levels import levels_of
+from trials.bench.known_wear import WEARS
+from trials.bench.worn_stage import BAGS_A_DAY, levels_of_months, months
+
+DAYS, BEGIN = 120, 60
+SINCE = np.maximum(np.arange(DAYS) - BEGIN, 0.0)
+STEP = (np.arange(DAYS) >= BEGIN).astype(float)
+
+
+@pytest.mark.parametrize(
+    ("figure", "factors", "cause", "words"),
+    [
+        ("friction_A", 1.0 + 0.005 * SINCE, "friction_up", "regrease"),
+        ("friction_A", 1.0 - 0.005 * SINCE, "friction_down", "greased"),
+        ("stiffness_A_per_m", 1.0 + 0.003 * SINCE, "stiffness", "encoder of y"),
+        ("amplifier_bandwidth_Hz", 1.0 - 0.005 * SINCE, "amplifier", "amplifier and its supply"),
+        ("latency_p50_us", 1.0 + 0.3 * STEP, "host", "straightcomp doctor"),
+        ("encoder_rms_um", 1.0 + 0.005 * SINCE, "unknown", "evaluate"),
+    ],
+)
+def test_each_figure_has_its_cause_and_remedy(make_levels, figure, factors, cause, words):
+    (found,) = advice_of(make_levels(**{figure: factors}))
+    assert found.cause == cause and words in found.remedy and found.due
+    assert found.since >= date(2026, 2, 20) and found.changes[0].figure == figure
+
+
+def test_a_sound_stage_gets_no_advice(make_levels):
+    assert advice_of(make_levels()) == []
+
+
+def bump(low, high):
+    middles = (np.arange(100) + 0.5) * 10.0
+    return ((middles > low) & (middles < high)).astype(float)
+
+
+def test_a_guide_that_moved_is_told_with_its_place(make_levels):
+    (found,) = advice_of(make_levels(guide=np.outer(0.005 * SINCE, bump(300, 420))))
+    assert found.cause == "guide" and found.place is not None
+    assert abs(found.place.first - 300) <= 20 and abs(found.place.last - 420) <= 20
+    assert f"x = {found.place.first} to {found.place.last} mm" in found.text and "survey" in found.remedy
+
+
+def test_a_guide_that_moved_at_once_is_a_matter_of_bolts(make_levels):
+    (found,) = advice_of(make_levels(guide=np.outer(0.5 * STEP, bump(600, 700))))
+    assert found.cause == "bolt" and "bolts" in found.remedy and found.since == date(2026, 3, 2)
+
+
+def test_a_guide_that_bows_or_a_straight_edge_put_down_anew_is_no_change(make_levels):
+    x = np.linspace(-1.0, 1.0, 100)
+    assert advice_of(make_levels(guide=np.outer(STEP, 3.0 * x + 0.5 * x * x))) == []
+
+
+def of_two_strokes_a_day(make_levels, guide, maps):
+    """Months whose days have a stroke forward, then one backward, with these profiles (2 n, m) and maps."""
+    sound = make_levels()
+    twice = {name: np.repeat(values, 2) for name, values in sound.figures.items()}
+    forward = np.tile([True, False], DAYS)
+    noise = 0.005 * np.random.default_rng(4).standard_normal(guide.shape)
+    profiles = {"guide_change_um": guide + noise, "error_bins_um": np.zeros(guide.shape)}
+    constant = ["1"] * len(maps)
+    return levels_of(np.repeat(sound.day, 2), forward, twice, sound.x, profiles, [constant, maps, constant])
+
+
+def test_strokes_with_another_map_are_no_part_of_the_guide_s_history(make_levels):
+    # From the second stroke of that day on.
+    renewed = 2 * BEGIN + 1
+    guide = np.outer(0.5 * (np.arange(2 * DAYS) >= renewed), bump(600, 700))
+    maps = [*["a"] * renewed, *["c"] * (2 * DAYS - renewed)]
+    levels = of_two_strokes_a_day(make_levels, guide, maps)
+    profiles = levels.profiles["guide_change_um"]
+    assert not np.isfinite(profiles[:BEGIN]).any() and np.isfinite(profiles[BEGIN:]).all()
+    assert profiles[BEGIN].max() == pytest.approx(0.5, abs=0.05), "a mean of both maps"
+    assert advice_of(levels) == []
+
+
+def test_a_stroke_without_map_and_sensor_leaves_the_guide_s_history_as_it_is(make_levels):
+    guide = np.outer(0.5 * np.repeat(STEP, 2), bump(600, 700))
+    guide[-3] = np.nan
+    maps = ["a"] * (2 * DAYS)
+    maps[-3] = ""
+    (found,) = advice_of(of_two_strokes_a_day(make_levels, guide, maps))
+    assert found.cause == "bolt"
+
+
+def test_what_changed_with_an_update_names_it(make_levels):
+    software = [*["1.1"] * BEGIN, *["1.2"] * (DAYS - BEGIN)]
+    (found,) = advice_of(make_levels(latency_p50_us=1.0 + 0.3 * STEP, software=software))
+    assert "software changed from 1.1 to 1.2 on 2026-03-02" in found.text and "compare" in found.remedy
+
+
+def test_what_follows_from_a_cause_is_no_matter_of_its_own(make_levels):
+    more = 1.0 + 0.005 * SINCE
+    levels = make_levels(friction_A=more, coil_work_A2s=more**2, encoder_rms_um=more, stiffness_A_per_m=more**0.3)
+    (found,) = advice_of(levels)
+    assert found.cause == "friction_up" and len(found.changes) == 4
+
+
+def test_two_causes_are_two_matters(make_levels):
+    levels = make_levels(friction_A=1.0 + 0.005 * SINCE, latency_p50_us=1.0 + 0.3 * STEP)
+    assert {one.cause for one in advice_of(levels)} == {"friction_up", "host"}
+
+
+def test_advice_lapses_when_the_figure_is_back(make_levels):
+    (found,) = advice_of(make_levels(friction_A=1.0 + 0.3 * STEP * (np.arange(DAYS) < 90)))
+    assert not found.due
+
+
+def test_what_went_back_does_not_hide_what_lasts(make_levels):
+    """Lost samples of a week long ago are no explanation of a latency of today."""
+    days = np.arange(DAYS)
+    levels = make_levels(latency_p50_us=1.0 + 0.3 * (days >= 80), encoder_rms_um=1.0 + 0.3 * (days >= 100))
+    levels.figures["lost_samples"][40:50] = 500.0
+    due, lapsed = advice_of(levels)
+    assert due.due and due.changes[0].figure == "latency_p50_us"
+    assert [change.figure for change in due.changes[1:]] == ["encoder_rms_um"]
+    assert not lapsed.due and [change.figure for change in lapsed.changes] == ["lost_samples"]
+
+
+@pytest.mark.parametrize("wear", WEARS, ids=lambda wear: wear.name)
+def test_simulated_wear_is_found_with_its_cause(pool, wear):
+    strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4)
+    found = [one for one in advice_of(levels_of_months(strokes, pool.x)) if one.cause in wear.causes]
+    assert found and found[0].found >= date(2026, 3, 2)
+
+
+@pytest.mark.parametrize("wear", [wear for wear in WEARS if wear.name in ("guide", "bolt")], ids=lambda wear: wear.name)
+def test_without_a_displacement_sensor_nobody_sees_the_guide_move(pool, wear):
+    strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4, sensor=False)
+    assert not {"guide", "bolt"} & {one.cause for one in advice_of(levels_of_months(strokes, pool.x))}

@@ -1,0 +1,214 @@
+import inspect
+import re
+from dataclasses import dataclass, fields, is_dataclass
+from typing import get_type_hints
+
+import pytest
+import yaml
+
+from straightcomp_ros.parameters.declaration import (
+    ParameterError,
+    declarations,
+    flatten,
+    from_mapping,
+    group,
+    parameter,
+    to_mapping,
+)
+from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
+from straightcomp_ros.parameters.parameter_file import as_parameter_file, read_parameter_file
+from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+
+
+@dataclass(frozen=True)
+class Inner:
+    gain: float = parameter(2.0, "Gain", "(0, 10] N/A")
+    name: str = parameter("a", "Name", choices=("a", "b"))
+
+
+@dataclass(frozen=True)
+class Outer:
+    count: int = parameter(3, "Count", "[1, inf)")
+    on: bool = parameter(False, "On")
+    inner: Inner = group(Inner, "Coil", gain=5.0)
+
+
+def test_groups_are_addressed_with_a_dot_and_may_have_defaults_of_their_own():
+    assert [(d.name, d.default) for d in declarations(Outer)] == [
+        ("count", 3),
+        ("on", False),
+        ("inner.gain", 5.0),
+        ("inner.name", "a"),
+    ]
+    assert from_mapping(Outer, {}) == Outer()
+    assert from_mapping(Outer, {"inner.gain": 4}).inner.gain == 4.0
+
+
+def test_a_description_in_a_group_says_of_what_it_is():
+    """`ros2 param describe` shows one parameter alone."""
+    assert [d.description for d in declarations(Outer)] == ["Count", "On", "Coil: Gain", "Coil: Name"]
+
+
+def test_a_set_and_its_mapping_are_inverse():
+    values = {"count": 7, "on": True, "inner.gain": 1.5, "inner.name": "b"}
+    assert to_mapping(from_mapping(Outer, values)) == values
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"cuont": 1}, "'cuont' is unknown; did you mean 'count'"),
+        ({"count": 0}, r"'count': 0 is too small; allowed: >= 1"),
+        ({"count": 1.5}, r"'count': 1\.5 is not an integer"),
+        ({"count": True}, "'count': True is not an integer"),
+        ({"on": 1}, "'on': 1 is not a truth value"),
+        ({"inner.gain": 0.0}, r"'inner.gain': 0\.0 N/A is too small; allowed: > 0 and <= 10 N/A"),
+        ({"inner.gain": 11}, r"'inner.gain': 11\.0 N/A is too large"),
+        ({"inner.gain": float("nan")}, "not finite"),
+        ({"inner.gain": "1e-3"}, "'1e-3' N/A is not a number"),
+        ({"inner.name": "c"}, "'c' is not known; allowed: one of a, b"),
+    ],
+)
+def test_a_refused_parameter_is_named_with_its_value_and_what_is_allowed(values, words):
+    with pytest.raises(ParameterError, match=words):
+        from_mapping(Outer, values)
+
+
+def test_nested_yaml_and_dotted_names_are_the_same():
+    assert flatten({"inner": {"gain": 1.0}, "count": 2}) == {"inner.gain": 1.0, "count": 2}
+
+
+@pytest.mark.parametrize("node", NODE_PARAMETERS)
+def test_every_default_is_allowed_and_every_parameter_is_described(node):
+    for declaration in declarations(NODE_PARAMETERS[node]):
+        assert declaration.check(declaration.default) == declaration.default
+        assert declaration.description
+    descriptions = [declaration.description for declaration in declarations(NODE_PARAMETERS[node])]
+    assert len(descriptions) == len(set(descriptions))
+
+
+def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script_writes():
+    path = share_path("config/straightcomp.yaml")
+    values = read_parameter_file(path)
+    for node, parameter_set in NODE_PARAMETERS.items():
+        node_parameters(node, values)
+        own = [one.name for one in declarations(parameter_set) if not one.name.startswith("stage.")]
+        assert list(values[node]) == own
+    described = read_parameter_file(path.parent / "stage_synthetic.yaml")["stage"]
+    assert list(described) == [declaration.name for declaration in declarations(StageParameters)]
+    source = (path.parent.parent / "scripts" / "make_parameter_file.py").read_text()
+    made: dict = {"__name__": "made", "__file__": str(path.parent.parent / "scripts" / "x.py")}
+    exec(compile(source, "make_parameter_file.py", "exec"), made)
+    assert path.read_text() == made["parameter_file"]()
+    assert (path.parent / "stage_synthetic.yaml").read_text() == made["stage_file"]()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("drivr: {ros__parameters: {}}", "node 'drivr' is unknown"),
+        ("driver: {}", "has no 'ros__parameters:'"),
+        ("- 1", "NODE: ros__parameters:"),
+        ("a: [", "no YAML"),
+    ],
+)
+def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=words) as refusal:
+        read_parameter_file(path)
+    assert str(path) in str(refusal.value)
+
+
+def test_a_missing_parameter_file_is_refused_with_its_name(tmp_path):
+    with pytest.raises(ParameterError, match=r"none\.yaml"):
+        read_parameter_file(tmp_path / "none.yaml")
+
+
+def test_a_parameter_file_with_namespaces_is_read_by_node(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"initial_y": 1e-6}}}}))
+    assert read_parameter_file(path)["driver"] == {"simulated.initial_y": 1e-6}
+
+
+CAN = {"hardware": "can"}
+ENCRYPTED = {"opcua.security": "encrypted", "opcua.users": "users", "opcua.certificates": "folder"}
+TOGETHER = [
+    ("driver", {**CAN, "lockstep": True}, "lockstep", {"hardware"}),
+    ("driver", {**CAN, "stage.actuator.current_limit": 50.0}, "stage.actuator.current_limit", set()),
+    ("driver", {"can.log": "frames.txt"}, "can.log", set()),
+    ("driver", {"can.options": "bitrate"}, "can.options", set()),
+    ("driver", {"stage.platform.stop": 2e-3}, "stage.platform.stop", {"stage.actuator.air_gap"}),
+    (
+        "driver",
+        {"stage.friction.static": 0.1},
+        "stage.friction.static",
+        {"stage.friction.coulomb"},
+    ),
+    ("cell", {"stage.motion.speed": 1.5}, "stage.motion.highest_speed", {"stage.motion.speed"}),
+    (
+        "controller",
+        {"control.law": "smc", "control.smc.rho": 0.2},
+        "control.smc.rho",
+        {"control.smc.enforce_reaching"},
+    ),
+    ("opcua", {"opcua.security": "none", "opcua.host": "0.0.0.0"}, "opcua.security", {"opcua.host"}),
+    ("opcua", {**ENCRYPTED, "opcua.users": ""}, "opcua.users", set()),
+    ("opcua", {"opcua.trusted": "folder"}, "opcua.trusted", {"opcua.security"}),
+    ("uncertainty", {"longest_delay": 0.1, "shortest_delay": 0.2}, "longest_delay", {"shortest_delay"}),
+]
+"""Values that are refused beside others: node, values, the name that the message begins with, others that it names."""
+SETS = {**NODE_PARAMETERS, "uncertainty": UncertaintyParameters}
+
+
+@pytest.mark.parametrize(("node", "values", "name", "others"), TOGETHER)
+def test_what_is_refused_beside_other_parameters_is_named_as_it_is_set(node, values, name, others):
+    with pytest.raises(ParameterError) as refused:
+        from_mapping(SETS[node], values)
+    message = str(refused.value)
+    assert (message.startswith(f"parameter '{name}': ") and "allowed" in message) or "must" in message
+    known = {declaration.name for declaration in declarations(SETS[node])}
+    assert set(re.findall(r"'([\w.]+)'", message)) & known == {name} | others
+    # Nor is one of them written without its group.
+    assert not {full.rpartition(".")[2] for full in others} & set(re.findall(r"'(\w+)'", message)) - known
+
+
+def checking(parameter_set):
+    """The set and its groups that judge parameters beside others."""
+    found = {parameter_set} if {"__post_init__", "check"} & set(vars(parameter_set)) else set()
+    kinds = get_type_hints(parameter_set)
+    return found.union(
+        *(checking(kinds[each.name]) for each in fields(parameter_set) if is_dataclass(kinds[each.name]))
+    )
+
+
+def test_each_refusal_beside_other_parameters_is_among_those():
+    judges = set().union(*map(checking, SETS.values()))
+    written = sum(len(re.findall(r"\braise \w+\(", inspect.getsource(judge))) for judge in judges)
+    assert written == len(TOGETHER)
+    assert not any("raise ParameterError" in inspect.getsource(judge) for judge in judges)
+
+
+def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_last(tmp_path):
+    values = {
+        "stage": {"rate": 4000, "platform.mass": 5.0},
+        "driver": {"hardware": "can", "stage.platform.mass": 6.0},
+        "controller": {},
+        "logger": {"output": "bag"},
+    }
+    path = tmp_path / "p.yaml"
+    path.write_text(as_parameter_file(values))
+    # A parameter on a node's command line joins those of all nodes, and must win over the node's section.
+    assert list(yaml.safe_load(path.read_text()))[-1] == "/**"
+    read = read_parameter_file(path)
+    for node in ("driver", "controller"):
+        assert node_parameters(node, read) == node_parameters(node, values)
+    assert read["logger"] == {"output": "bag"} and read["stage"] == {"rate": 4000}
+
+
+def test_a_text_that_rcl_would_take_for_a_truth_value_is_in_quotes():
+    text = as_parameter_file({"driver": {"can.wire.y.signal": "Y", "can.wire.x.signal": "X", "can.dbc": "n"}})
+    assert "signal: 'Y'" in text and "dbc: 'n'" in text and "signal: X" in text
+    assert yaml.safe_load(text)["/**/driver"]["ros__parameters"]["can.wire.y.signal"] == "Y"

@@ -1,0 +1,46 @@
+"""A stage that is described roughly, and machines that it may be."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.hardware.interface import Hardware
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.tuning.commissioning.outcome import Work
+from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine, sound
+
+TRUTH = "simulated.truth."
+ROUGH = Path(__file__).with_name("rough.yaml")
+MACHINES: Mapping[str, Mapping[str, float]] = {
+    "as described": {},
+    "strong, narrow and light, with little friction": {
+        f"{TRUTH}force": 1.4,
+        f"{TRUTH}air_gap": 0.6,
+        f"{TRUTH}mass": 0.6,
+        f"{TRUTH}friction": 0.34,
+    },
+    "weak and wide, with much friction": {f"{TRUTH}force": 0.6, f"{TRUTH}air_gap": 1.4, f"{TRUTH}friction": 3.0},
+    "slow amplifier, late commands": {f"{TRUTH}amplifier": 0.5, "stage.drive.delay": 1.4},
+    "fast amplifier, soon commands": {f"{TRUTH}amplifier": 2.0, "stage.drive.delay": 0.6},
+}
+"""What the driver is given."""
+
+
+def values_of(machine: Mapping[str, float] = MACHINES["as described"], **stage: Any) -> dict[str, dict[str, Any]]:
+    """Parameters by node and dotted name."""
+    values = shipped_parameters(stage=str(ROUGH))
+    values["stage"] |= {name.replace("__", "."): value for name, value in stage.items()}
+    values["driver"] |= machine
+    return values
+
+
+def work_on(
+    values: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    wiring: Callable[[SimulatedHardware], Hardware] = sound,
+) -> Work:
+    """What a first step works on."""
+    description = node_parameters("controller", values).stage
+    return Work(SimulatedMachine(values, wiring), values, description, folder, 40, 20, {})

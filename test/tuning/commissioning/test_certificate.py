@@ -1,0 +1,138 @@
+"""A certificate is written for what was measured within its limits, and for nothing else."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from roughly_known import values_of, work_on
+
+from straightcomp_ros.tuning.commissioning.certificate import certificate
+from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
+from straightcomp_ros.tuning.commissioning.step_files import STEP_FILES
+
+LATENCY = {"p50": 335.12100000000004, "p99": 335.12100000000004, "p99.9": 335.2, "p100": 335.2}
+TIMING = {
+    "latency_us": LATENCY,
+    "due_us": 335.121,
+    "in_time_pp_um": 0.2,
+    "as_measured_costs_um": 0.0,
+    "p99_costs_um": 0.0,
+    "stall_error_um": {"1 ms": 0.12, "100 ms": math.inf},
+    "amplifier_off_after_ms": 250.0,
+    "longest_stall_survived_ms": 50,
+}
+FIGURES: dict[str, dict[str, Any]] = {
+    "connection": {
+        "samples": 60000,
+        "lost_samples": 0,
+        "lost_commands": 0,
+        "rate_Hz": 2000.0,
+        "clock_drift_ppm": 12.5,
+        "jitter_us": 3.25,
+        "latency_us": LATENCY,
+        "latency_histogram": [[355.3, 60000]],
+        "noise_y_counts": 0.375,
+        "noise_x_counts": 0.0,
+        "count_y_nm": 100.5,
+    },
+    "signs_and_scales": {
+        "readback_gain": 1.0125,
+        "readback_offset_A": 0.0015,
+        "amplifier_bandwidth_Hz": 380.5,
+        "delay_samples": 0.67,
+    },
+    "identification": {"parameters": {}, "untold": ["Forces have no scale of their own.", "Friction < 2 N."]},
+    "design": {"budget": [{"cause": "as described", "pp_um": 0.19, "rms_um": 0.036}]},
+    "frequency_response": {"margins": {"gain_low": 0.25, "gain_high": 2.5, "phase_deg": 45.0}, "model_margins": {}},
+    "acceptance": {
+        "encoder_pp_um": 0.4,
+        "encoder_rms_um": 0.064,
+        "control_rms_step_A": 0.00137,
+        "samples": 30000,
+        "lost_samples": 0,
+        "lost_commands": 3,
+        "timing": TIMING,
+        "limits": {"encoder_pp_um": 0.6, "encoder_rms_um": 0.096, "control_rms_step_A": 0.00206},
+    },
+}
+
+
+def done(folder: Path, **changed: dict[str, Any]) -> Work:
+    """Steps that have passed with these figures."""
+    outcomes = {
+        name: Outcome(True, f"{name} is good", {**figures, **changed.get(name, {})})
+        for name, figures in FIGURES.items()
+    }
+    return dataclasses.replace(work_on(values_of(), folder), outcomes=outcomes)
+
+
+def test_a_simulated_run_whose_commands_are_all_in_time_is_within_its_limits(tmp_path: Path) -> None:
+    outcome = certificate(done(tmp_path))
+    assert outcome.passed, outcome.sentence
+    told = json.loads((tmp_path / "certificate.json").read_text())
+    assert all(check["passed"] for check in told["checks"])
+    page = (tmp_path / "certificate.html").read_text()
+    assert "beyond the limits" not in page and ">beyond<" not in page
+
+
+@pytest.mark.parametrize(
+    ("step", "changed", "words"),
+    [
+        ("connection", {"lost_samples": 2}, "lost samples, amplifier off 2 (allowed: <= 0)"),
+        ("frequency_response", {"margins": {**FIGURES["frequency_response"]["margins"], "gain_low": 0.8}}, "0.7692"),
+        ("frequency_response", {"margins": {**FIGURES["frequency_response"]["margins"], "phase_deg": 9.99}}, ">= 10"),
+        ("acceptance", {"lost_samples": 1}, "lost samples of the stroke 1 (allowed: <= 0)"),
+        ("acceptance", {"lost_commands": 151}, "samples of the stroke without a command 151 (allowed: <= 150)"),
+        ("acceptance", {"timing": {**TIMING, "as_measured_costs_um": 0.25}}, "cost [µm p-p] 0.25 (allowed: <= 0.2)"),
+        ("acceptance", {"timing": {**TIMING, "as_measured_costs_um": math.inf}}, "infinite, since the platform is"),
+        # As a record has it that was read again.
+        ("acceptance", {"timing": {**TIMING, "as_measured_costs_um": None}}, "infinite, since the platform is lost"),
+        ("acceptance", {"lost_samples": None}, "lost samples of the stroke unknown"),
+    ],
+)
+def test_a_figure_beyond_its_limit_is_named_and_nothing_is_written(
+    tmp_path: Path, step: str, changed: dict[str, Any], words: str
+) -> None:
+    outcome = certificate(done(tmp_path, **{step: changed}))
+    assert not outcome.passed
+    assert outcome.sentence.startswith("beyond the limits: ") and words in outcome.sentence
+    assert f"repeat the step (--only {step})" in outcome.sentence
+    assert not any((tmp_path / name).exists() for name in STEP_FILES["certificate"])
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"timing": {**TIMING, "latency_us": {**LATENCY, "p99": 960.0}, "p99_costs_um": 0.5}},
+        {"timing": {**TIMING, "as_measured_costs_um": 0.2 * (1.0 + 1e-12)}},
+        {"timing": {name: one for name, one in TIMING.items() if not name.endswith("costs_um")}},
+        {"lost_commands": 150},
+    ],
+    ids=["a late p99 that costs nothing", "the last bits of a limit", "no latencies", "one command in 200"],
+)
+def test_lateness_is_judged_by_what_it_costs(tmp_path: Path, changed: dict[str, Any]) -> None:
+    outcome = certificate(done(tmp_path, acceptance=changed))
+    assert outcome.passed, outcome.sentence
+
+
+def test_limits_of_later_strokes_are_no_checks_of_this_one(tmp_path: Path) -> None:
+    certificate(done(tmp_path))
+    told = json.loads((tmp_path / "certificate.json").read_text())
+    assert not {one["name"] for one in told["checks"]} & set(FIGURES["acceptance"]["limits"])
+    assert told["later_limits"][0] == {"name": "encoder_pp_um", "value": 0.4, "limit": 0.6}
+    assert "Limits for later strokes" in (tmp_path / "certificate.html").read_text()
+
+
+def test_the_page_has_every_figure_that_another_machine_would_differ_in(tmp_path: Path) -> None:
+    certificate(done(tmp_path))
+    page = (tmp_path / "certificate.html").read_text()
+    untold = ("Forces have no scale of their own.", "Friction &lt; 2 N.")
+    for figure in ("12.5", "3.25", "0.375", "100.5", "1.012", "1.5", *untold):
+        assert f">{figure}<" in page, figure
+    # Half to twice the described amplifier of 500 Hz, and 0.6 to 1.4 samples of 500 µs.
+    assert "250 to 1000" in page and "300 to 700" in page
+    assert "0.02 µm RMS" in page, "the survey's own error"
+    assert "<td>100 ms</td><td class=n>lost</td>" in page and "None" not in page

@@ -1,0 +1,79 @@
+"""`straightcomp design`: gains from a stage file, into a stage file."""
+
+import json
+import shutil
+
+import pytest
+import yaml
+
+from scripts.stage_files import STAGES
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.parameters.parameter_file import read_stage_file
+
+FEW = ["--evaluations", "12", "--machines", "2"]
+
+
+@pytest.fixture
+def stage(tmp_path):
+    """The shipped stage with a stroke of a second, beside its survey."""
+    tree = yaml.safe_load((STAGES / "shipped.yaml").read_text())
+    tree["/**"]["ros__parameters"]["stage"]["motion"] = {
+        "stroke": 0.06, "speed": 0.2, "acceleration": 1.0, "settle": 0.3, "pause": 0.5
+    }  # fmt: skip
+    path = tmp_path / "stage.yaml"
+    path.write_text("# My stage.\n" + yaml.safe_dump(tree))
+    return path
+
+
+def test_the_gains_are_written_into_the_stage_file_and_an_earlier_design_is_replaced(stage, capsys):
+    before = stage.read_text()
+    for quiet in ("0", "1"):
+        assert main(["design", str(stage), "-o", str(stage), "--quiet", quiet, "--json", *FEW]) == 0
+        told = json.loads(capsys.readouterr().out)
+        values = read_stage_file(stage)
+        assert values["controller"]["control.law"] == "smc_observer"
+        for name, value in told["values"].items():
+            assert values["controller"][name] == pytest.approx(value, rel=1e-5)
+        assert stage.read_text().count("/**/controller:") == 1 and stage.read_text().endswith(before)
+        # To ROS the last value counts: what holds for all nodes, and with it a command line, comes after the gains.
+        assert list(yaml.safe_load(stage.read_text())) == ["/**/controller", "/**"]
+    assert main(["simulate", "--stage", str(stage), "--json"]) == 0
+    promised = told["predicted"]["true_pp_um"]
+    found = json.loads(capsys.readouterr().out)["true_pp_um"]
+    assert promised["min"] * 0.99 <= found <= promised["max"] * 1.01
+
+
+def test_a_design_tells_what_it_promises_what_limits_it_and_where_it_fails(stage, capsys):
+    before = stage.read_text()
+    assert main(["design", str(stage), *FEW]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for words in ("true error p-p", "ideal encoder of y", "quiet: stable for gains", "2 uncertain machines", "-o FILE"):
+        assert words in printed
+    assert stage.read_text() == before
+
+
+def test_a_stage_on_which_no_gains_have_margins_is_refused_in_one_sentence(tmp_path, capsys):
+    for file in ("infeasible.yaml", *(path.name for path in STAGES.glob("*.csv"))):
+        shutil.copy(STAGES / file, tmp_path)
+    assert main(["design", str(tmp_path / "infeasible.yaml"), "--law", "linear"]) == 1
+    said = capsys.readouterr().err
+    assert "no gains of 'linear' have margins" in said and "would do" in said and said.count("\n") == 1
+
+
+def test_nothing_is_lost_of_a_file_that_has_parameters_of_the_controller(stage, capsys):
+    stage.write_text(stage.read_text() + "/**/controller: {ros__parameters: {trigger: timer}}\n")
+    assert main(["design", str(stage), "-o", str(stage), *FEW]) == 2
+    assert "has a section '/**/controller' of its own" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--quiet", "2"], "--quiet 2; allowed: 0 to 1"),
+        (["--machines", "0"], "--machines 0; allowed: 1 to"),
+        (["-o", "/tmp/gains.yaml"], "is in another folder than"),
+    ],
+)
+def test_what_is_wrong_is_said_before_the_work(stage, capsys, words, expected):
+    assert main(["design", str(stage), *words]) == 2
+    assert expected in capsys.readouterr().err

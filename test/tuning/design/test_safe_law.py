@@ -1,0 +1,77 @@
+"""A machine that is hardly known gets a law that holds it at every corner, or is told what must be known better."""
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant
+from straightcomp_ros.offline.sweep.scenario import Scenario, make_scenario
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.stage.truth import Factors, deviating
+from straightcomp_ros.tuning.design.feasible_gains import DesignError
+from straightcomp_ros.tuning.design.safe_law import LAW, SafeLaw, _corners, _growths, safe_law
+from straightcomp_ros.tuning.design.searched_gains import with_gains
+
+HARDLY_KNOWN = {
+    "mass": 0.4,
+    "force": 0.4,
+    "air_gap": 0.4,
+    "friction": 3.0,
+    "amplifier": 2.0,
+    "shortest_delay": 0.6,
+    "longest_delay": 1.4,
+}
+
+
+def scenario(**changed: float) -> Scenario:
+    values = shipped_parameters()
+    values["stage"]["platform.stop"] = 8e-4
+    values["stage"] |= {f"uncertainty.{name}": value for name, value in {**HARDLY_KNOWN, **changed}.items()}
+    return make_scenario(values, [LAW])
+
+
+@pytest.fixture(scope="module")
+def found() -> SafeLaw:
+    return safe_law(scenario())
+
+
+def test_the_law_is_stable_on_machines_anywhere_within_the_uncertainty(found: SafeLaw) -> None:
+    stage = scenario().description
+    law = linearised(make_law(with_gains(ControlParameters(), LAW, found.values), stage))
+    random = np.random.default_rng(1)
+    radii = []
+    for _ in range(200):
+        mass, force, gap = (1.0 + 0.4 * random.uniform(-1.0, 1.0, 3)).tolist()
+        machine = deviating(stage.plant, Factors(mass, force, gap, amplifier=2.0 ** random.uniform(-1.0, 1.0)))
+        one = dataclasses.replace(stage, platform=machine.platform, actuator=machine.actuator, drive=machine.drive)
+        plant = sampled_plant(one, random.uniform(0.6, 1.4) * stage.period)
+        radii.append(np.abs(np.linalg.eigvals(closed_loop(plant, law))).max())
+    assert max(radii) <= np.exp(-found.decay * stage.period) + 1e-9
+
+
+def test_it_says_which_corner_is_the_worst_and_how_far_friction_lets_it_go(found: SafeLaw) -> None:
+    assert found.corners == 32 and found.decay > 3.0
+    assert re.fullmatch(r"mass × 1.4, force × 0.6, gap × \S+, amplifier × \S+, delay × 1.4", found.worst)
+    assert 1e-6 < found.excursion < 1e-4 and found.pp > 1e-6
+
+
+def test_a_machine_of_which_too_little_is_known_is_refused_with_what_would_help() -> None:
+    with pytest.raises(DesignError, match=r"must be known better: the mass within ± 0\.\d+ of it, or the air gap"):
+        safe_law(scenario(mass=0.7, force=0.7, longest_delay=2.4))
+
+
+def test_facts_without_uncertainty_are_no_corners() -> None:
+    known = dict.fromkeys(("mass", "force"), 0.0)
+    assert safe_law(scenario(**known, amplifier=1.0)).corners == 4
+
+
+def test_gains_beyond_their_ranges_are_no_candidates(found: SafeLaw) -> None:
+    scenario = make_scenario(shipped_parameters(), [LAW])
+    corners = _corners(scenario.description)
+    far = {**found.values, "control.smc.velocity_bandwidth": 2e6}
+    assert max(_growths(scenario, corners, found.values)) < 0.0
+    assert set(_growths(scenario, corners, far)) == {math.inf}

@@ -1,0 +1,109 @@
+"""The linear demands, the limits, and the refusal of a stage that has no gains."""
+
+import dataclasses
+import re
+
+import pytest
+
+from scripts.stage_files import stage_scenario
+from straightcomp_ros.control.laws import make_law
+from straightcomp_ros.control.least_margins import missing_margin
+from straightcomp_ros.control.margins import loop_margins
+from straightcomp_ros.tuning.design.automatic_design import closed_form, design_gains
+from straightcomp_ros.tuning.design.failing_limits import failing_limits
+from straightcomp_ros.tuning.design.feasible_gains import DesignError, feasible_gains, refusal
+from straightcomp_ros.tuning.design.searched_gains import scaled, with_gains
+from straightcomp_ros.tuning.design.stability_demands import Demands, StabilityCheck
+
+GAINS_OF_A_SEARCH = {
+    "control.smc_observer.bandwidth": 305.62,
+    "control.smc_observer.third_pole": 0.33874,
+    "control.smc_observer.delay": 0.88,
+    "control.smc_observer.surface": 481.23,
+    "control.smc_observer.reaching": 1925.7,
+    "control.smc_observer.gain_allowance": 1.8527,
+}
+"""Found for an encoder of 5 nm by a search that did not look at the measured current."""
+
+
+def control_of(scenario, factor=1.0):
+    gains = scaled("smc_observer", closed_form(scenario, "smc_observer"), factor)
+    return with_gains(scenario.controls["smc_observer"], "smc_observer", gains)
+
+
+def test_gains_that_are_too_fast_or_too_slow_miss_demands_the_more_the_farther_they_are(shipped):
+    check = StabilityCheck(shipped.description)
+    misses = [check.violation(control_of(shipped, factor)) for factor in (0.05, 0.1, 1.0, 1.6, 2.4)]
+    assert misses[2] == 0.0
+    assert misses[0] > misses[1] > 0.0 and misses[4] > misses[3] > 0.0
+
+
+def test_what_is_held_is_within_the_margins_that_were_asked_for(shipped):
+    demands, stage = Demands(), shipped.description
+    control = control_of(shipped)
+    assert StabilityCheck(shipped.description, demands).violation(control) == 0.0
+    margins = loop_margins(make_law(control, stage), stage)
+    assert margins.gain_low < demands.gain_low and margins.gain_high > demands.gain_high
+    assert margins.phase > demands.phase
+    assert margins.longest_delay > (stage.uncertainty.longest_delay + demands.spare_delay) * stage.period
+
+
+def test_gains_for_a_fine_encoder_that_hold_without_the_measured_current_may_not_hold_with_it():
+    scenario = stage_scenario("fine_encoder")
+    control = with_gains(scenario.controls["smc_observer"], "smc_observer", GAINS_OF_A_SEARCH)
+    missed = StabilityCheck(scenario.description).missed(control)
+    assert missed and all("amplifier" in name or "current measured" in name for name in missed)
+    told = missing_margin(control, scenario.description)
+    assert told is not None and "at its stiffest, with the coils' current measured, stable up to 1.0" in told
+    stiff = failing_limits(scenario, control)["stiff"]
+    assert stiff.gain_high > 1.9 and stiff.amplifier_high < 1.1
+
+
+def test_tighter_demands_are_missed_sooner(shipped):
+    missed = StabilityCheck(shipped.description, Demands().tightened(1.5)).missed(control_of(shipped))
+    assert "most gain" in missed
+    assert StabilityCheck(shipped.description).missed(control_of(shipped)) == []
+
+
+def test_a_corner_that_a_wider_uncertainty_brings_is_missed_by_its_name(shipped):
+    stage = shipped.description
+    wide = dataclasses.replace(stage, uncertainty=dataclasses.replace(stage.uncertainty, mass=0.6))
+    missed = StabilityCheck(wide).missed(control_of(shipped))
+    assert any(name.startswith("corner mass × 0.4") for name in missed)
+
+
+def test_the_loop_is_unstable_just_outside_its_mass_limits(shipped):
+    limits = failing_limits(shipped, control_of(shipped))
+    assert set(limits) == {"quiet", "stiff"}
+    stage, law = shipped.description, make_law(control_of(shipped), shipped.description)
+    for end in (limits["quiet"].mass_low, limits["quiet"].mass_high):
+        for factor, stable in ((0.99 * end, end > 1.0), (1.01 * end, end < 1.0)):
+            platform = dataclasses.replace(stage.platform, mass=factor * stage.platform.mass)
+            margins = loop_margins(law, dataclasses.replace(stage, platform=platform))
+            assert (abs(margins.poles).max() < 1.0) == stable
+
+
+def test_gains_that_miss_little_are_mended_without_a_simulation(shipped):
+    fast = scaled("smc_observer", closed_form(shipped, "smc_observer"), 1.5)
+    check = StabilityCheck(shipped.description)
+    control = shipped.controls["smc_observer"]
+    assert check.violation(with_gains(control, "smc_observer", fast)) > 0.0
+    found = feasible_gains(shipped, "smc_observer", fast)
+    assert found is not None and check.violation(with_gains(control, "smc_observer", found)) == 0.0
+
+
+def test_a_stage_without_margins_is_refused_in_a_sentence_that_says_what_would_do(infeasible):
+    with pytest.raises(DesignError) as refused:
+        design_gains(infeasible, "linear")
+    text = str(refused.value)
+    assert "at 1000 Hz" in text and "amplifier of 150 Hz" in text and "'linear'" in text and "\n" not in text
+    rate = float(re.search(r"a rate of at least (\S+) Hz", text).group(1))
+    faster = infeasible.on(dataclasses.replace(infeasible.description, rate=round(rate)))
+    assert feasible_gains(faster, "linear", closed_form(faster, "linear")) is not None
+    assert rate > 1000.0
+
+
+def test_changes_that_would_not_do_are_not_named(infeasible):
+    stage = infeasible.description
+    light = infeasible.on(dataclasses.replace(stage, platform=dataclasses.replace(stage.platform, mass=0.01)))
+    assert "no single change would do" in str(refusal(light, "linear"))

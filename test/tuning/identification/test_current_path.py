@@ -1,0 +1,97 @@
+"""Amplifier and delay are found from commands and measured currents, also where the latency jitters."""
+
+import math
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.current_path import current_path
+from straightcomp_ros.analysis.stretch import Recording
+from straightcomp_ros.model.converters import DriveParameters
+
+DRIVE = DriveParameters()
+PERIOD, RATE = 5e-4, 2.0 * math.pi * 500.0
+
+
+def recorded(delays: np.ndarray, rate: float = RATE) -> Recording:
+    """Random commands through a first-order amplifier; each takes effect ``delays`` (n,) s after its sample."""
+    n = len(delays)
+    command = np.array([DRIVE.converted(value) for value in 0.05 * np.random.default_rng(1).standard_normal(n)])
+    current, level, asked = np.empty(n), 0.0, 0.0
+    events = sorted((k * PERIOD + delay, command[k]) for k, delay in enumerate(delays))
+    for k in range(n):
+        current[k], now = level, k * PERIOD
+        while events and events[0][0] < (k + 1) * PERIOD:
+            at, value = events.pop(0)
+            level = asked + (level - asked) * math.exp(-rate * (at - now))
+            asked, now = value, at
+        level = asked + (level - asked) * math.exp(-rate * ((k + 1) * PERIOD - now))
+    return Recording(round(PERIOD * 1e9), np.zeros(n), np.zeros(n), current, command, n)
+
+
+def reached(recording: Recording, path) -> np.ndarray:
+    """The current that the path leads to from each measured one, at the next sample."""
+    switch = path.switch_ns * 1e-9
+    middle = path.before + (recording.current - path.before) * np.exp(-path.rate * switch)
+    return path.after + (middle - path.after) * np.exp(-path.rate * (PERIOD - switch))
+
+
+def test_bandwidth_and_delay_of_a_steady_loop_are_found() -> None:
+    path = current_path(recorded(np.full(4000, 1.7e-4), rate=2.0 * math.pi * 300.0), DRIVE)
+    assert path.rate_found
+    assert path.rate == pytest.approx(2.0 * math.pi * 300.0, rel=1e-6)
+    assert path.delay == pytest.approx(1.7e-4, abs=1e-7)
+
+
+@pytest.mark.parametrize("hertz", [250.0, 500.0, 1000.0])
+@pytest.mark.parametrize("samples", [0.6, 0.95, 1.0, 1.05, 1.2, 1.4, 1.9])
+def test_commands_that_arrive_after_the_next_sample_are_found_as_exactly(samples: float, hertz: float) -> None:
+    path = current_path(recorded(np.full(4000, samples * PERIOD), rate=2.0 * math.pi * hertz), DRIVE)
+    assert path.rate_found
+    assert path.rate == pytest.approx(2.0 * math.pi * hertz, rel=1e-6)
+    assert path.delay == pytest.approx(samples * PERIOD, abs=1e-7)
+    assert path.delay_spread == pytest.approx((path.delay, path.delay), abs=1e-7)
+
+
+@pytest.mark.parametrize("hertz", [250.0, 350.0, 1000.0])
+def test_commands_that_come_late_now_and_then_do_not_change_the_bandwidth(hertz: float) -> None:
+    delays = np.full(20_000, PERIOD)
+    delays[np.random.default_rng(5).choice(delays.size, 40, replace=False)] = 1.9 * PERIOD
+    path = current_path(recorded(delays, rate=2.0 * math.pi * hertz), DRIVE)
+    assert path.rate_found
+    assert path.rate == pytest.approx(2.0 * math.pi * hertz, rel=1e-3)
+    assert path.delay == pytest.approx(PERIOD, abs=1e-7)
+
+
+def test_the_deviation_of_the_bandwidth_is_that_of_many_noisy_records() -> None:
+    clean, noise = recorded(np.full(4000, 6e-4)), np.random.default_rng(4)
+    found = []
+    for _ in range(40):
+        noisy = Recording(
+            clean.period_ns,
+            clean.x,
+            clean.y,
+            clean.current,
+            clean.command + 2e-4 * noise.standard_normal(4000),
+            clean.total,
+        )
+        found.append(current_path(noisy, DRIVE))
+    spread = np.std([path.rate for path in found])
+    assert 0.7 < np.median([path.rate_deviation for path in found]) / spread < 1.4
+
+
+def test_a_jittering_latency_is_found_sample_by_sample() -> None:
+    recording = recorded(np.random.default_rng(2).uniform(3.5e-4, 6.5e-4, 4000))
+    path = current_path(recording, DRIVE)
+    assert path.delay == pytest.approx(5e-4, abs=5e-5)
+    assert path.delay_spread == pytest.approx((3.65e-4, 6.35e-4), abs=5e-5)
+    steps = np.diff(recording.current).std()
+    assert (reached(recording, path)[:-1] - recording.current[1:]).std() < 0.2 * steps
+
+
+def test_a_current_that_no_amplifier_explains_is_interpolated() -> None:
+    recording = recorded(np.full(4000, 1e-4))
+    noise = np.random.default_rng(3).standard_normal(4000)
+    path = current_path(Recording(recording.period_ns, noise, noise, noise, recording.command, 4000), DRIVE)
+    assert math.isnan(path.delay) and not path.rate_found
+    np.testing.assert_allclose(path.before[:-1] + path.after[:-1], noise[:-1] + noise[1:])

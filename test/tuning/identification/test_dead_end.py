@@ -1,0 +1,57 @@
+"""A search that cannot go on from the likelier of its two first solutions goes on from the other one."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.tuning.identification import fit as fitting
+
+DESCRIBED, SLID = 0.0, 1.0
+SAMPLES = 4000
+
+
+class ScriptedSearch:
+    """Solutions stay where they began, with the surprise and errors that a test says."""
+
+    def __init__(self, recording, path, unknowns, resolution):
+        self.gains, self.evaluations = np.ones((fitting.BURN_IN + SAMPLES, 4)), 0
+
+    def solve(self, start, missed):
+        place = float(start[0])
+        errors = 0.7 if missed not in self.fails.get(place, ()) else 1.9
+        return fitting.Level(start, np.ones((SAMPLES, 1)), np.full(SAMPLES, errors), missed, self.surprises[place])
+
+    def take_gains(self, vector, missed):
+        pass
+
+    def residuals(self, vector):
+        return np.full(SAMPLES, 0.7)
+
+
+NONE_HOLDS = fitting.MISSED[1:]
+THIRD_FAILS, LAST_FAILS = fitting.MISSED[2:3], fitting.MISSED[3:]
+
+
+@pytest.mark.parametrize(
+    ("fails", "surprises", "found", "levels"),
+    [
+        ({DESCRIBED: NONE_HOLDS}, {DESCRIBED: -2.0, SLID: -1.0}, SLID, 4),
+        ({DESCRIBED: NONE_HOLDS, SLID: NONE_HOLDS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 1),
+        ({DESCRIBED: LAST_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, SLID, 4),
+        ({DESCRIBED: LAST_FAILS, SLID: LAST_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 3),
+        ({DESCRIBED: THIRD_FAILS}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 4),
+        ({}, {DESCRIBED: -2.0, SLID: -1.0}, DESCRIBED, 4),
+        ({}, {DESCRIBED: -1.0, SLID: -2.0}, SLID, 4),
+    ],
+)
+def test_the_likelier_solution_is_followed_unless_the_other_one_leads_further(
+    monkeypatch, fails, surprises, found, levels
+):
+    monkeypatch.setattr(ScriptedSearch, "fails", fails, raising=False)
+    monkeypatch.setattr(ScriptedSearch, "surprises", surprises, raising=False)
+    monkeypatch.setattr(fitting, "Search", ScriptedSearch)
+    monkeypatch.setattr(fitting, "sliding_start", lambda recording, unknowns: np.array([SLID]))
+    recording, unknowns = SimpleNamespace(period_ns=500_000), SimpleNamespace(start=np.array([DESCRIBED]), free=(0,))
+    solution = fitting.fit(recording, None, unknowns, 1e-7)
+    assert solution.vector == [found] and solution.missed == fitting.MISSED[levels - 1]

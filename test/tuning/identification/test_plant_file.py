@@ -1,0 +1,95 @@
+"""The answer as JSON and as a parameter file that simulate takes."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from straightcomp_ros.analysis import stretch as recording
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import COMMAND, ENCODER
+from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.node_parameters import STAGE, node_parameters
+from straightcomp_ros.parameters.parameter_file import read_parameter_file
+from straightcomp_ros.tuning.identification.estimate import DERIVED, UNITS, Estimate, Estimated, parameter_file
+
+SHORT_CYCLE = ("stage.motion.stroke=0.05", "stage.motion.settle=0.1", "stage.motion.pause=0.1")
+
+
+def test_json_names_every_parameter_with_its_interval(stiff_answer) -> None:
+    answer, _ = stiff_answer
+    assert set(answer) == {
+        "samples",
+        "samples_in_bag",
+        "duration_s",
+        "prediction_error_um",
+        "prediction_error_ratio",
+        "amplifier_bandwidth_Hz",
+        "amplifier_bandwidth_deviation_Hz",
+        "delay_us",
+        "delay_spread_us",
+        "centre_um",
+        "parameters",
+        "advice",
+        "untold",
+    }
+    assert list(answer["parameters"]) == list(UNITS)
+    for found in answer["parameters"].values():
+        assert set(found) == {
+            "value",
+            "low",
+            "high",
+            "unit",
+            "known",
+            "poorly_determined",
+            "hardly_told_apart_from",
+        }
+        assert found["low"] <= found["value"] <= found["high"]
+    assert answer["parameters"]["actuator.turns"]["known"]
+    assert answer["amplifier_bandwidth_Hz"] == pytest.approx(500.0, rel=1e-3)
+    assert answer["delay_us"] == pytest.approx(250.0, abs=5.0)
+    # An encoder of 0.1 µm that is predicted as well as it reads.
+    assert answer["prediction_error_um"] == pytest.approx(0.1 / 12**0.5, rel=0.2)
+
+
+@pytest.mark.parametrize("node", ["driver", "controller"])
+def test_the_file_describes_the_plant_to_all_nodes(stiff_answer, node: str) -> None:
+    answer, file = stiff_answer
+    values = read_parameter_file(file)
+    assert {key for key, section in values.items() if section} == {STAGE}
+    described = to_mapping(node_parameters(node, values).stage)
+    for name, found in answer["parameters"].items():
+        if name not in DERIVED:
+            assert described[name] == pytest.approx(found["value"], rel=1e-5), name
+
+
+@pytest.mark.parametrize("option", ["--stage", "--params-file"])
+def test_simulate_takes_the_file_and_everything_else_from_the_declarations(
+    stiff_answer, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    _, file = stiff_answer
+    short = [word for assignment in SHORT_CYCLE for word in ("--set", assignment)]
+    assert main(["simulate", option, str(file), "--law", "linear", "--json", *short]) == 0
+    assert json.loads(capsys.readouterr().out)["law"] == "linear"
+
+
+def test_the_truth_is_never_read(soft_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    read = recording.read_streams
+    monkeypatch.setattr(recording, "read_streams", lambda bag, layouts: asked.extend(layouts) or read(bag, layouts))
+    recording.read_recording(soft_bag)
+    assert asked == [ENCODER.topic, COMMAND.topic]
+
+
+@pytest.mark.parametrize("coulomb_is_poor", [False, True])
+def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor: bool) -> None:
+    parameters = {name: Estimated(name, 1.0, 0.99, 1.01, False) for name in UNITS}
+    poor = {"platform.mass", "friction.static"} | ({"friction.coulomb"} if coulomb_is_poor else set())
+    for name in poor:
+        parameters[name] = Estimated(name, 1.0, 0.1, 10.0, False)
+    lines = parameter_file(Estimate(parameters, None, None, None)).splitlines()  # type: ignore[arg-type]
+    assert "    # stage.platform.mass: 1.0" in lines
+    assert "    # 0.1 to 10 kg, poorly determined" in lines
+    assert "    stage.friction.viscous: 1.0" in lines
+    # F_S stays beside F_C even so: its default may be below F_C, which is refused.
+    assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor

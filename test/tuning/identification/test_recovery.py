@@ -1,0 +1,173 @@
+"""The truth lies in the intervals, and the intervals are as narrow as they should be, or said to be wide."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plants import FAR, SOFT, STIFF, record, values
+
+from straightcomp_ros.analysis.current_path import CurrentPath
+from straightcomp_ros.analysis.stretch import read_recording
+from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.model.actuator import ActuatorParameters
+from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.identification.estimate import (
+    DERIVED,
+    UNITS,
+    Estimate,
+    Estimated,
+    estimate_from_bag,
+    parameter_file,
+)
+from straightcomp_ros.tuning.identification.sliding_start import centre, sliding_start
+from straightcomp_ros.tuning.identification.unknowns import NAMES, unknowns
+from straightcomp_ros.tuning.identification.untold import untold
+from trials.faults.faulty_machine import FaultyHardware
+
+START = StageParameters()
+WITHIN = {
+    "platform.mass": 0.01,
+    "actuator.air_gap": 0.002,
+    "friction.coulomb": 0.005,
+    "friction.static": 0.15,
+    "friction.stribeck_velocity": 0.15,
+    "friction.bristle_stiffness": 0.03,
+    "friction.bristle_damping": 0.15,
+    "friction.viscous": 0.03,
+}
+"""Relative errors that an excited plant stays below."""
+
+
+def truth_of(plant: Mapping[str, float]) -> dict[str, float]:
+    whole = {**to_mapping(START), **plant}
+    magnets = ActuatorParameters(
+        **{name.partition(".")[2]: whole[name] for name in whole if name.startswith("actuator.")}
+    )
+    return {**whole, **{name: getattr(magnets, name.removeprefix("actuator.")) for name in DERIVED}}
+
+
+def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds(stiff_answer) -> None:
+    answer, _ = stiff_answer
+    truth = truth_of(STIFF)
+    for name, found in answer["parameters"].items():
+        assert found["low"] <= truth[name] * (1 + 1e-9) and truth[name] <= found["high"] * (1 + 1e-9), name
+        assert not found["poorly_determined"], name
+        if name in WITHIN:
+            assert found["value"] == pytest.approx(truth[name], rel=WITHIN[name]), name
+
+
+@pytest.mark.soak
+def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_path: Path, excitation: str) -> None:
+    widths = {}
+    for count in (5e-8, 4e-7):
+        parameters = values(STIFF, guide_file=excitation)
+        parameters["stage"]["encoder.y_resolution"] = count
+        start = dataclasses.replace(START, encoder=dataclasses.replace(START.encoder, y_resolution=count))
+        found = estimate_from_bag(record(tmp_path / f"{count}", parameters), start, ["platform.mass"]).parameters
+        widths[count] = found["actuator.turns"].high / found["actuator.turns"].value - 1.0
+        # STIFF has its own mass, and the description's is taken as known: what is compared is relative to it.
+        scale = START.platform.mass / truth_of(STIFF)["platform.mass"]
+        for name in ("friction.coulomb", "actuator.current_stiffness"):
+            assert found[name].low <= truth_of(STIFF)[name] * scale <= found[name].high, name
+    assert widths[4e-7] > 3.0 * widths[5e-8]
+
+
+@pytest.mark.soak
+def test_another_plant_under_another_law_is_found_too(soft_bag: Path) -> None:
+    estimate = estimate_from_bag(soft_bag, START, ["actuator.turns"])
+    truth = truth_of(SOFT)
+    for name, found in estimate.parameters.items():
+        assert found.low <= truth[name] * (1 + 1e-9) and truth[name] <= found.high * (1 + 1e-9), name
+        if name in WITHIN:
+            assert found.value == pytest.approx(truth[name], rel=WITHIN[name]), name
+    assert estimate.advice == {}
+    assert estimate.path.delay == pytest.approx(250e-6, abs=5e-6)
+    assert "stage.platform.mass: 4." in parameter_file(estimate)
+
+
+@pytest.mark.soak
+def test_a_stroke_along_the_guide_says_what_it_does_not_tell(guide_bag: Path) -> None:
+    estimate = estimate_from_bag(guide_bag, START, ["actuator.turns"])
+    truth, found = truth_of(STIFF), estimate.parameters
+    for name in found:
+        # The interval of what this motion hardly tells is itself no more than a guess: it must be said to be poor.
+        inside = found[name].low <= truth[name] * (1 + 1e-9) and truth[name] <= found[name].high * (1 + 1e-9)
+        assert inside or (found[name].poor and name in estimate.advice), name
+    assert not found["actuator.air_gap"].poor
+    assert {"platform.mass", "friction.static", "friction.viscous"} <= set(estimate.advice)
+    assert "quick motion" in estimate.advice["platform.mass"]
+
+
+def test_sliding_alone_leads_near_the_machine_whatever_the_description_says(far_bag: Path) -> None:
+    begin = unknowns(START, ["platform.mass"])
+    slid = sliding_start(read_recording(far_bag), begin)
+    assert slid is not None
+    ratio = START.platform.mass / FAR["platform.mass"]
+    found, truth = dict(zip(NAMES, np.exp(slid).tolist(), strict=True)), truth_of(FAR)
+    assert found["platform.mass"] == pytest.approx(START.platform.mass)
+    assert found["actuator.air_gap"] == pytest.approx(truth["actuator.air_gap"], rel=0.01)
+    assert found["actuator.turns"] ** 2 == pytest.approx(truth["actuator.turns"] ** 2 * ratio, rel=0.1)
+    assert found["friction.coulomb"] == pytest.approx(truth["friction.coulomb"] * ratio, rel=0.1)
+    assert found["friction.bristle_stiffness"] == pytest.approx(START.friction.bristle_stiffness)
+
+
+def test_a_record_in_which_the_platform_hardly_slides_gives_no_start(far_bag: Path) -> None:
+    record = read_recording(far_bag)
+    still = dataclasses.replace(record, y=0.01 * record.y)
+    assert sliding_start(still, unknowns(START, ["platform.mass"])) is None
+
+
+@pytest.mark.soak
+def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(far_bag: Path) -> None:
+    estimate = estimate_from_bag(far_bag, dataclasses.replace(START, drive=DriveParameters()), ["platform.mass"])
+    ratio = START.platform.mass / FAR["platform.mass"]
+    truth, found = truth_of(FAR), estimate.parameters
+    assert found["actuator.air_gap"].value == pytest.approx(truth["actuator.air_gap"], rel=0.005)
+    for name in ("actuator.current_stiffness", "actuator.position_stiffness", "friction.coulomb"):
+        assert found[name].value == pytest.approx(truth[name] * ratio, rel=0.01), name
+    assert estimate.path.rate == pytest.approx(2.0 * math.pi * FAR["drive.bandwidth"], rel=1e-3)
+    assert estimate.path.delay == pytest.approx(FAR["drive.delay"] / START.rate, rel=1e-3)
+    assert "platform.mass was given" in untold(estimate)[0]
+
+
+def test_what_the_record_leaves_open_is_said_in_sentences() -> None:
+    parameters = {name: Estimated(name, 1.0, 0.99, 1.01, name == "platform.mass") for name in UNITS}
+    parameters["friction.viscous"] = Estimated("friction.viscous", 1.0, 0.5, 2.0, False, ("friction.static",))
+    parameters["friction.static"] = Estimated("friction.static", 1.0, 0.9, 1.1, False, ("friction.viscous",))
+    path = CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4))  # type: ignore[arg-type]
+    sentences = untold(Estimate(parameters, None, path, None))  # type: ignore[arg-type]
+    assert "platform.mass was given" in sentences[0] and "actuator.turns" not in sentences[0]
+    assert "bandwidth" in sentences[1]
+    assert sum("told apart" in sentence for sentence in sentences) == 1
+    assert "friction.viscous is only known to lie between 0.5 and 2 N·s/m." in sentences
+    assert len(sentences) == 4
+
+
+class Shifted(FaultyHardware):
+    """A machine whose encoder of y has its zero beside the magnets' centre."""
+
+    SHIFT = 25e-6
+
+    def __init__(self, inner: SimulatedHardware) -> None:
+        super().__init__(inner, lambda kind, at_ns: None)
+
+    def read(self, now_ns):
+        return [(sample._replace(y=sample.y + self.SHIFT), truth) for sample, truth in super().read(now_ns)]
+
+
+def test_a_centre_of_the_magnets_beside_the_encoders_zero_is_found_and_harms_no_other_fact(
+    tmp_path: Path, excitation: str, stiff_bag: Path
+) -> None:
+    aligned = centre(read_recording(stiff_bag))
+    assert aligned is not None and not aligned.certain and abs(aligned.value) < 0.1e-6
+    bag = record(tmp_path / "bag", values(STIFF, guide_file=excitation), wiring=Shifted)
+    found = estimate_from_bag(bag, START, ["actuator.turns"])
+    assert found.centre is not None and found.centre.certain
+    assert found.centre.value == pytest.approx(Shifted.SHIFT, abs=0.1e-6)
+    for name in ("platform.mass", "actuator.air_gap", "friction.coulomb"):
+        assert found.parameters[name].value == pytest.approx(truth_of(STIFF)[name], rel=WITHIN[name]), name

@@ -1,0 +1,82 @@
+"""What cannot be identified is refused, with what is wrong and what to do."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis import IdentificationError
+from straightcomp_ros.analysis.stretch import read_recording
+from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.contract import COMMAND, ENCODER
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.identification.unknowns import unknowns
+
+
+def written(bag: Path, y: np.ndarray, current: np.ndarray, streams=(ENCODER, COMMAND), lost: range = range(0)) -> Path:
+    """A bag of encoder and command at 2 kHz."""
+    with BagWriter(bag) as writer:
+        for stream in streams:
+            writer.add_topic(f"/{stream.topic}", stream.layout.type_name, TopicQos())
+        for k, (position, amperes) in enumerate(zip(y.tolist(), current.tolist(), strict=True)):
+            stamp = 1_000_000_000 + 500_000 * k
+            numbers = {ENCODER: (0.0, position, math.nan, amperes), COMMAND: (0.01,)}
+            for stream in streams:
+                if k not in lost:
+                    writer.write(f"/{stream.topic}", stream.layout.pack(stamp, *numbers[stream]), stamp, stamp)
+    return bag
+
+
+MOVING = 1e-5 * np.sin(np.arange(5000) / 100.0)
+ON = np.full(5000, 0.01)
+
+
+def test_a_bag_in_which_the_amplifier_is_never_on_is_refused(tmp_path: Path) -> None:
+    bag = written(tmp_path / "bag", MOVING, np.full(5000, math.nan))
+    with pytest.raises(IdentificationError, match=r"amplifier is off throughout .* record with the amplifier on"):
+        read_recording(bag)
+
+
+def test_a_bag_in_which_nothing_moves_is_refused(tmp_path: Path) -> None:
+    bag = written(tmp_path / "bag", np.where(np.arange(5000) % 2, 1e-7, 0.0), ON)
+    with pytest.raises(IdentificationError, match=r"nothing moves: the platform stays within 0.1 µm.*>= 2 µm"):
+        read_recording(bag)
+
+
+def test_a_bag_without_commands_is_refused(tmp_path: Path) -> None:
+    bag = written(tmp_path / "bag", MOVING, ON, streams=(ENCODER,))
+    with pytest.raises(IdentificationError, match="no messages on 'command'"):
+        read_recording(bag)
+
+
+def test_a_stretch_between_losses_that_is_too_short_is_refused(tmp_path: Path) -> None:
+    bag = written(tmp_path / "bag", MOVING[:3000], ON[:3000], lost=range(1500, 1510))
+    with pytest.raises(IdentificationError, match=r"no sample lost has 1490 samples; allowed: >= 2000"):
+        read_recording(bag)
+
+
+def test_the_longest_stretch_without_a_loss_is_used(tmp_path: Path) -> None:
+    recording = read_recording(written(tmp_path / "bag", MOVING, ON, lost=range(1000, 1001)))
+    assert (len(recording.y), recording.total) == (5000 - 1001 - 10, 4999)
+    np.testing.assert_allclose(recording.y, MOVING[1011:])
+
+
+def test_the_command_says_it_in_one_sentence_and_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = written(tmp_path / "bag", MOVING, np.full(5000, math.nan))
+    assert main(["friction", str(bag)]) == 1
+    assert capsys.readouterr().err.startswith("straightcomp friction: bag ")
+
+
+def test_forces_need_a_scale_so_mass_or_turns_must_be_known() -> None:
+    with pytest.raises(IdentificationError, match=r"platform.mass or actuator.turns .* common factor"):
+        unknowns(StageParameters(), ["friction.coulomb"])
+    with pytest.raises(IdentificationError, match=r"'weight': is not among the unknowns; allowed: platform.mass,"):
+        unknowns(StageParameters(), ["weight"])
+
+
+def test_only_a_bag_or_an_excitation_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["friction"]) == 2
+    assert "either a BAG or --excitation" in capsys.readouterr().err
