@@ -25,9 +25,9 @@ from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, Waypoint
+from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.sweep.scenario import make_scenario
-from straightcomp_ros.offline.sweep.starts import runs_of_starts, spread
+from straightcomp_ros.offline.starts import runs_of_starts, spread
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.output_folder import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters

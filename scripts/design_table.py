@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from scripts.stage_files import STAGES, stage_names, stage_scenario
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.offline.sweep.scenario import Scenario
-from straightcomp_ros.offline.sweep.starts import spread
+from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.offline.starts import spread
 from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.tuning.design.automatic_design import Design, closed_form, design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from straightcomp_ros.offline.sweep.scenario import Scenario, make_scenario
+from straightcomp_ros.offline.scenario import Scenario, make_scenario
 from straightcomp_ros.parameters.parameter_file import read_stage_file
 
 STAGES = Path(__file__).resolve().parent.parent / "test" / "stages"

@@ -12,11 +12,11 @@ from rich.text import Text
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cli.output import styled
-from straightcomp_ros.paper.published import PEAK_TO_PEAK_UM
+from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
 
 if TYPE_CHECKING:
     # The sweep takes longer to import than most verbs run.
-    from straightcomp_ros.offline.sweep.starts import Spread
+    from straightcomp_ros.offline.starts import Spread
 
 _ROWS = (
     ("encoder_pp_um", "compensation error p-p, encoder", "µm", 3),

@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 from straightcomp_ros.cli.output import CommandFailed, Terminated, print_in_any_encoding, printable
 from straightcomp_ros.parameters.share import share_path
 
-_NAMES = "bench can completion demo doctor dsp evaluate map opcua recover replay reproduce simulate stage view"
-_TUNING = "commission design frequency-response friction robustness"
+_NAMES = "bench can completion demo doctor dsp evaluate map opcua recover replay simulate stage view"
+_TUNING = "commission design frequency-response friction reproduce robustness"
 _FOLDERS = {"cli": _NAMES, "tuning.verbs": _TUNING, "fleet.verbs": "history"}
 _VERBS = {
     name: f"straightcomp_ros.{folder}.{name.replace('-', '_')}"

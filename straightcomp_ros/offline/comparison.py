@@ -10,7 +10,7 @@ from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.offline.simulation import Simulation, node_set
-from straightcomp_ros.offline.sweep.starts import STARTS, Spread, first_cycle, spread, values_of_starts
+from straightcomp_ros.offline.starts import STARTS, Spread, first_cycle, spread, values_of_starts
 from straightcomp_ros.parameters.node_parameters import Values
 
 _TIMED_SAMPLES = 2000

@@ -15,9 +15,9 @@ from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.sweep.draws import draw, streams
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.sweep.draws import draw, streams
 
 STAGE = StageParameters()
 RATE, PERIOD_NS = 2000, 500_000

@@ -12,7 +12,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.nodes.dsp_emulator import emulate
-from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters

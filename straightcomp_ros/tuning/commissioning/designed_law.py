@@ -1,6 +1,6 @@
 """Step `design`: gains of `smc_observer` for the machine as identified and what of it is still open."""
 
-from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError

@@ -1,6 +1,6 @@
 """Step `safe_loop`: a law for the stated uncertainty, with which the loop is closed for the first time."""
 
-from straightcomp_ros.offline.sweep.scenario import make_scenario
+from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.design.safe_law import LAW, safe_law

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from straightcomp_ros.control.laws import LAWS, make_law
-from straightcomp_ros.offline.sweep.scenario import Scenario
-from straightcomp_ros.offline.sweep.starts import Spread, spread
+from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.offline.starts import Spread, spread
 from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.failing_limits import FailingLimits, failing_limits
 from straightcomp_ros.tuning.design.feasible_gains import feasible_gains, mended_starts, refusal

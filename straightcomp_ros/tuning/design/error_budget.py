@@ -14,11 +14,11 @@ import numpy as np
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.model.lugre import LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.sweep.draws import sample_times, streams
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.design.prepared_stroke import PreparedStroke, prepared_stroke
 from straightcomp_ros.tuning.design.searched_gains import scaled, with_gains
+from straightcomp_ros.tuning.sweep.draws import sample_times, streams
 
 _STARTS = 3
 _FINE = 1e-3

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.truth import Factors, deviating
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 

@@ -12,7 +12,7 @@ from straightcomp_ros.control.margins import (
     sampled_plant,
     spectral_radius,
 )
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
 
 _LIGHTEST, _HEAVIEST = 0.05, 20.0
 

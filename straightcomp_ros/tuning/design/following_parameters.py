@@ -8,7 +8,7 @@
 
 import numpy as np
 
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 _BELOW = 0.9

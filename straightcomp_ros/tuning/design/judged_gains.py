@@ -16,7 +16,7 @@ import numpy as np
 
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.design.extreme_machines import Extreme, extreme_machines

@@ -14,10 +14,10 @@ from straightcomp_ros.control.law import Law
 from straightcomp_ros.model.commanded_plant import Hold
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.model.plant import PlantParameters, PlantState
-from straightcomp_ros.offline.sweep.kernel import Conditions, run_cycle
-from straightcomp_ros.offline.sweep.references import readings, references, served
-from straightcomp_ros.offline.sweep.scenario import Scenario
-from straightcomp_ros.offline.sweep.starts import offset
+from straightcomp_ros.offline.kernel import Conditions, run_cycle
+from straightcomp_ros.offline.references import readings, references, served
+from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.offline.starts import offset
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 
@@ -84,7 +84,7 @@ class PreparedStroke:
         Args:
             law: under which.
             delay: of each command, s.
-            start: number of the start, as of :func:`~straightcomp_ros.offline.sweep.starts.offset`.
+            start: number of the start, as of :func:`~straightcomp_ros.offline.starts.offset`.
             plant: the machine, if it is not the stroke's own.
         """
         plant = plant or self.plant

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import StateSpace, closed_loop, linearised, sampled_plant, spectral_radius
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.stage.truth import Factors, deviating

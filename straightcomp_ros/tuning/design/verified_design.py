@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from straightcomp_ros.control.laws import ControlParameters
-from straightcomp_ros.offline.sweep.many_trials import LawSummary, summarise, sweep
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.tuning.sweep.many_trials import LawSummary, summarise, sweep
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from straightcomp_ros.cli.output import CommandFailed, console, print_json, work
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict, warn_of_missing_margin
 from straightcomp_ros.control.laws import LAWS
-from straightcomp_ros.offline.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, summarise, sweep
-from straightcomp_ros.offline.sweep.scenario import make_scenario
-from straightcomp_ros.offline.sweep.sweep_plot import plot_sweep
+from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 from straightcomp_ros.straightness.survey import SurveyError
+from straightcomp_ros.tuning.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, summarise, sweep
+from straightcomp_ros.tuning.sweep.sweep_plot import plot_sweep
 
 SUMMARY = "run many strokes on uncertain machines, offline"
 

@@ -3,7 +3,7 @@ from motions import moving
 
 from scripts.stage_files import stage_scenario
 from straightcomp_ros.model.motion import MotionParameters
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
 
 
 def short(scenario: Scenario, stroke: float = 0.06) -> Scenario:

@@ -3,7 +3,7 @@
 import dataclasses
 
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
-from straightcomp_ros.offline.sweep.scenario import Scenario
+from straightcomp_ros.offline.scenario import Scenario
 
 
 def moving(scenario: Scenario, motion: MotionParameters) -> Scenario:

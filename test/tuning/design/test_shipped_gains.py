@@ -5,8 +5,8 @@ Those of 'linear' and 'smc' are the paper's, whose figures they are to repeat.
 
 import pytest
 
-from straightcomp_ros.offline.sweep.scenario import make_scenario
-from straightcomp_ros.offline.sweep.starts import metrics_of_starts, spreads
+from straightcomp_ros.offline.scenario import make_scenario
+from straightcomp_ros.offline.starts import metrics_of_starts, spreads
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, design_gains
 

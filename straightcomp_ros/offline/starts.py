@@ -1,0 +1,112 @@
+"""Figures of a stroke over several starts: a published figure is their median, with their range.
+
+A peak-to-peak is one extreme of 30,000 samples. It moves by some hundredths of a µm when a sample falls on the next
+count of the encoder, or when another processor rounds another last bit: one run does not support its digits. A start is
+the position of the platform when the amplifier is switched on; nothing else differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
+from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.control.law import Law
+from straightcomp_ros.offline.compiled_stroke import can_run, run_stroke
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.node_parameters import Values
+from straightcomp_ros.straightness.guide_map import StraightnessMap
+
+STARTS = 9
+"""Of a published figure."""
+PITCH = 0.13e-6
+"""Distance of neighbouring starts in m: not a multiple of the encoder's 0.1 µm, so each lies elsewhere in a count."""
+
+
+class Spread(NamedTuple):
+    """A figure over several starts, in the unit of its numbers."""
+
+    median: float
+    min: float
+    max: float
+
+    def scaled(self, factor: float) -> Spread:
+        """The same in another unit; ``factor`` > 0."""
+        return Spread(*(number * factor for number in self))
+
+    def text(self, digits: int) -> str:
+        """``median (min to max)`` with ``digits`` decimals; the median alone if the range rounds to it."""
+        median, least, greatest = (f"{number:.{digits}f}" for number in self)
+        return median if least == greatest else f"{median} ({least} to {greatest})"
+
+
+def spread(numbers: Iterable[float]) -> Spread:
+    """Median and range of at least one number."""
+    found = list(numbers)
+    return Spread(float(np.median(found)), min(found), max(found))
+
+
+def spreads(shown: Iterable[Mapping[str, float | None]]) -> dict[str, Spread]:
+    """Each figure of `Metrics.to_display` over several starts, by its name; figures that a start lacks are left out."""
+    rows = list(shown)
+    columns = {name: [number for row in rows if (number := row[name]) is not None] for name in rows[0]}
+    return {name: spread(numbers) for name, numbers in columns.items() if len(numbers) == len(rows)}
+
+
+def offsets(count: int = STARTS) -> tuple[float, ...]:
+    """Offsets in m from the start of the parameters: none, then to either side in turn."""
+    return tuple(offset(k, PITCH) for k in range(count))
+
+
+def offset(number: int, pitch: float) -> float:
+    """Offset in m of start ``number`` from the first, with ``pitch`` m between neighbours, to either side in turn."""
+    return pitch * ((number + 1) // 2) * (1 if number % 2 else -1)
+
+
+def values_of_starts(values: Values, count: int = STARTS) -> list[dict[str, Mapping[str, Any]]]:
+    """Parameters by node and dotted name for each start; the first are ``values`` themselves."""
+    driver = values.get("driver", {})
+    initial = float(driver.get("simulated.initial_y", 0.0))
+    return [{**values, "driver": {**driver, "simulated.initial_y": initial + offset}} for offset in offsets(count)]
+
+
+def first_cycle(values: Values, law: Law | None = None) -> tuple[StrokeRecord, StraightnessMap]:
+    """The first cycle under ``values``, compiled if possible, and the controller's map; ``law`` replaces theirs.
+
+    Raises:
+        ParameterError, SurveyError: the parameters are refused.
+        ValueError: the platform's position, or the current, was not finite.
+    """
+    if law is None and can_run(values):
+        return run_stroke(values)
+    simulation = Simulation(values, law)
+    return simulation.run(), simulation.map
+
+
+def runs_of_starts(
+    values: Values, count: int = STARTS, progress: Callable[[float], None] = lambda fraction: None
+) -> Iterator[tuple[StrokeRecord, StraightnessMap]]:
+    """:func:`first_cycle` from each start; arguments and errors as of :func:`metrics_of_starts`."""
+    for number, one in enumerate(values_of_starts(values, count), 1):
+        yield first_cycle(one)
+        progress(number / count)
+
+
+def metrics_of_starts(
+    values: Values, count: int = STARTS, progress: Callable[[float], None] = lambda fraction: None
+) -> list[Metrics]:
+    """Figures of the first cycle from each start, in the order of :func:`offsets`.
+
+    Args:
+        values: parameters by node and dotted name.
+        count: starts, at least one.
+        progress: called with the fraction that is done.
+
+    Raises:
+        MetricsError: the stage does not move.
+        ParameterError, SurveyError, ValueError: as of :func:`first_cycle`.
+    """
+    return [evaluate(*run) for run in runs_of_starts(values, count, progress)]

@@ -1,0 +1,51 @@
+"""Compute every figure of the paper anew, write each as a PNG, and put the paper's numbers beside ours.
+
+A number that does not agree is no failure of the command: the note of that number says why."""
+
+import argparse
+from pathlib import Path
+
+from straightcomp_ros.cli.law_tables import shown, titled_table
+from straightcomp_ros.cli.options import add_force, output_folder
+from straightcomp_ros.cli.output import console, notes, print_json, working
+from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.tuning.paper.all_figures import PICTURES, Reproduction, reproduce
+from straightcomp_ros.tuning.paper.ideal_machine import DELAY, machine_from
+
+SUMMARY = "compute the paper's figures, and its numbers beside ours"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--output", "-o", metavar="DIR", default="reproduce_output", help="folder for the PNGs (default: %(default)s)")
+    add_force(parser)
+    add("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Reproduce with the shipped parameters, but the paper's delay, and print the claims."""
+    output = output_folder("--output", options.output)
+    values = shipped_parameters()
+    values["stage"]["drive.delay"] = DELAY
+    machine = machine_from(values)
+    with making(output, PICTURES, force=options.force) as place, working("computing the figures") as advance:
+        result = reproduce(machine, place, advance)
+    if options.json:
+        claims = [claim.to_display() for claim in result.claims]
+        print_json({"claims": claims, "figures": [str(output / path.name) for path in result.figures]})
+    else:
+        _print(result, output)
+
+
+def _print(result: Reproduction, folder: Path) -> None:
+    headings = ("claim", "paper", "ours", "unit", "within")
+    table = titled_table("The paper's numbers and ours", *headings, left=("unit", "within"))
+    for claim in result.claims:
+        within = {True: "yes", False: "no", None: ""}[claim.within]
+        table.add_row(claim.name, shown(claim.paper), claim.shown, claim.unit, within)
+    console.print(table)
+    for claim in result.claims:
+        if claim.within is False:
+            console.print(f"not within tolerance: {claim.name}: {claim.note}", highlight=False)
+    notes.print(f"{len(result.figures)} figures in {folder}", highlight=False)

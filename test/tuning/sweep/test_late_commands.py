@@ -1,0 +1,64 @@
+"""Single late commands: in the compiled cycle, and in the script that prints what they cost."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.tuning.commissioning.timing_budget import stalled
+
+PERIOD = 500_000
+
+
+@pytest.fixture(scope="module")
+def script():
+    path = Path(__file__).resolve().parents[3] / "scripts" / "late_commands.py"
+    spec = importlib.util.spec_from_file_location("late_commands", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def shipped():
+    values = shipped_parameters()
+    values["stage"]["motion.stroke"] = 0.1
+    values["stage"]["drive.delay"] = 1.0
+    return values
+
+
+def test_delays_are_those_of_the_first_commands_and_the_rest_have_the_constant_one(shipped):
+    constant, _ = run_stroke(shipped)
+    n = constant.time.size
+    same, _ = run_stroke(shipped, np.full(100, PERIOD))
+    np.testing.assert_array_equal(same.true_y, constant.true_y)
+    # In a stroke: at rest all commands are the same.
+    one = n // 3
+    late, _ = run_stroke(shipped, np.where(np.arange(2 * n) == one, 3 * PERIOD, PERIOD))
+    np.testing.assert_array_equal(late.true_y[:one], constant.true_y[:one])
+    assert (late.true_y[one:] != constant.true_y[one:]).any()
+
+
+def test_irregular_commands_leave_more_than_regular_ones_and_a_fixed_time_of_action_takes_that_away(script, shipped):
+    def rms(delays):
+        return evaluate(*run_stroke(shipped, delays)).to_display()["true_rms_um"]
+
+    irregular = np.random.default_rng(2).integers(0, PERIOD, 8000)
+    assert rms(np.maximum(irregular, PERIOD)) == rms(np.full(8000, PERIOD))
+    assert rms(irregular) > 1.02 * rms(np.full(8000, PERIOD))
+    assert script.typical_delays(PERIOD).max() < PERIOD
+
+
+def test_what_a_stalled_host_has_to_answer_comes_when_the_stall_is_over():
+    delays = stalled(2000, PERIOD, PERIOD, 2.0, range(1000, 2000, 157))
+    arrivals = (np.arange(delays.size) * PERIOD + delays)[1000:1006] // PERIOD
+    assert arrivals.tolist() == [1004, 1004, 1004, 1004, 1005, 1006]
+
+
+def test_a_bag_that_is_not_there_ends_the_script_with_a_sentence(script, tmp_path, capsys):
+    assert script.main(["--bag", str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err

@@ -1,0 +1,152 @@
+import json
+import math
+
+import pytest
+
+from straightcomp_ros.analysis.judgement import Verdict
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.tuning.sweep.many_trials import summarise
+from straightcomp_ros.tuning.sweep.sweep_plot import plot_sweep
+from straightcomp_ros.tuning.sweep.trial import TrialResult
+
+SHORT = ["--set", "stage.motion.stroke=0.02", "--set", "stage.motion.settle=0.1", "--set", "stage.motion.pause=0.1"]
+
+
+def result(trial: int, pp: float, word: str = "in_order", law: str = "linear") -> TrialResult:
+    return TrialResult(trial, law, pp, pp / 6.0, 1.0, 1e-3, Verdict(word, f"error of machine {trial}"))
+
+
+def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(capsys, tmp_path):
+    plot = tmp_path / "robustness.png"
+    laws = ["--law", "linear", "--law", "smc"]
+    assert main(["robustness", *SHORT, *laws, "--trials", "3", "--jobs", "1", "--json", "--plot", str(plot)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed) == {"trials", "seed", "laws", "seconds", "verdict", "reason"}
+    assert printed["verdict"] == "in_order"
+    assert printed["trials"] == 3 and list(printed["laws"]) == ["linear", "smc"]
+    for figures in printed["laws"].values():
+        assert {"pp_um", "rms_um", "not_in_order", "verdicts", "worst_trial", "verdict", "reason"} <= set(figures)
+        assert 0.0 < figures["pp_um"]["p5"] <= figures["pp_um"]["p50"] <= figures["pp_um"]["max"] < 10.0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_table_names_the_laws_and_what_they_ran_under(capsys):
+    assert (
+        main(
+            [
+                "robustness",
+                *SHORT,
+                "--law",
+                "smc",
+                "--trials",
+                "2",
+                "--jobs",
+                "1",
+                "--set",
+                "stage.uncertainty.mass=0.3",
+            ]
+        )
+        == 0
+    )
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "smc" in printed and "mass ±30%" in printed and "not in order" in printed
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (
+            ["--set", "stage.uncertainty.mess=0.1"],
+            "uncertainty.mess' is unknown; did you mean 'stage.uncertainty.mass'",
+        ),
+        (["--set", "stage.uncertainty.mass=heavy"], "uncertainty.mass': 'heavy' is not a number"),
+        (["--set", "stage.motion.stroke=0.0"], "parameter 'stage.motion.stroke': 0.0 m"),
+    ],
+)
+def test_wrong_parameters_are_named(capsys, arguments, message):
+    assert main(["robustness", "--trials", "1", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--trials", "0"], ["--seed", "-1"], ["--law", "magic"]])
+def test_wrong_options_are_refused(capsys, arguments):
+    with pytest.raises(SystemExit):
+        main(["robustness", *arguments])
+    assert arguments[1] in capsys.readouterr().err
+
+
+def test_every_percentile_is_a_trial_that_was_run():
+    errors = [1e-6, 2e-6, 4e-6, 8e-6]
+    (summary,) = summarise(result(trial, pp) for trial, pp in enumerate(errors))
+    assert set(summary.pp.values()) <= set(errors)
+    assert summary.pp["max"] == 8e-6 and summary.worst_trial == 3
+
+
+def test_machines_above_twice_the_median_are_named_worst_first():
+    (summary,) = summarise(result(trial, pp) for trial, pp in enumerate([2.1e-6, 1e-6, 1e-6, 2e-6, 3e-6, 1e-6, 1e-6]))
+    assert summary.outliers == {4: 3e-6, 0: 2.1e-6}
+    assert [outlier["trial"] for outlier in summary.to_display()["outliers"]] == [4, 0]
+
+
+def test_a_machine_alone_is_the_machine_of_the_sweep(capsys):
+    def figures(*options: str) -> dict:
+        assert main(["robustness", *SHORT, "--law", "smc", "--jobs", "1", "--json", *options]) == 0
+        return json.loads(capsys.readouterr().out)["laws"]["smc"]
+
+    of_three = figures("--trials", "3")
+    alone = figures("--trial", str(of_three["worst_trial"]))
+    assert alone["pp_um"]["p50"] == of_three["pp_um"]["max"] and alone["worst_trial"] == of_three["worst_trial"]
+
+
+def test_the_table_tells_how_to_run_an_outlier_alone(capsys, monkeypatch):
+    monkeypatch.setattr("straightcomp_ros.tuning.sweep.many_trials.OUTLIER", 0.5)
+    assert main(["robustness", *SHORT, "--law", "smc", "--trials", "1", "--jobs", "1"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "machine 0 (" in printed and "--trial" in printed
+
+
+def test_a_cycle_that_broke_off_counts_and_is_null_in_json(tmp_path):
+    results = [result(0, 1e-6), result(1, math.inf, "inaccurate")]
+    (summary,) = summarise(results)
+    shown = summary.to_display()
+    assert shown["pp_um"]["p50"] == pytest.approx(1.0) and shown["pp_um"]["max"] is None
+    assert shown["not_in_order"] == 1 and shown["verdicts"] == {"inaccurate": 1}
+    assert shown["machines_not_in_order"][0]["pp_um"] is None
+    assert plot_sweep(results, [summary], tmp_path / "a.png", "broken off").is_file()
+
+
+def test_a_sweep_in_which_all_cycles_broke_off_can_be_drawn(tmp_path):
+    results = [result(0, math.inf, "inaccurate")]
+    assert plot_sweep(results, summarise(results), tmp_path / "a.png", "none ended").is_file()
+
+
+def test_the_verdict_on_a_law_is_its_most_frequent_one_and_names_a_machine():
+    words = ["in_order", "at_stop", "oscillates", "oscillates"]
+    (summary,) = summarise(result(trial, 1e-6 * (trial + 1), word) for trial, word in enumerate(words))
+    assert summary.verdict.verdict == "oscillates"
+    assert summary.verdict.reason == "oscillates 2, at_stop 1 of 4 machines; machine 2: error of machine 2"
+    assert [one.trial for one in summary.not_in_order] == [1, 2, 3]
+    (good,) = summarise([result(0, 1e-6)])
+    assert good.verdict.in_order and "1 machines" in good.verdict.reason and good.doubtful == frozenset()
+
+
+def test_a_percentile_of_a_machine_that_is_not_in_order_is_doubtful():
+    words = ["in_order"] * 9 + ["oscillates"]
+    (summary,) = summarise(result(trial, 1e-6 * (trial + 1), word) for trial, word in enumerate(words))
+    assert summary.doubtful == {"p95", "max"}
+
+
+def test_a_machine_that_is_not_in_order_fails_the_command_and_is_marked_and_named(capsys):
+    # The paper's switching law with sgn σ: it oscillates by itself.
+    sgn = ["--set", "controller.control.smc.boundary_layer=0.0", "--set", "stage.motion.stroke=0.1"]
+    assert main(["robustness", *SHORT, *sgn, "--law", "smc", "--trials", "2", "--jobs", "1", "--json"]) == 1
+    captured = capsys.readouterr()
+    printed = json.loads(captured.out)
+    assert printed["verdict"] == "oscillates" and "law 'smc'" in printed["reason"]
+    figures = printed["laws"]["smc"]
+    assert figures["not_in_order"] == figures["verdicts"]["oscillates"] == 2
+    assert [one["trial"] for one in figures["machines_not_in_order"]] == [0, 1]
+    assert "not in order: oscillates" in captured.err
+    assert main(["robustness", *SHORT, *sgn, "--law", "smc", "--trials", "1", "--jobs", "1"]) == 1
+    printed = " ".join(capsys.readouterr().out.split())
+    assert " ! " in printed and "Verdict on smc: oscillates: oscillates 1 of 1 machines; machine 0:" in printed
