@@ -37,7 +37,7 @@ from straightcomp_ros.tuning.commissioning.procedure import Procedure
 from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine
 from straightcomp_ros.tuning.design.automatic_design import design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
-from trials.faults.faulty_machine import FaultyHardware
+from trials.faulty_machine import FaultyHardware
 
 STARTS = 3
 COUNTS = (0.05e-6, 0.5e-6)

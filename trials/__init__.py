@@ -1,1 +1,1 @@
-"""Tests the machine: faults, long runs, benches. No node imports it."""
+"""Test rigs and benches of development. Not installed, and nothing of the package imports them."""

@@ -1,10 +1,10 @@
-"""The command of the trials: python -m trials, in a checkout."""
+"""The command of the rigs, in a checkout: python -m trials RIG [OPTIONS]. Each prints one JSON object."""
 
 import sys
 
 from straightcomp_ros.cli.main import main
 
-VERBS = {"bench": "trials.verbs.bench", "faults": "trials.verbs.inject_faults", "soak": "trials.verbs.soak"}
+RIGS = ("bags", "can", "faults", "history", "kills", "soak", "wear")
 
 if __name__ == "__main__":
-    sys.exit(main(verbs=VERBS, program="python -m trials"))
+    sys.exit(main(verbs={name: f"trials.{name}" for name in RIGS}, program="python -m trials"))

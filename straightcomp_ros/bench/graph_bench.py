@@ -128,7 +128,7 @@ def bench_parameters(
     return chosen
 
 
-_CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}.trials.bench.steady_cell"]}
+_CELL: Mapping[str, Sequence[str]] = {"cell": [sys.executable, "-m", f"{PACKAGE}.bench.steady_cell"]}
 
 
 def view_beside(priority: int) -> dict[str, Sequence[str]]:
@@ -140,7 +140,7 @@ def view_beside(priority: int) -> dict[str, Sequence[str]]:
     port = str(free_port())
     return {
         "view": verb_command("view", "--port", port, "--priority", str(priority)),
-        "page": [sys.executable, "-m", f"{PACKAGE}.trials.bench.page_reader", port],
+        "page": [sys.executable, "-m", f"{PACKAGE}.bench.page_reader", port],
     }
 
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from trials.soak.actions import ACTIONS
+from trials.soak_actions import ACTIONS
 
 pytestmark = [pytest.mark.live, pytest.mark.keeps_time, pytest.mark.soak]
 

@@ -10,11 +10,11 @@ from rclpy.parameter import Parameter
 
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.safety.faults import HELD_UP, Fault
-from trials.faults.stand import MOTION, Seen
+from trials.stand import MOTION, Seen
 from trials.soak import actions as soak_actions
 from trials.soak import scene as soak_scene
-from trials.soak.scene import Scene
-from trials.soak.verdict import Soak
+from trials.soak_scene import Scene
+from trials.soak_verdict import Soak
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 

@@ -6,7 +6,7 @@ import pytest
 
 from straightcomp_ros.bags.messages import read_messages
 from straightcomp_ros.cell.launcher import LaunchError
-from trials.bench.traffic_streams import TRAFFIC, record_traffic
+from trials.traffic import TRAFFIC, record_traffic
 
 pytestmark = pytest.mark.keeps_time
 
@@ -29,7 +29,7 @@ def test_a_node_that_cannot_publish_says_why(tmp_path):
 
 
 def test_traffic_without_a_reader_ends_with_their_names(single):
-    command = [sys.executable, "-m", "trials.bench.traffic_node"]
+    command = [sys.executable, "-m", "trials.traffic"]
     traffic = single.start("traffic", {"start_timeout": 0.5}, command=command)
     assert traffic.wait(120) == 1
     assert "nobody subscribes to encoder, reference" in single.log("traffic").read_text()

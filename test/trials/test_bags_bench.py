@@ -12,7 +12,7 @@ from straightcomp_ros.contract import COMMAND, DEFAULT_RATE
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 from trials.bench import bag_costs as bags
-from trials.bench.traffic_streams import TRAFFIC, lost
+from trials.traffic import TRAFFIC, lost
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import pytest
 
 from straightcomp_ros.cell.launcher import ros_available
 from straightcomp_ros.cli.main import main
-from trials.faults.rows import Row, summary
+from trials.faults import Row, summary
 
 
 def row(**changed):

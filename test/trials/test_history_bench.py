@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from straightcomp_ros.cli.main import main
-from trials.bench.generated_bags import template_of, write_bag
+from trials.generated_bags import template_of, write_bag
 
 BAG = Path(__file__).resolve().parents[2] / "bags" / "smc"
 

@@ -7,7 +7,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
-from trials.bench.recorded_strokes import Commanded, Stroke, missing, readable, strokes_in
+from trials.soak_strokes import Commanded, Stroke, missing, readable, strokes_in
 
 START, SECOND = 1_700_000_000_000_000_000, 10**9
 STROKE, STROKES = 1_250_000_000, 8

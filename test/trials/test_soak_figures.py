@@ -8,7 +8,7 @@ import pytest
 
 from straightcomp_ros.cell.launcher import ros_available
 from straightcomp_ros.cli.main import main
-from trials.soak.verdict import (
+from trials.soak_verdict import (
     MEMORY_LIMIT_MB_PER_HOUR,
     Actions,
     Life,

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from trials.bench.stalls import Stalls
+from trials.stalls import Stalls
 
 
 def test_a_stall_is_found_in_the_time_that_it_took_and_in_no_other(tmp_path):

@@ -5,7 +5,7 @@ import shutil
 import pytest
 from stores import COUNT, SAMPLES, STAGES, added, files_of
 
-from trials.bench.generated_bags import template_of, write_bag
+from trials.generated_bags import template_of, write_bag
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.fleet.history.recorded_facts import stored_name
 from straightcomp_ros.fleet.history.store import Store
-from trials.bench.generated_bags import template_of, write_bag
+from trials.generated_bags import template_of, write_bag
 
 BOMB = "a0: &a0 {x: 1}\n" + "".join(
     f"a{i}: &a{i} {{{', '.join(f'k{j}: *a{i - 1}' for j in range(10))}}}\n" for i in range(1, 10)

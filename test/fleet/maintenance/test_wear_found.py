@@ -3,9 +3,9 @@
 import numpy as np
 
 from trials.bench import wear_found
-from trials.bench.known_wear import SOUND
-from trials.bench.wear_found import Alarm, alarms_of
-from trials.bench.worn_stage import levels_of_months, months
+from trials.worn_stage import SOUND
+from trials.wear import Alarm, alarms_of
+from trials.worn_stage import levels_of_months, months
 
 DAYS = np.arange(120)
 

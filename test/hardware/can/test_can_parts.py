@@ -25,8 +25,8 @@ from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from trials.bench.can_fault_trial import position, run_trial
-from trials.bench.can_servo_trial import _START_NS, _TRANSIT_NS, _Trial
+from trials.can_faults import position, run_trial
+from trials.can_servo import _START_NS, _TRANSIT_NS, _Trial
 
 PERIOD = 500_000
 EMULATOR = EmulatorFrames(1, CanParameters().make_wire())

@@ -9,8 +9,8 @@ from straightcomp_ros.hardware.can.frames import Amplifier, Report
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_clock import BLOCK
 from straightcomp_ros.stage.description import StageParameters
-from trials.bench.bus_faults_found import COUNTED
-from trials.bench.can_fault_trial import position, run_trial
+from trials.can import COUNTED
+from trials.can_faults import position, run_trial
 
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 STAGE = StageParameters()

@@ -19,7 +19,7 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from trials.bench.can_servo_trial import run_servo_trial
+from trials.can_servo import run_servo_trial
 
 STAGE = StageParameters()
 PERIOD = STAGE.period_ns

@@ -14,7 +14,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.tuning.commissioning import acceptance as acceptance_step
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
 from straightcomp_ros.tuning.commissioning.step_files import LEARNED, LIMITS
-from trials.faults.faulty_machine import FaultyHardware
+from trials.faulty_machine import FaultyHardware
 
 STALL, APART = 0.03, 0.5
 """s."""

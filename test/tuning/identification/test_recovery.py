@@ -27,7 +27,7 @@ from straightcomp_ros.tuning.identification.estimate import (
 from straightcomp_ros.tuning.identification.sliding_start import centre, sliding_start
 from straightcomp_ros.tuning.identification.unknowns import NAMES, unknowns
 from straightcomp_ros.tuning.identification.untold import untold
-from trials.faults.faulty_machine import FaultyHardware
+from trials.faulty_machine import FaultyHardware
 
 START = StageParameters()
 WITHIN = {

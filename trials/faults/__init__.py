@@ -1,1 +1,0 @@
-"""Injects each fault into the running graph, and measures how soon it is latched."""

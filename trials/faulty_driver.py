@@ -1,0 +1,66 @@
+"""driver, for trials: its machine, its clock and its connection for commands fail on demand.
+
+A message on `inject` (diagnostic_msgs/DiagnosticStatus) names a fault, an empty name ends it; a message on `injected`
+tells when it began. The name `new_machine` requests another simulated machine, at rest in the middle.
+
+    python -m trials.faulty_driver --ros-args …
+"""
+
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from straightcomp_ros.nodes.driver_node import DriverComponent, make_hardware
+from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
+from straightcomp_ros.runtime.clock import now_ns
+from straightcomp_ros.runtime.managed import ManagedNode
+from straightcomp_ros.runtime.runner import run_managed
+from trials.faulty_machine import FaultyHardware
+
+INJECT, INJECTED = "inject", "injected"
+CLOCK_STEP, LATE_COMMANDS, NEW_MACHINE = "clock_step", "late_commands", "new_machine"
+_STEP_NS = 1_000_000_000
+
+
+class FaultyDriver(DriverComponent):
+    """The driver, with faults of its machine (see :mod:`~.faulty_machine`), clock and connection."""
+
+    def __init__(self, node: ManagedNode, parameters: DriverNodeParameters) -> None:
+        self._step_ns = self._late_ns = 0
+        self._parameters = parameters
+        self._faulty = FaultyHardware(make_hardware(parameters), self._tell)
+        super().__init__(node, parameters, self._faulty, lambda: time.time_ns() + self._step_ns)
+        accept = self._commands.accept
+        self._commands.accept = lambda stamp_ns, current, at_ns: accept(stamp_ns, current, at_ns + self._late_ns)
+        self._injected = node.create_publisher(DiagnosticStatus, INJECTED, 10)
+        node.create_subscription(DiagnosticStatus, INJECT, self._on_inject, 10)
+
+    def _on_inject(self, message: DiagnosticStatus) -> None:
+        kind = message.name
+        # The middleware's clock is not stepped with ours: afterwards the reception times must match again.
+        self._late_ns = self._step_ns = 0
+        if kind == CLOCK_STEP:
+            self._step_ns = _STEP_NS
+            self._tell(kind, now_ns())
+        elif kind == LATE_COMMANDS:
+            self._late_ns = 2 * self._command_timeout_ns
+            self._tell(kind, now_ns())
+        elif kind == NEW_MACHINE:
+            machine = make_hardware(self._parameters)
+            machine.start(now_ns())
+            self._faulty.replace(machine)
+        else:
+            self._faulty.inject(kind)
+
+    def _tell(self, kind: str, time_ns: int) -> None:
+        self._injected.publish(DiagnosticStatus(name=kind, values=[KeyValue(key="time_ns", value=str(time_ns))]))
+
+
+def main() -> int:
+    """Run the node."""
+    return run_managed("driver", DriverNodeParameters, FaultyDriver)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

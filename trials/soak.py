@@ -1,0 +1,211 @@
+"""Run the graph for a long time with random actions on it, and tell whether it recovered from each.
+
+Starts driver, feedforward, controller and logger on the simulated machine with the stage moving. The actions:
+amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL and restart. After each action the
+safety state and the work of the whole graph are checked; at the end bags, strokes, descriptors, threads and memory.
+Exit code 0 only if nothing failed."""
+
+import argparse
+import random
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from std_srvs.srv import Trigger
+
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.cell.launcher import LaunchError
+from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
+from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.straightness.guide_map import find_survey
+from trials.faults import trial_parameters
+from trials.rig import Progress, add_output, output, progress
+from trials.soak_actions import ACTIONS
+from trials.soak_scene import Scene
+from trials.soak_strokes import Commanded, Stroke, missing, readable, strokes_in
+from trials.soak_verdict import Actions, Lives, Soak, exits
+from trials.stalls import Stalls
+from trials.stand import Stand
+
+SUMMARY = "run the graph for a long time under random actions and check it after each"
+WARM_UP_S = 10.0
+"""Age from which a process is checked for growth: until then it allocates what it keeps."""
+_NEXT_DIAGNOSTICS_S = 1.5
+_PAUSE_S = (0.2, 2.0)
+_NEW_GRAPHS = 3
+"""How often all nodes are restarted if the graph does not recover, before the run is given up."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_parameter_options(parser)
+    parser.add_argument("--minutes", type=float, default=30.0, help="duration of the actions in minutes (default: 30)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the random choices (default: 1)")
+    add_output(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    require_ros()
+    if not 0.0 < options.minutes <= 7 * 24 * 60:
+        raise CommandFailed(f"--minutes {options.minutes:g}: allowed: above 0, up to a week", exit_code=2)
+    values = trial_parameters(chosen_parameters(options))
+    with output(options) as folder, progress() as advance:
+        figures = run_soak(values, folder, 60.0 * options.minutes, options.seed, advance).to_display()
+    print_json(figures)
+    return int(not figures["passed"])
+
+
+def run_soak(
+    values: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    seconds: float,
+    seed: int,
+    advance: Progress = lambda kind, fraction: None,
+) -> Soak:
+    """Run the graph with actions for ``seconds``, then check what it left.
+
+    Only two of the nodes are killed in the first half, and only the other two in the second, so that each has a process
+    that lives for half of the time. All kinds of action are done equally often, in random order.
+
+    Args:
+        values: from :func:`trials.faults.trial_parameters`.
+        folder: for bags and logs.
+        seconds: duration of the actions; start, end and reading of the bags take extra time.
+        seed: of the random choices. Their effects differ from run to run.
+        advance: called before each action with its kind and the elapsed fraction of the time.
+
+    Raises:
+        LaunchError: the graph does not start.
+    """
+    rng = random.Random(seed)
+    result, lives = Soak(seed), Lives()
+    begin = time.monotonic()
+    priority = values["driver"].get("realtime.priority", 0)
+    with Stand(folder, values) as stand, Stalls(folder, priority) as stalls:
+        rate, log = node_parameters("driver", values).stage.rate, folder / "actions.log"
+        scene = Scene(stand, rng, rate, result, stalls, log, _maps(values, folder))
+        scene.back_to_work()
+        killed = rng.sample(RECORDED, len(RECORDED))
+        kinds = _kinds(rng)
+        started = time.monotonic()
+        new_graphs = 0
+        while (fraction := (time.monotonic() - started) / seconds) < 1.0 and new_graphs <= _NEW_GRAPHS:
+            scene.killable = tuple(killed[:2] if fraction < 0.5 else killed[2:])
+            kind = next(kinds)
+            advance(kind, fraction)
+            if not _done(scene, kind, result):
+                new_graphs += 1
+                _start_anew(scene, result)
+            _look(scene, lives)
+            stand.spin(rng.uniform(*_PAUSE_S))
+            _nothing_by_itself(scene, kind, result)
+        advance("stopping", 1.0)
+        _end(scene, result, lives)
+    _judge_bags(folder, scene.commanded, result)
+    result.seconds = time.monotonic() - begin
+    return result
+
+
+def _maps(values: Mapping[str, Mapping[str, Any]], folder: Path) -> tuple[str, ...]:
+    """The map's file, and a copy of it: a different map might lead the platform out of its travel."""
+    file = node_parameters("feedforward", values).stage.guide.file
+    copy = folder.absolute() / "another_map.csv"
+    shutil.copyfile(find_survey(file), copy)
+    return file, str(copy)
+
+
+def _kinds(rng: random.Random) -> Iterator[str]:
+    """Every kind once, in random order, again and again."""
+    while True:
+        yield from rng.sample(list(ACTIONS), len(ACTIONS))
+
+
+def _done(scene: Scene, kind: str, result: Soak) -> bool:
+    """Do one action and restore normal operation; returns whether that was possible."""
+    failures: list[str] = []
+    back = True
+    scene.note(kind)
+    try:
+        failures += ACTIONS[kind](scene)
+        scene.back_to_work()
+    except (LaunchError, ProcessLookupError) as error:
+        failures.append(f"not back to work: {error}")
+        back = False
+    for words in failures:
+        scene.note(f"FAILED: {words}")
+    result.actions.setdefault(kind, Actions()).add(failures)
+    return back
+
+
+def _start_anew(scene: Scene, result: Soak) -> None:
+    """Kill and start all nodes, so that the rest of the time is not lost."""
+    scene.interrupt(before_s=1.0)
+    scene.end_motion()
+    for name in RECORDED:
+        scene.stand.kill(name)
+    for name in RECORDED:
+        scene.stand.restart(name)
+    try:
+        scene.back_to_work()
+    except LaunchError as error:
+        result.failures.append(f"all nodes were started anew: {error}")
+
+
+def _look(scene: Scene, lives: Lives) -> None:
+    now, stand = time.monotonic(), scene.stand
+    warm = {name: pid for name, pid in stand.processes.items() if now - stand.started[name] >= WARM_UP_S}
+    # A node that has ended by itself, or does not answer, is found by the next action.
+    with suppress(OSError, LaunchError):
+        if "feedforward" in warm and warm["feedforward"] not in lives:
+            # The node's thread for maps starts with its first job and stays. So does the file that counts this
+            # thread's waits for a CPU, which the node opens with its next diagnostics.
+            scene.ask(Trigger, "feedforward/reload_map", Trigger.Request())
+            stand.spin(_NEXT_DIAGNOSTICS_S)
+        lives.see(warm)
+
+
+def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
+    """Check that the amplifier stays on between two actions."""
+    failures: list[str] = []
+    scene.must_be_on(failures)
+    if failures:
+        scene.note(f"FAILED, with nothing done: {failures[0]}")
+        result.actions[kind].failed += 1
+        result.actions[kind].failures += [f"later, with nothing done: {words}" for words in failures]
+    if scene.stand.condition != "on":
+        # Restore also after a permitted fault: the next action must not find it.
+        with suppress(LaunchError):
+            scene.back_to_work()
+
+
+def _end(scene: Scene, result: Soak, lives: Lives) -> None:
+    """Stop the nodes like an operator."""
+    _look(scene, lives)
+    result.lives = lives.finished(list(scene.stand.processes.values()))
+    scene.interrupt()
+    scene.end_motion()
+    result.failures += exits(scene.stand.stop())
+
+
+def _judge_bags(folder: Path, commanded: Commanded, result: Soak) -> None:
+    found: list[Stroke] = []
+    for bag in sorted(path for path in folder.glob("bag_*") if path.is_dir()):
+        try:
+            whole, finished = readable(bag)
+            result.bags["finished" if finished else "recovered"] += 1
+            found += strokes_in(whole, commanded.motions())
+        except BagError as error:
+            result.failures.append(str(error))
+    strokes = commanded.strokes()
+    lost = missing(strokes, found)
+    result.strokes = {"commanded": len(strokes), "found": len(strokes) - len(lost)}
+    if not strokes:
+        result.failures.append("no stroke counts: the recording was never known to be whole")
+    result.failures += [
+        f"the stroke {stroke.direction} at {stroke.begin_ns * 1e-9:.3f} s since the epoch is in no bag"
+        for stroke in lost
+    ]

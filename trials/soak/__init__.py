@@ -1,1 +1,0 @@
-"""Runs the graph for a long time with random actions on it."""

@@ -1,0 +1,307 @@
+"""The running graph as a test stand for faults: starts it, moves the stage, injects faults, sees what is latched."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
+from straightcomp_ros.contract import COMMAND, POSITION, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
+from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import as_parameter_file
+from straightcomp_ros.runtime.heartbeats import Heartbeats
+from straightcomp_ros.runtime.middleware import own_profile
+from straightcomp_ros.runtime.safety_panel import LATCHED
+from straightcomp_ros.runtime.stage_trajectory import message_from_waypoints
+from straightcomp_ros.runtime.streams import SubscriptionQueue, publisher, subscribe, unspun_node
+from straightcomp_ros.safety.faults import LABELLED, Fault
+from straightcomp_ros.timing import realtime
+from straightcomp_ros.timing.realtime import RealtimeParameters
+from trials.faulty_driver import INJECT, INJECTED, NEW_MACHINE, FaultyDriver
+
+_FOREIGN = (sys.executable, "-m", "trials.foreign_publisher")
+_FOREIGN_CURRENT = 0.5
+"""A, within the limit: nothing but its stamp shows that a command is foreign."""
+_FAULTY_DRIVER = (sys.executable, "-m", FaultyDriver.__module__)
+_START_S = 90.0
+"""Time limit, since a busy computer takes long to start a node, and the middleware to connect it."""
+_ANSWER_S = 3.0
+_REPLY_S = 1.0
+"""Time limit of one request: it is lost if it goes to a killed node that is still known."""
+_SETTLE_S = 0.1
+_REFUSALS = 2
+_SENDS = 3
+_AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
+_STROKE, _SPEED, ACCELERATION = 0.1, 0.1, 0.4
+MOTION_STROKES, STROKE_S = 600, _STROKE / _SPEED + _SPEED / ACCELERATION
+"""Number of strokes in a motion, and duration of each in s: forward and backward in turn, without a rest."""
+_STOP_S = 30.0
+
+
+class Seen(NamedTuple):
+    """A fault, and the time at which it was latched, ns since the epoch."""
+
+    fault: Fault
+    time_ns: int
+
+
+class Stand:
+    """The graph's processes; this context manager stops them at its end.
+
+    Args:
+        folder: gets bags, logs and the parameter file.
+        values: parameters by node and dotted name.
+
+    Raises:
+        LaunchError: the graph does not start.
+    """
+
+    def __init__(self, folder: Path, values: Mapping[str, Mapping[str, Any]]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder, self._file = folder, folder / "parameters.yaml"
+        self._realtime = RealtimeParameters(priority=values["driver"].get("realtime.priority", 0))
+        self._file.write_text(as_parameter_file(values))
+        os.environ.update(isolated_environment())
+        self._graph = Graph(folder)
+        self.processes: dict[str, int] = {}
+        self.started: dict[str, float] = {}
+        self.bags = 0
+        self.condition, self.fault, self.tripped = "", None, None
+        self.injected_ns = 0
+        self._sends = 0
+        self._echoed: SubscriptionQueue | None = None
+        self._foreign: subprocess.Popen[str] | None = None
+        self.farthest, self.stop = 0.0, node_parameters("driver", values).stage.platform.stop
+        """Largest |y| in m since foreign commands began, and |y| at the mechanical stop."""
+        with own_profile():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            self.node = Node("fault_stand")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self.heartbeats = Heartbeats(self.node, RECORDED)
+        self.node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
+        self.node.create_subscription(DiagnosticStatus, TRIP, self._on_trip, 10)
+        self.node.create_subscription(DiagnosticStatus, INJECTED, self._on_injected, 10)
+        self._inject = self.node.create_publisher(DiagnosticStatus, INJECT, 10)
+        self._trajectory = self.node.create_publisher(JointTrajectory, STAGE_TRAJECTORY, 10)
+        self.command = publisher(self.node, COMMAND)
+        subscribe(self.node, POSITION, self._on_position)
+        self._clients: dict[str, Any] = {}
+
+    def __enter__(self) -> Stand:
+        for name in RECORDED:
+            self.start(name)
+        # A process that communicates with nodes of real-time priority needs the same priority.
+        realtime.apply(self._realtime)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._foreign is not None:
+            self._foreign.kill()
+            self._foreign.communicate()
+        self._graph.stop()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def start(self, name: str) -> None:
+        """Start a node; start it again if it has ended."""
+        parameters, command = {}, None
+        if name == "driver":
+            command = _FAULTY_DRIVER
+            # More than once: the first may come before the driver is connected; it refuses those that it does not need.
+            self._sends = _SENDS
+        if name == "logger":
+            self.bags += 1
+            parameters["output"] = str(self.bag)
+        self.heartbeats.forget(name)
+        self.started[name] = time.monotonic()
+        self.processes[name] = self._graph.start(name, parameters, self._file, command=command).pid
+
+    @property
+    def bag(self) -> Path:
+        """Folder of the newest logger's bag."""
+        return self._folder / f"bag_{self.bags}"
+
+    def signal(self, name: str, number: signal.Signals) -> int:
+        """Send a signal to a node; returns the time, ns since the epoch."""
+        at_ns = time.time_ns()
+        os.kill(self.processes[name], number)
+        return at_ns
+
+    def exit_code(self, name: str) -> int | None:
+        """A node's exit code; None while it runs."""
+        return self._graph.exit_code(name)
+
+    def alive(self, names: tuple[str, ...] = RECORDED) -> bool:
+        """Whether the processes of these nodes run."""
+        return all(self.exit_code(name) is None for name in names)
+
+    def spin(self, seconds: float) -> None:
+        """Spin for this time."""
+        self.until(lambda: False, seconds)
+
+    def until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Wait for a condition, at most for the given time; returns whether it became true."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_once(timeout_sec=0.01)
+            if self._echoed is not None:
+                for stamp_ns, numbers, _ in self._echoed.fetch():
+                    self.injected_ns = self.injected_ns or time.time_ns()
+                    self.command(stamp_ns, numbers[0])
+        return True
+
+    def echo(self, on: bool) -> None:
+        """Start or stop acting as a second controller that repeats each command."""
+        if on:
+            self._unspun = unspun_node(self.node)
+            self._echoed = SubscriptionQueue(self.node, self._unspun, COMMAND)
+        elif self._echoed is not None:
+            self._echoed = None
+            self._unspun.destroy_node()
+
+    def begin_foreign(self, rate: float, clock: bool, offset_ns: int) -> int:
+        """Let a foreign process publish ``rate`` commands a second until :meth:`end_foreign`.
+
+        Their stamps are ``offset_ns`` from the present time, or without ``clock`` from time 0. Returns when the first
+        was sent, ns since the epoch.
+        """
+        if self._foreign is None:
+            pipe = subprocess.PIPE
+            self._foreign = subprocess.Popen(_FOREIGN, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
+        self.farthest = 0.0
+        return self._ask_foreign(f"{rate} {clock:d} {offset_ns} {_FOREIGN_CURRENT}")
+
+    def end_foreign(self) -> int:
+        """End the foreign commands; returns their number."""
+        return self._ask_foreign("")
+
+    def _ask_foreign(self, line: str) -> int:
+        assert self._foreign is not None and self._foreign.stdin is not None and self._foreign.stdout is not None
+        print(line, file=self._foreign.stdin, flush=True)
+        return int(self._foreign.stdout.readline())
+
+    def inject(self, kind: str) -> None:
+        """Request a fault from the driver; an empty text ends it."""
+        self._inject.publish(DiagnosticStatus(name=kind))
+
+    def enable(self) -> bool:
+        """Request the amplifier; returns whether it was switched on."""
+        answer = self.call(SetBool, "driver/enable", SetBool.Request(data=True))
+        return answer is not None and answer.success
+
+    def move(self) -> None:
+        """Start the motion. The driver refuses it unless the stage is at the motion's start, e.g. while it moves."""
+        self._trajectory.publish(_MOTION)
+
+    def kill(self, name: str) -> None:
+        """Kill a node's process, if it runs."""
+        if self.exit_code(name) is None:
+            self.signal(name, signal.SIGKILL)
+
+    def restart(self, name: str) -> list[str]:
+        """Start a killed node again once its process has ended; returns further failures in words."""
+        ended = not self.alive(tuple(other for other in RECORDED if other != name))
+        self.until(lambda: self.exit_code(name) is not None, _STOP_S)
+        self.start(name)
+        return ["another node has ended too"] if ended else []
+
+    def stop(self) -> dict[str, int | None]:
+        """Interrupt all nodes and wait for their ends; returns their exit codes, None for one that keeps running."""
+        for name in RECORDED:
+            if self.exit_code(name) is None:
+                self.signal(name, signal.SIGINT)
+        self.until(lambda: not any(self.exit_code(name) is None for name in RECORDED), _STOP_S)
+        return {name: self.exit_code(name) for name in RECORDED}
+
+    def switch_on(self) -> None:
+        """Bring the whole graph to its working state: all nodes active, stage moving, amplifier on.
+
+        Raises:
+            LaunchError: the graph does not reach that state.
+        """
+        deadline = time.monotonic() + _START_S
+        refusals = 0
+        while time.monotonic() < deadline:
+            self.inject("")
+            if not self.until(lambda: self.heartbeats.in_state("active"), _ANSWER_S):
+                self._graph.check(RECORDED)
+                continue
+            self.spin(0.03)
+            self.call(Trigger, "driver/reset_fault", Trigger.Request())
+            if self._sends:
+                self._sends -= 1
+                self.move()
+            refusals += 1
+            if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.fault in _AT_THE_STOP:
+                # The platform may be at its mechanical stop, where no law gets it off.
+                self.inject(NEW_MACHINE)
+                self._sends = _SENDS
+                continue
+            if self.enable() and self.until(lambda: self.condition == "on", 1.0):
+                self.spin(_SETTLE_S)
+                if self.condition == "on":
+                    self.fault = self.tripped = None
+                    self.injected_ns = 0
+                    return
+        raise LaunchError(
+            f"the graph does not come up: nodes {self.heartbeats.states}, amplifier '{self.condition}', "
+            f"fault {self.fault} (logs in {self._folder})"
+        )
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Call a service of a node; returns its answer, or None without one."""
+        client = self._clients.get(service)
+        if client is None:
+            client = self._clients[service] = self.node.create_client(kind, service)
+            self.until(client.service_is_ready, _ANSWER_S)
+        future = client.call_async(request)
+        if self.until(future.done, _REPLY_S):
+            return future.result()
+        client.remove_pending_request(future)
+        return None
+
+    def _on_safety_state(self, message: DiagnosticStatus) -> None:
+        values = {value.key: value.value for value in message.values}
+        self.condition = values["condition"]
+        if message.name:
+            self.fault = Seen(LABELLED[message.name], int(values["time_ns"]))
+
+    def _on_position(self, _: int, numbers: Sequence[float]) -> None:
+        self.farthest = max(self.farthest, abs(numbers[1]))
+
+    def _on_trip(self, message: DiagnosticStatus) -> None:
+        self.tripped = Seen(LABELLED[message.name], time.time_ns())
+
+    def _on_injected(self, message: DiagnosticStatus) -> None:
+        self.injected_ns = int(message.values[0].value)
+
+
+def _strokes() -> list[Waypoint]:
+    points = [Waypoint(0, 0.0, 0.0)]
+    for stroke in range(MOTION_STROKES):
+        points += trapezoid(points[-1], 0.0 if stroke % 2 else _STROKE, _SPEED, ACCELERATION)
+    return points
+
+
+MOTION = Trajectory(_strokes())
+"""The motion that :meth:`Stand.move` starts."""
+_MOTION = message_from_waypoints(MOTION.waypoints)

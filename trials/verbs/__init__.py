@@ -1,1 +1,0 @@
-"""`straightcomp bench | faults | soak`: one module for each verb."""
