@@ -1,8 +1,8 @@
 """Measure the cost of packing and unpacking CAN frames, and count how many injected bus faults are detected.
 
 Frames of known samples go through injected faults on both kinds of bus: each kind of fault alone, then all together
-with the closed loop. With `--set driver.can.firmware=PROGRAM` the board is the firmware core. Exit code 1 if a fault was not
-detected, or a wrong sample used."""
+with the closed loop. With `--set driver.can.firmware=PROGRAM` the board is the firmware core. Exit code 1 if a fault
+was not detected, or a wrong sample used."""
 
 import argparse
 import dataclasses

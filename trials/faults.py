@@ -13,7 +13,6 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,18 +25,6 @@ from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen
 from straightcomp_ros.parameters.node_parameters import STAGE
 from straightcomp_ros.safety.faults import ALLOWANCE_MS, Fault
 from trials.faulty_driver import CLOCK_STEP, LATE_COMMANDS
-from trials.reactions import (
-    PATIENCE_S,
-    Judge,
-    driver_missed_and_going_on,
-    driver_missed_and_restarted,
-    latched,
-    latched_and_going_on,
-    latched_and_restarted,
-    logger_missed_and_going_on,
-    logger_missed_and_restarted,
-    recording_ended,
-)
 from trials.rig import Progress, add_output, output, progress
 from trials.stand import Stand
 
@@ -45,15 +32,16 @@ SUMMARY = "inject every fault in the running graph and measure its detection"
 _REPEATS, _QUICK = 20, 3
 COMMAND_TIMEOUT, SAMPLE_TIMEOUT = 0.25, 0.4
 """s, in the trials."""
-_ANSWER_S, _REQUESTS = 1.0, 8
-"""Timeout and number of requests: a node that has just started may lose one, or its answer."""
-_AGAIN = 3
-"""Repetitions of an injection during which the computer stalled, so that another fault came first."""
 _OTHERS = {
     Fault.COMMAND_TIMEOUT: COMMAND_TIMEOUT * 1e3 - 5.0,
     Fault.SAMPLE_TIMEOUT: SAMPLE_TIMEOUT * 1e3 - 1000.0,
 }
 """Time that these trials' parameters add to the faults' reaction times, which are those of the defaults."""
+_PATIENCE_S, _ANSWER_S, _REQUESTS = 8.0, 1.0, 8
+"""A node that has just started may lose a request, or its answer."""
+_AGAIN = 3
+"""Repetitions of an injection during which the computer stalled, so that another fault came first."""
+_DRIFT_S = 0.2
 
 
 def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -66,6 +54,92 @@ def trial_parameters(values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[
     return chosen
 
 
+Judge = Callable[[Stand, Fault, list[str]], int | None]
+"""``judge(stand, fault, failures)`` waits until the fault is found; returns when, ns since the epoch, or None. Then it
+checks the reactions that must follow, adds failures to the list, and leaves the graph in a state in which it can be
+switched on again."""
+
+
+def _latched(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+    """The driver must latch it, and refuse to switch on."""
+    if not stand.until(lambda: stand.fault is not None, _PATIENCE_S) or stand.fault.fault is not fault:
+        return None
+    found = stand.fault.time_ns
+    _check_refusal(stand, failures)
+    return found
+
+
+def _driver_missed(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+    """The controller must report missing samples."""
+    tripped = stand.until(lambda: stand.tripped is not None, _PATIENCE_S) and stand.tripped.fault is fault
+    return stand.tripped.time_ns if tripped else None
+
+
+def _logger_missed(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+    """The logger's heartbeat must be missed, and the loop keep running."""
+    found = time.time_ns() if stand.until(lambda: stand.heartbeats.silent() == ["logger"], _PATIENCE_S) else None
+    _check_loop_runs(stand, failures)
+    return found
+
+
+def _recording_ended(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+    """The logger must end with a complete bag, and the loop keep running."""
+    if not stand.until(lambda: stand.exit_code("logger") is not None, _PATIENCE_S):
+        return None
+    found = time.time_ns()
+    if not (stand.bag / "metadata.yaml").exists():
+        failures.append(f"bag {stand.bag.name} is not whole")
+    _check_loop_runs(stand, failures)
+    stand.start("logger")
+    return found
+
+
+def _check_loop_runs(stand: Stand, failures: list[str]) -> None:
+    if stand.condition != "on":
+        reason = stand.fault.fault.label if stand.fault else "no fault"
+        failures.append(f"without a logger the amplifier is '{stand.condition}': {reason}")
+
+
+def _check_refusal(stand: Stand, failures: list[str]) -> None:
+    if stand.enable():
+        failures.append("the fault was not latched: the amplifier could be switched on")
+
+
+def _then(judge: Judge, restore: Callable[[Stand, list[str]], object]) -> Judge:
+    """The same judge; afterwards the graph is restored."""
+
+    def both(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
+        found = judge(stand, fault, failures)
+        restore(stand, failures)
+        return found
+
+    return both
+
+
+def _continued(name: str) -> Callable[[Stand, list[str]], object]:
+    return lambda stand, failures: stand.signal(name, signal.SIGCONT)
+
+
+def _restarted(name: str) -> Callable[[Stand, list[str]], object]:
+    return lambda stand, failures: failures.extend(stand.restart(name))
+
+
+def _driver_continued(stand: Stand, failures: list[str]) -> None:
+    """Continue the driver, which must latch a fault of its own."""
+    stand.signal("driver", signal.SIGCONT)
+    if not stand.until(lambda: stand.condition == "fault", _PATIENCE_S):
+        failures.append("the driver went on with the amplifier on")
+    _check_refusal(stand, failures)
+
+
+def _driver_restarted(stand: Stand, failures: list[str]) -> None:
+    """Start the driver again; the amplifier must stay off."""
+    stand.condition = ""
+    failures += stand.restart("driver")
+    if not stand.until(lambda: stand.condition != "", 30.0) or stand.condition == "on":
+        failures.append(f"the new driver's amplifier is '{stand.condition}'")
+
+
 class Trial(NamedTuple):
     """One way to cause a fault.
 
@@ -73,13 +147,13 @@ class Trial(NamedTuple):
         name: of the row.
         fault: that must be latched.
         make: causes it; returns when, ns since the epoch, or None if the driver reports when.
-        judge: waits until the fault is found, see :data:`~trials.reactions.Judge`.
+        judge: waits until the fault is found.
     """
 
     name: str
     fault: Fault
     make: Callable[[Stand], int | None]
-    judge: Judge
+    judge: Judge = _latched
 
 
 def _injected(kind: str) -> Callable[[Stand], None]:
@@ -100,16 +174,6 @@ def _commanded(current: float) -> Callable[[Stand], int]:
     return make
 
 
-def _echoed(stand: Stand) -> None:
-    stand.echo(True)
-
-
-def _latched_and_silent(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
-    found = latched(stand, fault, failures)
-    stand.echo(False)
-    return found
-
-
 _RATES = (10, 100, 500, 2000, 5000)
 """Commands a second of a foreign publisher."""
 _MS, _HOUR = 1_000_000, 3600 * 10**9
@@ -125,7 +189,6 @@ _STAMPS = {
     "0": (False, 0),
     "before 1970": (False, -_HOUR),
 }
-_DRIFT_S = 0.2
 
 
 def _foreign(clock: bool, offset_ns: int) -> Callable[[Stand], int]:
@@ -133,87 +196,89 @@ def _foreign(clock: bool, offset_ns: int) -> Callable[[Stand], int]:
     return lambda stand: stand.begin_foreign(next(rates), clock, offset_ns)
 
 
-def _latched_in_the_middle(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
-    """The same, and the platform may not have come to its stop, nor come there later."""
-    found = latched(stand, fault, failures)
+def _foreign_ended(stand: Stand, failures: list[str]) -> None:
+    """The platform may not have come to its stop, nor come there later."""
     stand.spin(_DRIFT_S)
     sent = stand.end_foreign()
     if stand.fault is None:
         failures.append(f"{sent} foreign commands were not found")
     if stand.farthest >= stand.stop:
         failures.append(f"the platform came to its stop: |y| = {stand.farthest * 1e6:.0f} µm")
-    return found
 
 
-def _disk_full(stand: Stand) -> int:
-    return _set(stand, "logger", "min_free_bytes", 10**18)
-
-
-_TIGHT_M, _WIDE_M = 1e-9, 0.1
-
-
-def _error_limited(stand: Stand) -> int:
-    return _set(stand, "controller", "error_limit", _TIGHT_M)
-
-
-def _latched_and_unlimited(stand: Stand, fault: Fault, failures: list[str]) -> int | None:
-    found = latched(stand, fault, failures)
-    _set(stand, "controller", "error_limit", _WIDE_M)
-    return found
-
-
-def _set(stand: Stand, node: str, name: str, value: object) -> int:
+def _set(node: str, name: str, value: object) -> Callable[[Stand], int]:
     """Set a parameter of a node; returns when, ns since the epoch."""
-    client = stand.node.create_client(SetParameters, f"{node}/set_parameters")
-    stand.until(client.service_is_ready, PATIENCE_S)
-    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-    at_ns = time.time_ns()
-    for _ in range(_REQUESTS):
-        answered = client.call_async(request).done
-        if stand.until(partial(_answered_or_ended, stand, node, answered), _ANSWER_S):
-            break
-    stand.node.destroy_client(client)
-    return at_ns
 
+    def make(stand: Stand) -> int:
+        client = stand.node.create_client(SetParameters, f"{node}/set_parameters")
+        stand.until(client.service_is_ready, _PATIENCE_S)
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        at_ns = time.time_ns()
+        for _ in range(_REQUESTS):
+            future = client.call_async(request)
+            if stand.until(lambda: future.done() or stand.exit_code(node) is not None, _ANSWER_S):  # noqa: B023
+                break
+        stand.node.destroy_client(client)
+        return at_ns
 
-def _answered_or_ended(stand: Stand, node: str, answered: Callable[[], bool]) -> bool:
-    return answered() or stand.exit_code(node) is not None
+    return make
 
 
 _STOP, _KILL = signal.SIGSTOP, signal.SIGKILL
+_TIGHT, _WIDE = (_set("controller", "error_limit", metres) for metres in (1e-9, 0.1))
 TRIALS = (
-    Trial("sample NaN", Fault.SAMPLE_NOT_FINITE, _injected("sample_nan"), latched),
-    Trial("sample infinite", Fault.SAMPLE_NOT_FINITE, _injected("sample_infinite"), latched),
-    Trial("y out of range", Fault.Y_OUT_OF_RANGE, _injected("y_out_of_range"), latched),
-    Trial("encoder y frozen", Fault.Y_FROZEN, _injected("y_frozen"), latched),
-    Trial("encoder x frozen", Fault.X_FROZEN, _injected("x_frozen"), latched),
-    Trial("jump in x", Fault.X_JUMP, _injected("x_jump"), latched),
-    Trial("map missing for this x", Fault.MAP_MISSING, _injected("x_beyond_map"), latched),
-    Trial("board reports a fault", Fault.BOARD, _injected("board"), latched),
-    Trial("clock jump", Fault.CLOCK_JUMP, _injected(CLOCK_STEP), latched),
-    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _commanded(math.nan), latched),
-    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _commanded(-math.inf), latched),
-    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0), latched),
-    Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS), latched),
-    Trial("two controllers on one topic", Fault.TWO_CONTROLLERS, _echoed, _latched_and_silent),
+    Trial("sample NaN", Fault.SAMPLE_NOT_FINITE, _injected("sample_nan")),
+    Trial("sample infinite", Fault.SAMPLE_NOT_FINITE, _injected("sample_infinite")),
+    Trial("y out of range", Fault.Y_OUT_OF_RANGE, _injected("y_out_of_range")),
+    Trial("encoder y frozen", Fault.Y_FROZEN, _injected("y_frozen")),
+    Trial("encoder x frozen", Fault.X_FROZEN, _injected("x_frozen")),
+    Trial("jump in x", Fault.X_JUMP, _injected("x_jump")),
+    Trial("map missing for this x", Fault.MAP_MISSING, _injected("x_beyond_map")),
+    Trial("board reports a fault", Fault.BOARD, _injected("board")),
+    Trial("clock jump", Fault.CLOCK_JUMP, _injected(CLOCK_STEP)),
+    Trial("command NaN", Fault.COMMAND_NOT_FINITE, _commanded(math.nan)),
+    Trial("command infinite", Fault.COMMAND_NOT_FINITE, _commanded(-math.inf)),
+    Trial("command out of range", Fault.COMMAND_OUT_OF_RANGE, _commanded(5.0)),
+    Trial("late commands", Fault.COMMAND_TIMEOUT, _injected(LATE_COMMANDS)),
+    Trial(
+        "two controllers on one topic",
+        Fault.TWO_CONTROLLERS,
+        lambda stand: stand.echo(True),
+        _then(_latched, lambda stand, failures: stand.echo(False)),
+    ),
     *(
-        Trial(f"foreign commands, stamp {name}", Fault.TWO_CONTROLLERS, _foreign(*stamp), _latched_in_the_middle)
+        Trial(
+            f"foreign commands, stamp {name}", Fault.TWO_CONTROLLERS, _foreign(*stamp), _then(_latched, _foreign_ended)
+        )
         for name, stamp in _STAMPS.items()
     ),
-    Trial("following error", Fault.FOLLOWING_ERROR, _error_limited, _latched_and_unlimited),
+    Trial("following error", Fault.FOLLOWING_ERROR, _TIGHT, _then(_latched, lambda stand, failures: _WIDE(stand))),
     *(
-        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), latched_and_going_on(name))
+        Trial(f"{name} SIGSTOP", Fault.COMMAND_TIMEOUT, _signalled(name, _STOP), _then(_latched, _continued(name)))
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), driver_missed_and_going_on),
-    Trial("logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), logger_missed_and_going_on),
+    Trial(
+        "driver SIGSTOP", Fault.SAMPLE_TIMEOUT, _signalled("driver", _STOP), _then(_driver_missed, _driver_continued)
+    ),
+    Trial(
+        "logger SIGSTOP", Fault.HEARTBEAT_LOST, _signalled("logger", _STOP), _then(_logger_missed, _continued("logger"))
+    ),
     *(
-        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), latched_and_restarted(name))
+        Trial(f"{name} SIGKILL", Fault.COMMAND_TIMEOUT, _signalled(name, _KILL), _then(_latched, _restarted(name)))
         for name in ("controller", "feedforward")
     ),
-    Trial("driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), driver_missed_and_restarted),
-    Trial("logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), logger_missed_and_restarted),
-    Trial("disk full under the logger", Fault.RECORDING_STOPPED, _disk_full, recording_ended),
+    Trial(
+        "driver SIGKILL", Fault.SAMPLE_TIMEOUT, _signalled("driver", _KILL), _then(_driver_missed, _driver_restarted)
+    ),
+    Trial(
+        "logger SIGKILL", Fault.HEARTBEAT_LOST, _signalled("logger", _KILL), _then(_logger_missed, _restarted("logger"))
+    ),
+    Trial(
+        "disk full under the logger",
+        Fault.RECORDING_STOPPED,
+        _set("logger", "min_free_bytes", 10**18),
+        _recording_ended,
+    ),
 )
 """All trials, in this order."""
 
@@ -270,27 +335,15 @@ def run(options: argparse.Namespace) -> int:
     values, begin = trial_parameters(chosen_parameters(options)), time.monotonic()
     with output(options) as folder, progress() as advance:
         rows = run_trials(values, folder, _QUICK if options.quick else _REPEATS, advance, chosen)
-    green = all(row.green for row in rows)
-    seconds = time.monotonic() - begin
+    green, seconds = all(row.green for row in rows), time.monotonic() - begin
     print_json({"faults": [row.to_display() for row in rows], "all_green": green, "seconds": seconds})
     return int(not green)
 
 
 def run_trials(
-    values: Mapping[str, Mapping[str, Any]],
-    folder: Path,
-    repeats: int,
-    advance: Progress = lambda name, fraction: None,
-    trials: Sequence[Trial] = TRIALS,
+    values: Mapping[str, Mapping[str, Any]], folder: Path, repeats: int, advance: Progress, trials: Sequence[Trial]
 ) -> list[Row]:
-    """Run all trials.
-
-    Args:
-        values: from :func:`trial_parameters`.
-        folder: for bags and logs.
-        repeats: injections of each fault.
-        advance: called before each injection with the row's name and the finished fraction.
-        trials: the trials to run.
+    """Run ``trials``, each ``repeats`` times; bags and logs go into ``folder``.
 
     Raises:
         LaunchError: the graph does not start, or not again.
@@ -316,6 +369,6 @@ def _repeat(stand: Stand, trial: Trial, row: Row) -> None:
         found_ns = trial.judge(stand, trial.fault, row.failures)
         if found_ns is not None:
             if made_ns is None:
-                stand.until(lambda: stand.injected_ns > 0, PATIENCE_S)
+                stand.until(lambda: stand.injected_ns > 0, _PATIENCE_S)
             row.times_ms.append((found_ns - (made_ns or stand.injected_ns)) * 1e-6)
             return

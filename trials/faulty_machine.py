@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from straightcomp_ros.hardware.interface import Hardware, Sample, State, Truth
-from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault
 
 _JUMP = 5e-3
@@ -32,8 +32,8 @@ BOARD = "board"
 """The kind in which the board itself reports a fault."""
 
 
-class FaultyHardware(Hardware):
-    """Another machine, with the fault ``kind`` (empty: none).
+class FaultyHardware:
+    """Another machine, with the fault that is injected; all that has no fault is the other machine's own.
 
     Args:
         inner: the machine.
@@ -45,12 +45,11 @@ class FaultyHardware(Hardware):
         self._first: Sample | None = None
         self._kind = self._fault = ""
 
-    def inject(self, kind: str) -> None:
-        """Begin with the next sample; an empty text ends it.
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
 
-        Raises:
-            ValueError: the kind is unknown.
-        """
+    def inject(self, kind: str) -> None:
+        """Begin with the next sample; an empty text ends it. ValueError for an unknown kind."""
         if kind and kind != BOARD and kind not in KINDS:
             raise ValueError(f"fault '{kind}' is unknown; allowed: {BOARD}, {', '.join(KINDS)}")
         self._kind, self._first = kind, None
@@ -58,9 +57,7 @@ class FaultyHardware(Hardware):
     def replace(self, inner: Hardware) -> None:
         """Continue with another machine, whatever state this one is in, and without a fault."""
         self._inner.close()
-        self._inner = inner
-        self._kind = self._fault = ""
-        self._first = None
+        self.__init__(inner, self._began)  # type: ignore[misc]
 
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:
         samples = self._inner.read(now_ns)
@@ -75,33 +72,9 @@ class FaultyHardware(Hardware):
         change = KINDS.get(self._kind)
         return [(change(sample, self._first), truth) for sample, truth in samples] if change else samples
 
-    def wait(self, timeout_ns: int) -> None:
-        self._inner.wait(timeout_ns)
-
-    def start(self, now_ns: int) -> None:
-        self._inner.start(now_ns)
-
-    def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
-        self._inner.write(current, at_ns, sample_ns)
-
-    def enable(self) -> None:
-        self._inner.enable()
-
-    def disable(self) -> None:
-        self._inner.disable()
-
     def reset_fault(self) -> None:
         self._fault = ""
         self._inner.reset_fault()
-
-    def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        self._inner.move(trajectory, start_ns)
-
-    def close(self) -> None:
-        self._inner.close()
-
-    def counters(self) -> Mapping[str, object]:
-        return self._inner.counters()
 
     @property
     def state(self) -> State:
@@ -114,15 +87,3 @@ class FaultyHardware(Hardware):
     @property
     def fault_kind(self) -> Fault | None:
         return Fault.BOARD if self._fault else self._inner.fault_kind
-
-    @property
-    def lost_samples(self) -> int:
-        return self._inner.lost_samples
-
-    @property
-    def applied_current(self) -> float:
-        return self._inner.applied_current
-
-    @property
-    def newest_arrival_ns(self) -> int | None:
-        return self._inner.newest_arrival_ns

@@ -28,7 +28,7 @@ from trials.rig import Progress, add_output, output, progress
 from trials.soak_actions import ACTIONS
 from trials.soak_scene import Scene
 from trials.soak_strokes import Commanded, Stroke, missing, readable, strokes_in
-from trials.soak_verdict import Actions, Lives, Soak, exits
+from trials.soak_verdict import Lives, Soak
 from trials.stalls import Stalls
 from trials.stand import Stand
 
@@ -137,7 +137,7 @@ def _done(scene: Scene, kind: str, result: Soak) -> bool:
         back = False
     for words in failures:
         scene.note(f"FAILED: {words}")
-    result.actions.setdefault(kind, Actions()).add(failures)
+    result.add(kind, failures)
     return back
 
 
@@ -174,8 +174,7 @@ def _nothing_by_itself(scene: Scene, kind: str, result: Soak) -> None:
     scene.must_be_on(failures)
     if failures:
         scene.note(f"FAILED, with nothing done: {failures[0]}")
-        result.actions[kind].failed += 1
-        result.actions[kind].failures += [f"later, with nothing done: {words}" for words in failures]
+        result.action_failures[kind] += [f"later, with nothing done: {words}" for words in failures]
     if scene.stand.condition != "on":
         # Restore also after a permitted fault: the next action must not find it.
         with suppress(LaunchError):
@@ -188,7 +187,8 @@ def _end(scene: Scene, result: Soak, lives: Lives) -> None:
     result.lives = lives.finished(list(scene.stand.processes.values()))
     scene.interrupt()
     scene.end_motion()
-    result.failures += exits(scene.stand.stop())
+    codes = scene.stand.stop()  # None: the node did not stop
+    result.failures += [f"{name} stopped with exit code {code}" for name, code in codes.items() if code != 0]
 
 
 def _judge_bags(folder: Path, commanded: Commanded, result: Soak) -> None:
@@ -197,7 +197,7 @@ def _judge_bags(folder: Path, commanded: Commanded, result: Soak) -> None:
         try:
             whole, finished = readable(bag)
             result.bags["finished" if finished else "recovered"] += 1
-            found += strokes_in(whole, commanded.motions())
+            found += strokes_in(whole, commanded.motions)
         except BagError as error:
             result.failures.append(str(error))
     strokes = commanded.strokes()

@@ -139,8 +139,8 @@ class Scene:
         stand.switch_on()
         if not self.commanded.moving:
             # The trajectory may have been published before the driver was connected.
-            self._until(lambda: self.commanded.moving, "the stage does not move", then=stand.move)
-        self._until(lambda: self.commanded.recording, "the logger does not record every stream", then=lambda: None)
+            self._until(lambda: self.commanded.moving > 0, "the stage does not move", then=stand.move)
+        self._until(lambda: self.commanded.recording > 0, "the logger does not record every stream", then=lambda: None)
         self.result.back_s.append(time.monotonic() - begin)
 
     def _until(self, condition: Callable[[], bool], refusal: str, then: Callable[[], None]) -> None:
@@ -175,7 +175,7 @@ class Scene:
                 self.commanded.end(before_ns)
         elif x_before < x and _LEFT <= x <= _BEGUN:
             self._began_ns = stamp_ns - round(math.sqrt(2.0 * x / ACCELERATION) * 1e9)
-            self.commanded.begin(self._began_ns)
+            self.commanded.moving = self._began_ns
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -188,7 +188,7 @@ class Scene:
             report = _Report(time_ns, int(values[SAMPLES]), int(values["written"]))
             before, self._report = self._report, report
             if before is not None and not self.commanded.recording and self._is_whole(before, report):
-                self.commanded.record(before.time_ns)
+                self.commanded.recording = before.time_ns
 
     def _is_whole(self, before: _Report, report: _Report) -> bool:
         samples = report.samples - before.samples

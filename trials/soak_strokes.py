@@ -35,7 +35,7 @@ class Stroke(NamedTuple):
 
 
 class Commanded:
-    """Notes when the stage moved and when that was recorded.
+    """Notes when the stage moved and when that was recorded; all times in ns since the epoch.
 
     Args:
         stroke_ns: duration of a stroke; forward and backward in turn, the first forward.
@@ -44,62 +44,36 @@ class Commanded:
 
     def __init__(self, stroke_ns: int, strokes: int) -> None:
         self._stroke_ns, self._strokes = stroke_ns, strokes
-        self._motions: list[tuple[int, int]] = []
+        self.motions: list[tuple[int, int]] = []
         self._recordings: list[tuple[int, int]] = []
-        self._moving_ns = self._recording_ns = 0
-
-    @property
-    def moving(self) -> bool:
-        """Whether a motion has begun and not ended."""
-        return self._moving_ns > 0
-
-    @property
-    def recording(self) -> bool:
-        """Whether the recording is known to be complete."""
-        return self._recording_ns > 0
-
-    def begin(self, at_ns: int) -> None:
-        """Note that a motion began."""
-        self._moving_ns = at_ns
+        self.moving = self.recording = 0
+        """Begin of the present motion, and of the recording that is known to be complete; 0 without."""
 
     def end(self, at_ns: int) -> None:
         """Note that the motion ended, finished or not; without effect if there is none."""
-        if self._moving_ns:
-            last_ns = self._moving_ns + self._strokes * self._stroke_ns
-            self._motions.append((self._moving_ns, min(at_ns, last_ns)))
-        self._moving_ns = 0
+        if self.moving:
+            self.motions.append((self.moving, min(at_ns, self.moving + self._strokes * self._stroke_ns)))
+        self.moving = 0
 
     def over(self, now_ns: int) -> bool:
         """Whether the motion has made all its strokes."""
-        return self.moving and now_ns > self._moving_ns + self._strokes * self._stroke_ns
-
-    def record(self, at_ns: int) -> None:
-        """Note that the recording is complete from now on."""
-        self._recording_ns = self._recording_ns or at_ns
+        return self.moving > 0 and now_ns > self.moving + self._strokes * self._stroke_ns
 
     def interrupt(self, at_ns: int) -> None:
         """Note that the recording is not known to be complete from now on."""
-        if self._recording_ns and at_ns > self._recording_ns:
-            self._recordings.append((self._recording_ns, at_ns))
-        self._recording_ns = 0
+        if self.recording and at_ns > self.recording:
+            self._recordings.append((self.recording, at_ns))
+        self.recording = 0
 
     def strokes(self) -> list[Stroke]:
         """The strokes that count, of all motions and recordings that have ended."""
-        return [
-            stroke
-            for stroke in self._made()
-            if any(begin <= stroke.begin_ns and stroke.end_ns <= end for begin, end in self._recordings)
-        ]
-
-    def motions(self) -> list[tuple[int, int]]:
-        """Begin and end of each motion, ns since the epoch."""
-        return list(self._motions)
-
-    def _made(self) -> list[Stroke]:
-        return [
+        made = [
             Stroke(begin, begin + self._stroke_ns, "backward" if number % 2 else "forward")
-            for first, end in self._motions
+            for first, end in self.motions
             for number, begin in enumerate(range(first, end - self._stroke_ns + 1, self._stroke_ns))
+        ]
+        return [
+            one for one in made if any(begin <= one.begin_ns and one.end_ns <= end for begin, end in self._recordings)
         ]
 
 
@@ -119,13 +93,10 @@ def strokes_in(bag: Path, motions: Sequence[tuple[int, int]]) -> list[Stroke]:
         inside = (stamps >= begin_ns) & (stamps <= end_ns)
         of_motion = stamps[inside]
         try:
-            motion = motion_of((of_motion - begin_ns) * 1e-9, x[inside])
+            strokes = motion_of((of_motion - begin_ns) * 1e-9, x[inside]).strokes
         except MetricsError:
             continue
-        found += [
-            Stroke(int(of_motion[stroke.start]), int(of_motion[stroke.stop - 1]), stroke.direction)
-            for stroke in motion.strokes
-        ]
+        found += [Stroke(int(of_motion[one.start]), int(of_motion[one.stop - 1]), one.direction) for one in strokes]
     return found
 
 

@@ -24,10 +24,10 @@ def motion():
 def commanded(recordings=((-1.0, 20.0),), end_s=15.0):
     """A motion that begins at START and ends by itself or after ``end_s``, recorded in these spans (s)."""
     notes = Commanded(STROKE, STROKES)
-    notes.begin(START)
+    notes.moving = START
     notes.end(START + round(end_s * SECOND))
     for begin, end in recordings:
-        notes.record(START + round(begin * SECOND))
+        notes.recording = START + round(begin * SECOND)
         notes.interrupt(START + round(end * SECOND))
     return notes
 
@@ -57,8 +57,8 @@ def test_strokes_count_that_lie_as_a_whole_in_the_motion_and_in_one_recording():
 
 def test_what_was_recorded_before_an_interruption_that_reaches_back_does_not_count():
     notes = Commanded(STROKE, STROKES)
-    notes.begin(START)
-    notes.record(START + SECOND)
+    notes.moving = START
+    notes.recording = START + SECOND
     notes.interrupt(START + SECOND - 1)
     notes.end(START + 20 * SECOND)
     assert notes.strokes() == [] and not notes.recording and not notes.moving
@@ -66,21 +66,21 @@ def test_what_was_recorded_before_an_interruption_that_reaches_back_does_not_cou
 
 def test_all_strokes_of_a_whole_bag_are_found(tmp_path):
     notes = commanded()
-    found = strokes_in(bag_of(tmp_path / "bag"), notes.motions())
+    found = strokes_in(bag_of(tmp_path / "bag"), notes.motions)
     assert len(found) == STROKES
     assert missing(notes.strokes(), found) == []
 
 
 def test_strokes_that_are_not_in_the_bag_are_missed(tmp_path):
     notes = commanded()
-    found = strokes_in(bag_of(tmp_path / "bag", spans=((-0.5, 3.75), (6.25, 11.0))), notes.motions())
+    found = strokes_in(bag_of(tmp_path / "bag", spans=((-0.5, 3.75), (6.25, 11.0))), notes.motions)
     assert [(stroke.begin_ns - START) / STROKE for stroke in missing(notes.strokes(), found)] == [3, 4]
     assert len(missing(notes.strokes(), [])) == STROKES
 
 
 def test_a_gap_of_a_third_of_a_second_loses_no_stroke(tmp_path):
     notes = commanded()
-    found = strokes_in(bag_of(tmp_path / "bag", spans=((-0.5, 3.6), (3.95, 11.0))), notes.motions())
+    found = strokes_in(bag_of(tmp_path / "bag", spans=((-0.5, 3.6), (3.95, 11.0))), notes.motions)
     assert missing(notes.strokes(), found) == []
 
 
