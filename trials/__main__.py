@@ -1,10 +1,17 @@
 """The command of the rigs, in a checkout: python -m trials RIG [OPTIONS]. Each prints one JSON object."""
 
 import sys
+from collections.abc import Sequence
 
 from straightcomp_ros.cli.main import main
 
 RIGS = ("bags", "can", "faults", "history", "kills", "soak", "wear")
 
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a rig; returns its exit code."""
+    return main(arguments, {name: f"trials.{name}" for name in RIGS}, "python -m trials")
+
+
 if __name__ == "__main__":
-    sys.exit(main(verbs={name: f"trials.{name}" for name in RIGS}, program="python -m trials"))
+    sys.exit(run())

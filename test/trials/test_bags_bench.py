@@ -7,11 +7,11 @@ import pytest
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import COMMAND, DEFAULT_RATE
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
-from trials.bench import bag_costs as bags
+from trials import bags
+from trials.__main__ import run as run_rig
 from trials.traffic import TRAFFIC, lost
 
 
@@ -28,10 +28,9 @@ def bag(tmp_path_factory):
     return path
 
 
-@pytest.mark.no_cover  # its loops take three times as long under it
 def test_without_ros_all_but_the_live_figures_are_measured(bag, monkeypatch, capsys):
     monkeypatch.setattr(bags, "ros_available", lambda: False)
-    assert main(["bench", "bags", "--bag", str(bag), "--json"]) == 0
+    assert run_rig(["bags", "--bag", str(bag)]) == 0
     figures = json.loads(capsys.readouterr().out)
     commands = len(read_streams(bag, {COMMAND.topic: COMMAND.layout})[COMMAND.topic])
     assert figures["audit"] == {"commands": commands, "different": 0}
@@ -55,7 +54,7 @@ def test_one_other_bit_is_not_equal(bag):
 def test_a_bad_bag_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bags, "ros_available", lambda: False)
     (tmp_path / "bad.mcap").write_bytes(b"nothing")
-    assert main(["bench", "bags", "--bag", str(tmp_path / "bad.mcap"), "--kill-runs", "0"]) == 1
+    assert run_rig(["bags", "--bag", str(tmp_path / "bad.mcap"), "--kill-runs", "0"]) == 1
     assert "is not an MCAP file" in capsys.readouterr().err
 
 

@@ -100,7 +100,7 @@ def test_an_unfinished_bag_is_recovered_and_has_its_strokes(tmp_path):
     file.write_bytes(file.read_bytes()[:-300])
     output, finished = readable(bag)
     assert output != bag and not finished
-    assert len(strokes_in(output, commanded().motions())) == STROKES
+    assert len(strokes_in(output, commanded().motions)) == STROKES
 
 
 def test_a_bag_of_which_nothing_can_be_saved_is_an_error(tmp_path):

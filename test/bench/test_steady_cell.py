@@ -12,7 +12,7 @@ from straightcomp_ros.model.motion import MotionParameters, cycles
 if not ros_available():
     pytest.skip("rclpy is not there", allow_module_level=True)
 
-from trials.bench.steady_cell import SteadySequence
+from straightcomp_ros.bench.steady_cell import SteadySequence
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
 
