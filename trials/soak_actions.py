@@ -3,6 +3,7 @@
 import signal
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from lifecycle_msgs.msg import Transition
@@ -70,16 +71,12 @@ def another_map(scene: Scene) -> list[str]:
 def another_law(scene: Scene) -> list[str]:
     """Change the controller to another law and gains, all of which hold the platform; the amplifier must stay on."""
     between = scene.rng.uniform
-    return _changed(
-        scene,
-        "controller",
-        {
-            "control.law": scene.rng.choice(LAWS),
-            "control.smc_observer.surface": between(450.0, 600.0),
-            "control.smc_observer.bandwidth": between(380.0, 460.0),
-            "control.smc.natural_frequency": between(32.0, 38.0),
-        },
-    )
+    gains = {
+        "control.smc_observer.surface": between(450.0, 600.0),
+        "control.smc_observer.bandwidth": between(380.0, 460.0),
+        "control.smc.natural_frequency": between(32.0, 38.0),
+    }
+    return _changed(scene, "controller", {"control.law": scene.rng.choice(LAWS), **gains})
 
 
 def refused_parameters(scene: Scene) -> list[str]:
@@ -99,14 +96,15 @@ def refused_parameters(scene: Scene) -> list[str]:
     return failures
 
 
-def pause_and_resume(scene: Scene) -> list[str]:
-    """Pause the recorder for some time."""
-    return _recorded_in_parts(scene, "pause", "resume", (0.1, 0.5))
-
-
-def another_bag(scene: Scene) -> list[str]:
-    """Let the recorder finish its bag and begin another."""
-    return _recorded_in_parts(scene, "stop", "start", (0.0, 0.3))
+def recorded_in_parts(end: str, begin: str, between_s: tuple[float, float], scene: Scene) -> list[str]:
+    """End the recording by one service of the recorder, and begin it again by another."""
+    failures: list[str] = []
+    scene.interrupt()
+    _recorder(scene, end, failures)
+    scene.stand.spin(scene.rng.uniform(*between_s))
+    _recorder(scene, begin, failures)
+    scene.must_be_on(failures)
+    return failures
 
 
 def split(scene: Scene) -> list[str]:
@@ -198,9 +196,9 @@ ACTIONS: Mapping[str, Callable[[Scene], list[str]]] = {
     "another map": another_map,
     "another law": another_law,
     "refused parameters": refused_parameters,
-    "pause and resume": pause_and_resume,
+    "pause and resume": partial(recorded_in_parts, "pause", "resume", (0.1, 0.5)),
     "split": split,
-    "another bag": another_bag,
+    "another bag": partial(recorded_in_parts, "stop", "start", (0.0, 0.3)),
     "SIGKILL": kill,
     "SIGSTOP, long": stop_for_long,
     "SIGSTOP, short": stop_for_short,
@@ -242,16 +240,6 @@ def _set(scene: Scene, node: str, values: Mapping[str, Any]) -> Any:
 def _values(scene: Scene, node: str, names: Mapping[str, Any]) -> dict[str, Any]:
     answer = scene.ask(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=list(names)))
     return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
-
-
-def _recorded_in_parts(scene: Scene, end: str, begin: str, between_s: tuple[float, float]) -> list[str]:
-    failures: list[str] = []
-    scene.interrupt()
-    _recorder(scene, end, failures)
-    scene.stand.spin(scene.rng.uniform(*between_s))
-    _recorder(scene, begin, failures)
-    scene.must_be_on(failures)
-    return failures
 
 
 def _recorder(scene: Scene, service: str, failures: list[str]) -> None:

@@ -4,7 +4,7 @@ Strokes are simulated on a grid of machines: sound, with more and less friction,
 encoder of y of another scale. Rows are made of them by the code of `straightcomp history add`, without the truth that
 only a simulation knows. A month draws its strokes from these at random, so that figures scatter as they do from stroke
 to stroke, and moves them by what the grid says of the day's machine. What a simulation of the machine does not have is
-assumed: :class:`Climate`, the latency of a real graph, and a displacement sensor on the slider.
+assumed: :data:`CLIMATE`, the latency of a real graph, and a displacement sensor on the slider.
 """
 
 from __future__ import annotations
@@ -55,20 +55,16 @@ _READING_UM = 0.025
 """Standard deviation of the mean of a bin by the displacement sensor, as of a point of the shipped survey."""
 
 
-@dataclass(frozen=True)
-class Climate:
-    """How a sound stage differs from day to day: assumed, not measured. First-order autoregressive, each day 0.8 of the
-    day before; standard deviations, relative or in the unit named. There are no seasons."""
-
-    friction: float = 0.02
-    amplifier: float = 0.003
-    scale: float = 0.003
-    bow_um: float = 0.02
-    latency_p50_us: float = 3.0
-    latency_p99_us: float = 10.0
-
-
-ASSUMED = Climate()
+CLIMATE = {
+    "friction": 0.02,
+    "amplifier": 0.003,
+    "scale": 0.003,
+    "bow_um": 0.02,
+    "latency_p50_us": 3.0,
+    "latency_p99_us": 10.0,
+}
+"""How a sound stage differs from day to day: assumed, not measured. First-order autoregressive, each day 0.8 of the day
+before; standard deviations, relative or in the unit named. There are no seasons."""
 
 
 class Machine(NamedTuple):
@@ -82,10 +78,8 @@ class Machine(NamedTuple):
     slower: float = 0.0
 
 
-@dataclass(frozen=True)
-class Wear:
-    """A known wear: its name, in words, the causes of advice that are right, and the machine so many days after it
-    began."""
+class Wear(NamedTuple):
+    """A known wear, the causes of advice that are right, and the machine so many days after it began."""
 
     name: str
     words: str
@@ -125,23 +119,24 @@ class StrokePool:
 
     def moved(self, name: str, forward: bool, machine: Mapping[str, Array]) -> Array:
         """By how much the mean of a figure differs from the sound machine's; ``machine`` has (N,) of each axis."""
-        total = np.zeros(next(iter(machine.values())).size)
+        total: Any = 0.0
         for axis, factors in machine.items():
             values = sorted(_AXES[axis])
             means = np.array([self.figure(axis, value, name, forward).mean() for value in values])
-            at = np.interp(factors, values, means)
-            total += at - means[values.index(1.0)]
-        return total
+            total = total + np.interp(factors, values, means) - means[values.index(1.0)]
+        return np.asarray(total)
 
 
-def stroke_pool(starts: int, progress: Callable[[float], None] = lambda fraction: None) -> StrokePool:
+def stroke_pool(starts: int, advance: Callable[[float], object] = lambda fraction: None) -> StrokePool:
     """Simulate ``starts`` cycles of each machine of the grid, each from another place within a count of the encoder."""
     machines = [(axis, value) for axis, values in _AXES.items() for value in values]
     rows = {}
     for number, (axis, value) in enumerate(machines):
-        cycles = [_cycle(axis, value, start * _PITCH) for start in range(starts)]
-        rows[axis, value] = [row for cycle in cycles for row in cycle]
-        progress((number + 1) / len(machines))
+        truth = {} if axis == "scale" else {f"simulated.truth.{axis}": value}
+        wiring = partial(_Scaled, value) if axis == "scale" else None
+        starts_at = [{"driver": {**truth, "simulated.initial_y": start * _PITCH}} for start in range(starts)]
+        rows[axis, value] = [row for values in starts_at for row in simulated_rows(values, wiring=wiring)]
+        advance((number + 1) / len(machines))
     return StrokePool(rows)
 
 
@@ -152,20 +147,11 @@ class _Scaled:
         self._factor, self._hardware = factor, hardware
 
     def read(self, *arguments: Any) -> Any:
-        return [
-            (sample._replace(y=self._factor * sample.y), truth) for sample, truth in self._hardware.read(*arguments)
-        ]
+        samples = self._hardware.read(*arguments)
+        return [(sample._replace(y=self._factor * sample.y), truth) for sample, truth in samples]
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._hardware, name)
-
-
-def _cycle(axis: str, value: float, initial_y: float) -> list[StrokeRow]:
-    driver: dict[str, Any] = {"simulated.initial_y": initial_y}
-    if axis != "scale":
-        driver[f"simulated.truth.{axis}"] = value
-    wiring: Any = partial(_Scaled, value) if axis == "scale" else None
-    return simulated_rows({"driver": driver}, wiring=wiring)
 
 
 def simulated_rows(
@@ -228,13 +214,12 @@ def months(
     days: int,
     seed: int,
     *,
-    climate: Climate = ASSUMED,
     bags: int = BAGS_A_DAY,
     sensor: bool = True,
 ) -> Months:
     """``days`` days of a stage that wears from day ``begin`` on; ``sensor``: with a displacement sensor."""
     random = np.random.default_rng(seed)
-    daily = {name: _daily(random, days, size) for name, size in vars(climate).items()}
+    daily = {name: _daily(random, days, size) for name, size in CLIMATE.items()}
     machines = [wear.machine(day - begin) if day >= begin else Machine() for day in range(days)]
     of_day = {name: np.array([getattr(one, name) for one in machines]) for name in Machine._fields}
     day = np.repeat(np.arange(days), 2 * bags)
@@ -279,32 +264,22 @@ def rows_of_months(pool: StrokePool, strokes: Months, stage: str) -> list[Stroke
     rows = []
     per_day = int(np.count_nonzero(strokes.day == strokes.day[0]))
     for k, day in enumerate(strokes.day.tolist()):
-        row = _nearest(pool, {axis: float(one[k]) for axis, one in strokes.factors.items()})[
-            2 * int(strokes.drawn[k]) + (0 if strokes.forward[k] else 1)
-        ]
-        within = (k % per_day) * (86_400.0 / per_day)
-        started = START + timedelta(days=day - _FIRST_DAY, seconds=within)
-        figures = {name: float(values[k]) for name, values in strokes.figures.items()}
-        guide = None if np.isnan(strokes.guide[k]).all() else strokes.guide[k].tolist()
-        number = k // 2
-        rows.append(
-            replace(
-                row,
-                **{**figures, "lost_samples": round(figures["lost_samples"])},
-                checksum=f"{number:032x}",
-                bag=f"{stage}_{number:05d}",
-                start=started,
-                guide_change_um=guide,
-                software_version=strokes.software[k],
-            )
-        )
+        # Of the grid's machine that is nearest on the axis on which this one differs most.
+        factors = {axis: float(one[k]) for axis, one in strokes.factors.items()}
+        axis = max(factors, key=lambda one: abs(factors[one] - 1.0))
+        nearest = min(_AXES[axis], key=lambda value: abs(value - factors[axis]))
+        row = pool.rows[axis, nearest][2 * int(strokes.drawn[k]) + (0 if strokes.forward[k] else 1)]
+        figures: dict[str, Any] = {name: float(values[k]) for name, values in strokes.figures.items()}
+        figures["lost_samples"] = round(figures["lost_samples"])
+        facts: dict[str, Any] = {
+            "checksum": f"{k // 2:032x}",
+            "bag": f"{stage}_{k // 2:05d}",
+            "start": START + timedelta(days=day - _FIRST_DAY, seconds=(k % per_day) * (86_400.0 / per_day)),
+            "guide_change_um": None if np.isnan(strokes.guide[k]).all() else strokes.guide[k].tolist(),
+            "software_version": strokes.software[k],
+        }
+        rows.append(replace(row, **figures, **facts))
     return rows
-
-
-def _nearest(pool: StrokePool, machine: Mapping[str, float]) -> list[StrokeRow]:
-    """The strokes of the grid's machine that is nearest on the axis on which this one differs most."""
-    axis = max(machine, key=lambda one: abs(machine[one] - 1.0))
-    return pool.rows[axis, min(_AXES[axis], key=lambda value: abs(value - machine[axis]))]
 
 
 def _daily(random: np.random.Generator, days: int, size: float, kept: float = 0.8) -> Array:
@@ -318,14 +293,10 @@ def settled(x: Array) -> Array:
     return np.asarray(np.sin(np.pi * u) ** 2)
 
 
-_BAGS_A_DAY = 4
-"""Fewer than a machine makes: the store is for looking at."""
-
-
 def write_store(
     folder: Path,
     pool: StrokePool,
-    progress: Callable[[float], None] = lambda fraction: None,
+    advance: Callable[[float], object] = lambda fraction: None,
     *,
     days: int = 365,
     begin: int = 120,
@@ -334,10 +305,12 @@ def write_store(
     """Write ``days`` days of a stage of each wear, and of a sound one; a file for each month. OSError if that fails."""
     stages = (SOUND, *WEARS)
     for number, wear in enumerate(stages):
-        strokes = months(pool, wear, begin, days, seed + number, bags=_BAGS_A_DAY)
+        strokes = months(
+            pool, wear, begin, days, seed + number, bags=4
+        )  # fewer than a machine makes: the store is for looking at
         rows = rows_of_months(pool, strokes, wear.name)
         for month, group in groupby(rows, key=lambda row: f"{row.start:%Y-%m}"):
             place = folder / STROKES / f"stage={wear.name}" / f"month={month}"
             place.mkdir(parents=True, exist_ok=True)
             write_whole(place / f"simulated_{month}.parquet", parquet(StrokeRow, list(group)))
-        progress((number + 1) / len(stages))
+        advance((number + 1) / len(stages))
