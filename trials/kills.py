@@ -1,9 +1,11 @@
-"""Run cycles of the cell, kill a node at a random time in each, and print what cell, evaluate and history report."""
+"""Run cycles of the cell, kill a node at a random time in each, and print what cell, evaluate and history report.
+
+Exit code 1 if the cell did not end with code 1 and name the node, or a bag is called in order. Bags and logs stay in
+the folder of --output."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
 import signal
@@ -11,7 +13,7 @@ import subprocess
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cell.cycle import RECORDED
@@ -22,41 +24,11 @@ from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from trials.rig import Progress, add_output, output, progress
+from trials.rig import add_output, output, progress
 
 SUMMARY = "kill nodes in cycles of the cell, and see who names it"
-_START_S = 90.0
-_ENDS_WITHIN_S = 60.0
-_POLL_S = 0.02
-
-
-class Kill(NamedTuple):
-    """What followed a kill.
-
-    Attributes:
-        node, at: which was killed, and when, s after the cell had started the stage's motion.
-        cell, exit_code: the cell's last line, and its exit code; None if it did not end.
-        bag: the folder of the logger.
-        evaluate, history: last line and exit code of these verbs on the bag.
-    """
-
-    node: str
-    at: float
-    cell: str
-    exit_code: int | None
-    bag: str
-    evaluate: str
-    history: str
-
-    @property
-    def named(self) -> bool:
-        """Whether the cell failed and named the node."""
-        return self.exit_code == 1 and self.node in self.cell
-
-    @property
-    def judged(self) -> bool:
-        """Whether neither `evaluate` nor the history calls the run in order."""
-        return '"exit_code": 0' not in self.evaluate and IN_ORDER not in self.history
+_START_S, _ENDS_WITHIN_S, _POLL_S = 90.0, 60.0, 0.02
+_LAST_STROKE = "SELECT verdict, reason, faults FROM strokes ORDER BY stroke DESC LIMIT 1"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,40 +38,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Exit code 1 if the cell did not name a node, or a bag is called in order."""
     require_ros()
     check_range("--kills", options.kills, 1, 10_000)
+    values, draw, kills = chosen_parameters(options), random.Random(0), []
+    cycle_s = cycles(node_parameters("cell", values).stage.motion, 1)[-1].time_ns * 1e-9
     with output(options) as folder, progress() as advance:
-        kills = run_kills(chosen_parameters(options), folder, options.kills, advance)
-    print_json({"kills": [{**kill._asdict(), "named": kill.named, "judged": kill.judged} for kill in kills]})
-    return int(not all(kill.named and kill.judged for kill in kills))
+        for number in range(options.kills):
+            node = RECORDED[number % len(RECORDED)]
+            advance(f"{node} SIGKILL", number / options.kills)
+            kills.append(killed(values, folder / f"kill_{number}_{node}", node, draw.uniform(0.0, cycle_s)))
+    print_json({"kills": kills})
+    return int(not all(kill["named"] and kill["judged"] for kill in kills))
 
 
-def run_kills(
-    values: Mapping[str, Mapping[str, Any]],
-    folder: Path,
-    count: int,
-    advance: Progress = lambda name, fraction: None,
-    seed: int = 0,
-) -> list[Kill]:
-    """Run ``count`` cycles and kill in each one of the recorded nodes, in turn; bags and logs stay in ``folder``.
+def killed(values: Mapping[str, Mapping[str, Any]], folder: Path, node: str, at: float) -> dict[str, Any]:
+    """Kill ``node`` ``at`` s after the cell has started the stage's motion.
+
+    Returns:
+        Beside ``node`` and ``at`` the last line of the cell, and of `evaluate` and of the history on the bag, each with
+        its exit code (None for a cell that did not end); ``named``: whether the cell failed and named the node;
+        ``judged``: whether neither verb calls the run in order.
 
     Raises:
         LaunchError: the stage does not begin to move.
     """
-    draw, kills = random.Random(seed), []
-    motion = node_parameters("cell", values).stage.motion
-    for number in range(count):
-        node = RECORDED[number % len(RECORDED)]
-        advance(f"{node} SIGKILL", number / count)
-        at = draw.uniform(0.0, cycles(motion, 1)[-1].time_ns * 1e-9)
-        kills.append(_killed(values, folder / f"kill_{number}_{node}", node, at))
-    return kills
-
-
-def _killed(values: Mapping[str, Mapping[str, Any]], folder: Path, node: str, at: float) -> Kill:
     folder.mkdir(parents=True)
-    file, bag = folder / "parameters.yaml", folder / "bag"
+    file, bag, store = folder / "parameters.yaml", folder / "bag", str(folder / "store")
     file.write_text(as_parameter_file(values))
     with Graph(folder) as graph:
         ids = {one: graph.start(one, {"output": str(bag)} if one == "logger" else {}, file).pid for one in RECORDED}
@@ -117,25 +81,22 @@ def _killed(values: Mapping[str, Mapping[str, Any]], folder: Path, node: str, at
         except subprocess.TimeoutExpired:
             code = None
         graph.stop([one for one in RECORDED if one not in (node, "logger")])
-    return Kill(
-        node,
-        at,
-        graph.last_words("cell"),
-        code,
-        str(bag),
-        _said("evaluate", str(bag)),
-        _in_history(bag, folder / "store"),
-    )
+        words = graph.last_words("cell")
+    evaluated, history = _last_line("evaluate", str(bag)), _last_line("history", "add", str(bag), "-o", store)
+    if not history[0]:
+        history = _last_line("history", "query", store, _LAST_STROKE, "--json")
+    return {
+        "node": node,
+        "at": at,
+        "cell": [code, words],
+        "evaluate": evaluated,
+        "history": history,
+        "named": code == 1 and node in words,
+        "judged": evaluated[0] != 0 and IN_ORDER not in history[1],
+    }
 
 
-def _in_history(bag: Path, store: Path) -> str:
-    """What a history with this bag alone says of its last stroke, or why it refuses the bag."""
-    added = _said("history", "add", str(bag), "-o", str(store))
-    last = "SELECT verdict, reason, faults FROM strokes ORDER BY stroke DESC LIMIT 1"
-    return _said("history", "query", str(store), last, "--json") if '"exit_code": 0' in added else added
-
-
-def _said(*words: str) -> str:
+def _last_line(*words: str) -> tuple[int, str]:
     done = subprocess.run(verb_command(*words), capture_output=True, text=True, check=False)
     lines = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()]
-    return json.dumps({"exit_code": done.returncode, "last_line": lines[-1] if lines else ""}, ensure_ascii=False)
+    return done.returncode, lines[-1] if lines else ""

@@ -25,8 +25,7 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.straightness.guide_map import find_survey
 from trials.faults import trial_parameters
 from trials.rig import Progress, add_output, output, progress
-from trials.soak_actions import ACTIONS
-from trials.soak_scene import Scene
+from trials.soak_actions import ACTIONS, Scene
 from trials.soak_strokes import Commanded, Stroke, missing, readable, strokes_in
 from trials.soak_verdict import Lives, Soak
 from trials.stalls import Stalls

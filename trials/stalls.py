@@ -20,7 +20,7 @@ from pathlib import Path
 _SLEEP_NS, _NOTED_NS = 2_000_000, 5_000_000
 
 
-class Stalls:
+class Stalls(contextlib.ExitStack):
     """The watches on all CPUs; they run while this context manager is open.
 
     Args:
@@ -29,31 +29,23 @@ class Stalls:
     """
 
     def __init__(self, folder: Path, priority: int) -> None:
-        self._files = {cpu: folder / f"stalls_{cpu}.txt" for cpu in sorted(os.sched_getaffinity(0))}
+        super().__init__()
+        self.files = {cpu: folder / f"stalls_{cpu}.txt" for cpu in sorted(os.sched_getaffinity(0))}
+        self.processes: list[subprocess.Popen[bytes]] = []
         self._priority = priority
-        self._processes: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Stalls:
-        for cpu, file in self._files.items():
-            words = [sys.executable, "-m", "trials.stalls", str(cpu), str(self._priority)]
+        for cpu, file in self.files.items():
+            command = [sys.executable, "-m", "trials.stalls", str(cpu), str(self._priority)]
             with file.open("wb") as output:
-                self._processes.append(subprocess.Popen(words, stdin=subprocess.PIPE, stdout=output))
+                process = self.enter_context(subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output))
+            self.callback(process.kill)
+            self.processes.append(process)
         return self
 
-    def __exit__(self, *_: object) -> None:
-        for process in self._processes:
-            process.kill()
-            process.wait()
-            if process.stdin:
-                process.stdin.close()
-
     def total_ms(self, begin_ns: int, end_ns: int) -> float:
-        """Total stall time in ms of the CPU with the longest, over all stalls that overlap this time.
-
-        Args:
-            begin_ns, end_ns: ns since the epoch.
-        """
-        return max(_total_ms(file, begin_ns, end_ns) for file in self._files.values())
+        """Total stall time in ms, of all that overlap this time in ns since the epoch, of the CPU with most."""
+        return max(_total_ms(file, begin_ns, end_ns) for file in self.files.values())
 
 
 def _total_ms(file: Path, begin_ns: int, end_ns: int) -> float:
@@ -67,25 +59,22 @@ def _total_ms(file: Path, begin_ns: int, end_ns: int) -> float:
     return total
 
 
-def main() -> int:
+def main() -> None:
     """Watch until killed, or until the parent process has ended."""
     cpu, priority = map(int, sys.argv[1:3])
     os.sched_setaffinity(0, {cpu})
     if priority:
         with contextlib.suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    parent = os.getppid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    before = time.monotonic_ns()
+    parent, before = os.getppid(), time.monotonic_ns()
     while os.getppid() == parent:
         time.sleep(_SLEEP_NS * 1e-9)
-        now = time.monotonic_ns()
-        late_ns = now - before - _SLEEP_NS
+        late_ns = time.monotonic_ns() - before - _SLEEP_NS
         if late_ns >= _NOTED_NS:
             print(time.time_ns(), f"{late_ns * 1e-6:.1f}", flush=True)
         before = time.monotonic_ns()
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
