@@ -8,6 +8,7 @@ Exit code 0 only if nothing failed."""
 import argparse
 import random
 import shutil
+import signal
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -145,7 +146,8 @@ def _start_anew(scene: Scene, result: Soak) -> None:
     scene.interrupt(before_s=1.0)
     scene.end_motion()
     for name in RECORDED:
-        scene.stand.kill(name)
+        if scene.stand.exit_code(name) is None:
+            scene.stand.signal(name, signal.SIGKILL)
     for name in RECORDED:
         scene.stand.restart(name)
     try:

@@ -79,6 +79,7 @@ class Stand:
         self._file.write_text(as_parameter_file(values))
         os.environ.update(isolated_environment())
         self._graph = Graph(folder)
+        self.exit_code = self._graph.exit_code
         self.processes: dict[str, int] = {}
         self.started: dict[str, float] = {}
         self.bags = 0
@@ -144,14 +145,6 @@ class Stand:
         os.kill(self.processes[name], number)
         return at_ns
 
-    def exit_code(self, name: str) -> int | None:
-        """A node's exit code; None while it runs."""
-        return self._graph.exit_code(name)
-
-    def alive(self, names: tuple[str, ...] = RECORDED) -> bool:
-        """Whether the processes of these nodes run."""
-        return all(self.exit_code(name) is None for name in names)
-
     def spin(self, seconds: float) -> None:
         """Spin for this time."""
         self.until(lambda: False, seconds)
@@ -212,14 +205,9 @@ class Stand:
         """Start the motion. The driver refuses it unless the stage is at the motion's start, e.g. while it moves."""
         self._trajectory.publish(_MOTION)
 
-    def kill(self, name: str) -> None:
-        """Kill a node's process, if it runs."""
-        if self.exit_code(name) is None:
-            self.signal(name, signal.SIGKILL)
-
     def restart(self, name: str) -> list[str]:
         """Start a killed node again once its process has ended; returns further failures in words."""
-        ended = not self.alive(tuple(other for other in RECORDED if other != name))
+        ended = any(self.exit_code(other) is not None for other in RECORDED if other != name)
         self.until(lambda: self.exit_code(name) is not None, _STOP_S)
         self.start(name)
         return ["another node has ended too"] if ended else []
@@ -295,13 +283,9 @@ class Stand:
         self.injected_ns = int(message.values[0].value)
 
 
-def _strokes() -> list[Waypoint]:
-    points = [Waypoint(0, 0.0, 0.0)]
-    for stroke in range(MOTION_STROKES):
-        points += trapezoid(points[-1], 0.0 if stroke % 2 else _STROKE, _SPEED, ACCELERATION)
-    return points
-
-
-MOTION = Trajectory(_strokes())
+_points = [Waypoint(0, 0.0, 0.0)]
+for _stroke in range(MOTION_STROKES):
+    _points += trapezoid(_points[-1], 0.0 if _stroke % 2 else _STROKE, _SPEED, ACCELERATION)
+MOTION = Trajectory(_points)
 """The motion that :meth:`Stand.move` starts."""
 _MOTION = message_from_waypoints(MOTION.waypoints)
