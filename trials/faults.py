@@ -202,7 +202,7 @@ def _foreign_ended(stand: Stand, failures: list[str]) -> None:
     sent = stand.end_foreign()
     if stand.fault is None:
         failures.append(f"{sent} foreign commands were not found")
-    if stand.farthest >= stand.stop:
+    if stand.farthest >= stand.hard_stop:
         failures.append(f"the platform came to its stop: |y| = {stand.farthest * 1e6:.0f} µm")
 
 

@@ -88,7 +88,7 @@ class Stand:
         self._sends = 0
         self._echoed: SubscriptionQueue | None = None
         self._foreign: subprocess.Popen[str] | None = None
-        self.farthest, self.stop = 0.0, node_parameters("driver", values).stage.platform.stop
+        self.farthest, self.hard_stop = 0.0, node_parameters("driver", values).stage.platform.stop
         """Largest |y| in m since foreign commands began, and |y| at the mechanical stop."""
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
