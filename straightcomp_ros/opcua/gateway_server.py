@@ -29,10 +29,9 @@ from straightcomp_ros.cell.packml import Command, Order
 from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.opcua import APPLICATION
 from straightcomp_ros.opcua.address_space import AddressSpace
-from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
+from straightcomp_ros.opcua.admission import OpcuaParameters, Users
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
 from straightcomp_ros.opcua.snapshot import Snapshot
-from straightcomp_ros.opcua.users import Users
 from straightcomp_ros.parameters.whole_file import write_whole
 
 _PERIOD_S = 0.1

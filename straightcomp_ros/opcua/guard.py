@@ -21,7 +21,7 @@ from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 
-from straightcomp_ros.opcua.users import OPERATOR, Users
+from straightcomp_ros.opcua.admission import OPERATOR, Users
 
 _log = logging.getLogger(__name__)
 _FASTEST_PUBLISHING_MS = 50.0

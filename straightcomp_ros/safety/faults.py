@@ -13,19 +13,12 @@ _RESET = "`driver/reset_fault`, then `driver/enable`"
 
 
 class Description(NamedTuple):
-    """A row of the table of faults.
+    """A row of the table of faults."""
 
-    Attributes:
-        code: number of the fault, the same in all versions and never used again for another fault.
-        detected: the condition, with its limit.
-        by: the node that detects it.
-        within_ms: longest time until it is latched, on an undisturbed machine with default parameters.
-    """
-
-    code: int
-    detected: str
-    by: str
-    within_ms: float
+    code: int  # the same in all versions and never used again for another fault
+    detected: str  # the condition, with its limit
+    by: str  # the node that detects it
+    within_ms: float  # longest time until it is latched, on an undisturbed machine with default parameters
     reaction: str = _OFF
     reset: str = _RESET
 
@@ -86,7 +79,7 @@ class Fault(enum.Enum):
         "start the node again; for the board as the others",
     )
     BOARD = Description(14, "the board reports a fault, has restarted, or does not switch on", "driver", 10.0)
-    TRIPPED = Description(15, "somebody asked for it on the topic `trip`", "driver", 60.0)
+    TRIPPED = Description(15, "a message on the topic `trip`", "driver", 60.0)
     RECORDING_STOPPED = Description(
         16,
         "the disk is full, or the bag cannot be written",

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 KEPT = "kept"
-"""First word of what the guard says when it has begun; anything else is the reason why it could not."""
+"""First word of the guard's output when it has begun; any other output is the reason why it could not."""
 NOTES = Path(tempfile.gettempdir())
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _PROCESSES = Path("/proc")

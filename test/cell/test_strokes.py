@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.cell.stroke_errors import StrokeErrors
+from straightcomp_ros.cell.observation import Observation, StrokeErrors
 
 MS = 1_000_000
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.doctor import can_bus, capacity, examination, scheduling, software
-from straightcomp_ros.doctor.finding import Finding
+from straightcomp_ros.doctor import Finding, computer
 from straightcomp_ros.parameters.share import share_path
 
 MIB = 1 << 20
@@ -34,7 +33,7 @@ def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys: p
     code = main(["doctor", "--json"])
     answer = json.loads(capsys.readouterr().out)
     names = [check["name"] for check in answer["checks"]]
-    assert {name for name, _ in examination.CHECKS} - {"rclpy"} <= set(names)
+    assert set(computer.CHECKS) - {"rclpy"} <= set(names)
     assert answer["ok"] + answer["warn"] + answer["fail"] == len(names)
     assert code == (1 if answer["fail"] else 0)
     for check in answer["checks"]:
@@ -70,12 +69,12 @@ def test_a_check_that_the_system_does_not_permit_is_a_warning_and_the_next_one_r
     def refused() -> Finding:
         raise PermissionError(13, "Permission denied")
 
-    found = list(examination.examine((("a", refused), ("b", lambda: Finding("b", "ok", "")))))
+    found = list(computer.examine({"a": refused, "b": lambda: Finding("b", "ok", "")}))
     assert [(one.name, one.state) for one in found] == [("a", "warn"), ("b", "ok")]
 
 
 def test_python_outside_of_the_range_fails() -> None:
-    assert [software.python(version).state for version in ((3, 9), (3, 10), (3, 13), (3, 14))] == [
+    assert [computer.python(version).state for version in ((3, 9), (3, 10), (3, 13), (3, 14))] == [
         "fail",
         "ok",
         "ok",
@@ -95,32 +94,32 @@ def test_python_outside_of_the_range_fails() -> None:
     ],
 )
 def test_a_missing_or_broken_rclpy_fails_with_its_last_words(program: str, states: list[str], word: str) -> None:
-    found = software.ros((sys.executable, "-c", program), timeout=0.5 if "sleep" in program else 600.0)
+    found = computer.ros((sys.executable, "-c", program), timeout=0.5 if "sleep" in program else 600.0)
     assert [one.state for one in found] == states
     assert word in found[0].detail
 
 
 def test_a_middleware_that_is_asked_for_and_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
-    (found,) = software.ros((sys.executable, "-c", "import sys; sys.exit(102)"), timeout=600.0)
+    (found,) = computer.ros((sys.executable, "-c", "import sys; sys.exit(102)"), timeout=600.0)
     assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
 
 
 def test_the_doctor_says_what_differs_under_another_middleware(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
     answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
-    rmw = software.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
+    rmw = computer.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
     assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message arrived")
 
 
 def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:
-    assert software.distribution({"ROS_DISTRO": "humble"}).state == "warn"
-    assert software.distribution({}).state == software.distribution({"ROS_DISTRO": "jazzy"}).state == "ok"
+    assert computer.distribution({"ROS_DISTRO": "humble"}).state == "warn"
+    assert computer.distribution({}).state == computer.distribution({"ROS_DISTRO": "jazzy"}).state == "ok"
     local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    assert software.discovery(local).state == "ok"
-    assert software.discovery({}).state == "warn"
+    assert computer.discovery(local).state == "ok"
+    assert computer.discovery({}).state == "warn"
     for domain in ("102", "x"):
-        assert software.discovery({**local, "ROS_DOMAIN_ID": domain}).state == "warn"
+        assert computer.discovery({**local, "ROS_DOMAIN_ID": domain}).state == "warn"
 
 
 @pytest.mark.parametrize(
@@ -130,17 +129,17 @@ def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:
 def test_memory_may_be_locked_by_limit_or_by_capability(
     tmp_path: Path, limit: int, capabilities: str, state: str
 ) -> None:
-    assert capacity.locked_memory(limit, _file(tmp_path, "status", f"CapEff:\t{capabilities}\n")).state == state
+    assert computer.locked_memory(limit, _file(tmp_path, "status", f"CapEff:\t{capabilities}\n")).state == state
 
 
 def test_a_refused_priority_is_a_warning_with_the_way_to_get_it() -> None:
     def refuse() -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    found = scheduling.priority(refuse)
+    found = computer.priority(refuse)
     assert found.state == "warn"
     assert "rtprio" in found.remedy
-    assert scheduling.priority(lambda: None).state == "ok"
+    assert computer.priority(lambda: None).state == "ok"
 
 
 @pytest.mark.parametrize(
@@ -159,38 +158,38 @@ def test_a_kernel_that_finishes_its_own_work_first_is_told(
 ) -> None:
     booted = _file(tmp_path, "cmdline", command_line)
     plain = _file(tmp_path, "boot/config-7.0", configuration)
-    assert scheduling.preemption(tmp_path, "6.0", booted).detail == "this kernel does not show its configuration"
-    found = scheduling.preemption(tmp_path, "7.0", booted)
+    assert computer.preemption(tmp_path, "6.0", booted).detail == "this kernel does not show its configuration"
+    found = computer.preemption(tmp_path, "7.0", booted)
     assert found.state == state
     assert found.detail.startswith(detail)
     plain.unlink()
     compressed = tmp_path / "proc/config.gz"
     compressed.parent.mkdir()
     compressed.write_bytes(gzip.compress(configuration.encode()))
-    assert scheduling.preemption(tmp_path, "7.0", booted) == found
+    assert computer.preemption(tmp_path, "7.0", booted) == found
 
 
 def test_what_the_kernel_says_of_real_time(tmp_path: Path) -> None:
-    assert scheduling.throttling(_file(tmp_path, "runtime", "-1\n")).state == "warn"
-    assert scheduling.throttling(_file(tmp_path, "runtime", "950000\n")).state == "ok"
-    assert scheduling.kernel(_file(tmp_path, "realtime", "1\n")).state == "ok"
-    assert scheduling.kernel(tmp_path / "missing").state == "warn"
-    assert scheduling.wake_up_latency(tmp_path / "missing").state == "warn"
-    assert scheduling.wake_up_latency(_file(tmp_path, "latency", "")).state == "ok"
-    assert [scheduling.cores(count, ()).state for count in (2, 4)] == ["warn", "ok"]
-    lost = scheduling.cores(4, {1})
+    assert computer.throttling(_file(tmp_path, "runtime", "-1\n")).state == "warn"
+    assert computer.throttling(_file(tmp_path, "runtime", "950000\n")).state == "ok"
+    assert computer.kernel(_file(tmp_path, "realtime", "1\n")).state == "ok"
+    assert computer.kernel(tmp_path / "missing").state == "warn"
+    assert computer.wake_up_latency(tmp_path / "missing").state == "warn"
+    assert computer.wake_up_latency(_file(tmp_path, "latency", "")).state == "ok"
+    assert [computer.cores(count, ()).state for count in (2, 4)] == ["warn", "ok"]
+    lost = computer.cores(4, {1})
     assert lost.state == "warn" and "kept off CPU 1" in lost.detail and "straightcomp demo" in lost.remedy
 
 
 def test_a_slow_governor_and_a_slow_or_wrong_clock(tmp_path: Path) -> None:
-    assert scheduling.governor(tmp_path).state == "ok"
+    assert computer.governor(tmp_path).state == "ok"
     _file(tmp_path, "cpu0/cpufreq/scaling_governor", "performance\n")
-    assert scheduling.governor(tmp_path).state == "ok"
+    assert computer.governor(tmp_path).state == "ok"
     _file(tmp_path, "cpu1/cpufreq/scaling_governor", "powersave\n")
-    assert scheduling.governor(tmp_path).state == "warn"
-    assert scheduling.clock(_file(tmp_path, "source", "tsc\n"), now=1.8e9).state == "ok"
-    assert scheduling.clock(_file(tmp_path, "source", "hpet\n"), now=1.8e9).state == "warn"
-    assert scheduling.clock(tmp_path / "missing", now=0.0).state == "fail"
+    assert computer.governor(tmp_path).state == "warn"
+    assert computer.clock(_file(tmp_path, "source", "tsc\n"), now=1.8e9).state == "ok"
+    assert computer.clock(_file(tmp_path, "source", "hpet\n"), now=1.8e9).state == "warn"
+    assert computer.clock(tmp_path / "missing", now=0.0).state == "fail"
 
 
 @pytest.mark.parametrize(("late", "state"), [(50e-6, "ok"), (5e-3, "warn")])
@@ -200,30 +199,30 @@ def test_a_late_timer_is_a_warning(late: float, state: str) -> None:
     def sleep(duration: float) -> None:
         passed[0] += duration + late
 
-    assert scheduling.timer(sleep, lambda: passed[0]).state == state
+    assert computer.timer(sleep, lambda: passed[0]).state == state
 
 
 def test_can_interfaces_of_the_kernel(tmp_path: Path) -> None:
     _file(tmp_path, "eth0/type", "1\n")
-    assert can_bus.kernel_interfaces(tmp_path).state == "warn"
+    assert computer.can_interfaces(tmp_path).state == "warn"
     _file(tmp_path, "can0/type", "280\n")
     _file(tmp_path, "can0/operstate", "up\n")
-    assert can_bus.kernel_interfaces(tmp_path).state == "ok"
+    assert computer.can_interfaces(tmp_path).state == "ok"
     _file(tmp_path, "can0/operstate", "down\n")
-    assert "ip link set can0 up" in can_bus.kernel_interfaces(tmp_path).remedy
+    assert "ip link set can0 up" in computer.can_interfaces(tmp_path).remedy
 
 
 def test_python_can_without_our_interface_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     import can.interfaces
 
-    assert can_bus.python_can().state == "ok"
+    assert computer.python_can().state == "ok"
     monkeypatch.setattr(can.interfaces, "BACKENDS", {})
-    assert can_bus.python_can().state == "warn"
+    assert computer.python_can().state == "warn"
     monkeypatch.setitem(sys.modules, "can.interfaces", None)
-    assert can_bus.python_can().state == "fail"
+    assert computer.python_can().state == "fail"
 
 
 @pytest.mark.parametrize(("size", "state"), [(1 << 36, "ok"), (1 << 32, "warn"), (1 << 20, "fail")])
 def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, size: int, state: str) -> None:
     _free(monkeypatch, size)
-    assert capacity.disk(tmp_path).state == state
+    assert computer.disk(tmp_path).state == state

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from straightcomp_ros.timing.cpu_wait import CpuWait
+from straightcomp_ros.timing.delays import CpuWait
 from straightcomp_ros.timing.node_timing import CPU_WAIT, NORMAL, REFUSED, SCHEDULING, HeldUp, blamed, held_up
 
 
@@ -77,7 +77,7 @@ def test_linux_counts_a_process_that_others_keep_from_its_cpu():
     cpu = min(os.sched_getaffinity(0))
     code = (
         "import hashlib, os, sys, threading\n"
-        "from straightcomp_ros.timing.cpu_wait import CpuWait\n"
+        "from straightcomp_ros.timing.delays import CpuWait\n"
         f"os.sched_setaffinity(0, {{{cpu}}})\n"
         "data = bytes(1 << 20)\n"
         "waited = CpuWait()\n"

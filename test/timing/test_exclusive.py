@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.timing import cpu_guard, exclusive, realtime
-from straightcomp_ros.timing.claimed_names import claim
+from straightcomp_ros.timing import cpu_guard, cpus, realtime
+from straightcomp_ros.timing.cpus import claim
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 pytestmark = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one CPU has nothing to share out")
@@ -26,11 +26,10 @@ sys.exit(cpu_guard.main(sys.argv[1:]))
 """
 NODE = """
 import sys, time
-from straightcomp_ros.timing import cpu_guard, exclusive, loop_cpu
-exclusive._NAME, exclusive._TURN_S = {name!r}, 0.2
-loop_cpu._NAME = {loops!r}
+from straightcomp_ros.timing import cpu_guard, cpus
+cpus._KEPT, cpus._TURN_S, cpus._LOOPS = {name!r}, 0.2, {loops!r}
 cpu_guard.__file__ = {server!r}
-print(exclusive.keep_others_off({cpus!r}), flush=True)
+print(cpus.keep_others_off({cpus!r}), flush=True)
 time.sleep(60)
 """
 
@@ -47,7 +46,7 @@ class Stand:
         self.processes.mkdir()
         self.notes.mkdir()
         self.queues.write_text("ff\n")
-        root = str(Path(exclusive.__file__).parents[2])
+        root = str(Path(cpus.__file__).parents[2])
         self.server.write_text(
             SERVER.format(
                 root=root,
@@ -116,34 +115,34 @@ def test_others_leave_the_cpu_until_the_node_ends_in_whatever_way(stand, number)
 
 
 def test_what_a_killed_guard_left_behind_is_seen_and_mended_by_the_next_node(stand, monkeypatch):
-    monkeypatch.setattr(exclusive, "_NAME", stand.name)
+    monkeypatch.setattr(cpus, "_KEPT", stand.name)
     monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
     rest = stand.all - {stand.cpu}
     free, elsewhere = stand.bystander(), stand.bystander(rest)
     node, _ = stand.node()
-    assert exclusive.left_behind() == set()  # it lives
+    assert cpus.left_behind() == set()  # it lives
     (process,) = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
     os.kill(int(process), signal.SIGKILL)
     node.kill()
-    assert comes_true(lambda: exclusive.left_behind() == {stand.cpu})
+    assert comes_true(lambda: cpus.left_behind() == {stand.cpu})
     assert os.sched_getaffinity(free) == rest and stand.queues.read_text().strip() != "ff"
 
     node, said = stand.node()
     assert said.startswith("kept 0 threads")
-    assert exclusive.left_behind() == set()
+    assert cpus.left_behind() == set()
     node.kill()
     assert stand.back(free, stand.all)
     assert comes_true(lambda: stand.queues.read_text().strip() == "ff")
     assert os.sched_getaffinity(elsewhere) == rest
     assert comes_true(lambda: not list(stand.notes.iterdir()))
-    assert exclusive.left_behind() == set()
+    assert cpus.left_behind() == set()
 
 
 def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypatch):
     monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
     note = cpu_guard.Note({stand.cpu})
     note.write([4, 2], "ff")
-    assert note.read() == ({2, 4}, "ff") and exclusive.left_behind() == {stand.cpu}
+    assert note.read() == ({2, 4}, "ff") and cpus.left_behind() == {stand.cpu}
     file = next(stand.notes.iterdir())
     assert file.stat().st_mode & 0o777 == 0o600
     for text in ("", "[]", '["a", "b"]', "7"):
@@ -151,21 +150,21 @@ def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypat
         assert note.read() is None
     file.rename(file.with_name(file.name.replace(f"_{stand.cpu}.", "_9999.")))
     (stand.notes / cpu_guard.note_name(os.getuid(), "x")).touch()
-    assert exclusive.left_behind() == set()
+    assert cpus.left_behind() == set()
     note.write([], "ff")
     boot = stand.notes / "boot"
     boot.write_text("another\n")
     monkeypatch.setattr(cpu_guard, "_BOOT", boot)
-    assert exclusive.left_behind() == set()
+    assert cpus.left_behind() == set()
 
 
 def test_the_nodes_that_start_meanwhile_may_use_the_cpu_all_the_same(stand, monkeypatch):
-    monkeypatch.setattr(exclusive, "_NAME", stand.name)
-    assert exclusive.kept_free() == set()
+    monkeypatch.setattr(cpus, "_KEPT", stand.name)
+    assert cpus.kept_free() == set()
     node, _ = stand.node()
-    assert exclusive.kept_free() == {stand.cpu}
+    assert cpus.kept_free() == {stand.cpu}
     node.kill()
-    assert comes_true(lambda: exclusive.kept_free() == set())
+    assert comes_true(lambda: cpus.kept_free() == set())
 
 
 def test_a_second_node_is_refused_the_same_cpu_and_all_cpus_are_too_many(stand):

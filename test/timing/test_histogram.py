@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.histogram import NOTHING, Distribution, Histogram
+from straightcomp_ros.timing.delays import NOTHING, Distribution, Histogram, StampGaps
 from straightcomp_ros.timing.node_timing import CPU_WAIT, HeldUp, Report, amplifier_on, summarise, written
 
 PERIOD = 500_000

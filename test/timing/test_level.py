@@ -2,7 +2,7 @@
 
 import itertools
 
-from straightcomp_ros.timing.level import Level, Levels
+from straightcomp_ros.timing.node_timing import Level, Levels
 
 
 def levels_of(*reports):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from straightcomp_ros.timing.missed_periods import MissedPeriods
+from straightcomp_ros.timing.node_timing import MissedPeriods
 
 
 @pytest.mark.parametrize("rate", [500, 2000, 8000])

@@ -4,15 +4,15 @@ import os
 
 import pytest
 
-from straightcomp_ros.timing import exclusive
+from straightcomp_ros.timing import cpus
 
 
 @pytest.fixture
-def cpus(monkeypatch):
+def own(monkeypatch):
     """CPUs that the thread has; the system's calls are replaced."""
     have = {0}
-    monkeypatch.setattr(exclusive, "kept_free", lambda: {1})
-    monkeypatch.setattr(exclusive, "loop_cpus", lambda: {1})
+    monkeypatch.setattr(cpus, "kept_free", lambda: {1})
+    monkeypatch.setattr(cpus, "loop_cpus", lambda: {1})
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(have))
 
     def take(pid, wanted):
@@ -23,21 +23,21 @@ def cpus(monkeypatch):
     return have
 
 
-def test_the_cpu_of_a_loop_at_rest_is_used_and_left_again(cpus):
-    exclusive.use_kept_free(True)
-    assert cpus == {0, 1}
-    exclusive.use_kept_free(False)
-    assert cpus == {0}
+def test_the_cpu_of_a_loop_at_rest_is_used_and_left_again(own):
+    cpus.use_kept_free(True)
+    assert own == {0, 1}
+    cpus.use_kept_free(False)
+    assert own == {0}
 
 
-def test_beside_another_loop_its_cpu_is_left_alone(cpus, monkeypatch):
-    monkeypatch.setattr(exclusive, "loop_cpus", lambda: {0, 1})
-    exclusive.use_kept_free(True)
-    assert cpus == {0}
+def test_beside_another_loop_its_cpu_is_left_alone(own, monkeypatch):
+    monkeypatch.setattr(cpus, "loop_cpus", lambda: {0, 1})
+    cpus.use_kept_free(True)
+    assert own == {0}
 
 
-def test_a_thread_that_has_no_other_cpu_keeps_it(cpus):
-    cpus.clear()
-    cpus.add(1)
-    exclusive.use_kept_free(False)
-    assert cpus == {1}
+def test_a_thread_that_has_no_other_cpu_keeps_it(own):
+    own.clear()
+    own.add(1)
+    cpus.use_kept_free(False)
+    assert own == {1}

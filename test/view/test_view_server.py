@@ -7,8 +7,7 @@ from http.client import HTTPConnection
 
 import pytest
 
-from straightcomp_ros.view.page_server import ActionRefused, ViewServer
-from straightcomp_ros.view.series import Board, Series
+from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer
 
 MS = 1_000_000
 

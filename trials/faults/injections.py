@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.cell.launcher import RECORDED
 from straightcomp_ros.parameters.node_parameters import STAGE
 from straightcomp_ros.safety.faults import ALLOWANCE_MS, Fault
 from trials.faults.faulty_driver import CLOCK_STEP, LATE_COMMANDS

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.cell.cycle import RECORDED
-from straightcomp_ros.cell.launcher import Graph, LaunchError, verb_command
+from straightcomp_ros.cell.launcher import RECORDED, Graph, LaunchError, verb_command
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file

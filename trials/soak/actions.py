@@ -11,7 +11,7 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.cell.launcher import RECORDED
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.safety.faults import HELD_UP, Fault
 from trials.soak.scene import Scene

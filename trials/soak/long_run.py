@@ -11,8 +11,7 @@ from typing import Any
 from std_srvs.srv import Trigger
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.cell.cycle import RECORDED
-from straightcomp_ros.cell.launcher import LaunchError
+from straightcomp_ros.cell.launcher import RECORDED, LaunchError
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.straightness.guide_map import find_survey
 from trials.bench.recorded_strokes import Commanded, Stroke, missing, readable, strokes_in
