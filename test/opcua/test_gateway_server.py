@@ -23,7 +23,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: E402
 from straightcomp_ros.cell.demonstration import free_port  # noqa: E402
 from straightcomp_ros.cell.observation import Observation  # noqa: E402
 from straightcomp_ros.cell.packml import Command, Order  # noqa: E402
-from straightcomp_ros.opcua.admission import OpcuaParameters, add_user
+from straightcomp_ros.opcua.admission import OpcuaParameters, add_user  # noqa: E402
 from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer  # noqa: E402
 from straightcomp_ros.opcua.snapshot import Snapshot  # noqa: E402
 

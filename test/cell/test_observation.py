@@ -1,6 +1,7 @@
-"""What a watcher finds in the streams."""
+"""What an observer of the graph finds in its streams, and what stands in the way of a cycle."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -33,30 +34,27 @@ def test_noise_of_the_encoder_is_no_movement():
 
 def test_a_source_that_starts_anew_is_no_movement():
     strokes = StrokeErrors()
-    run(strokes, [0.5] * 50, lambda k: 0.0)
-    run(strokes, [0.1] * 50, lambda k: 0.0)
+    for x in (0.5, 0.1):
+        run(strokes, [x] * 50, lambda k: 0.0)
     assert strokes.still and strokes.finished == 0
 
 
+WELL = Observation(nodes={"driver": "plain", "logger": "active"}, fresh=True, descriptions={"driver": "a", "cell": "a"})
+
+
 @pytest.mark.parametrize(
-    "seen, words",
+    ("changes", "words"),
     [
-        (Observation(nodes={"driver": "absent"}, fresh=True), "driver (absent)"),
-        (Observation(nodes={"driver": "inactive"}, fresh=True), "driver (inactive)"),
-        (Observation(nodes={"driver": "active"}), "no samples"),
-        (Observation(nodes={"driver": "plain"}, fresh=True, still=False), "moves"),
-        (Observation(nodes={"driver": "plain"}, fresh=True, unrecorded=("/encoder",)), "/encoder"),
-        (
-            Observation(nodes={"driver": "plain"}, fresh=True, descriptions={"driver": "a 12", "controller": "a 34"}),
-            "descriptions of the stage differ (controller a 34, driver a 12)",
-        ),
-        (Observation(nodes={"driver": "plain"}, fresh=True, faults={"driver": "coil"}), "driver: coil"),
+        ({}, ""),
+        ({"nodes": {"driver": "absent"}}, "driver (absent)"),
+        ({"nodes": {"driver": "inactive"}}, "driver (inactive)"),
+        ({"fresh": False}, "no samples"),
+        ({"still": False}, "moves"),
+        ({"unrecorded": ("/encoder",)}, "/encoder"),
+        ({"descriptions": {"driver": "a 12", "controller": "a 34"}}, "differ (controller a 34, driver a 12)"),
+        ({"faults": {"driver": "coil"}}, "driver: coil"),
     ],
 )
-def test_what_is_in_the_way_of_a_cycle_is_named(seen, words):
-    assert words in seen.obstacle
-
-
-def test_nothing_is_in_the_way_where_all_is_well():
-    same = {"driver": "a 12", "cell": "a 12"}
-    assert not Observation(nodes={"driver": "plain", "logger": "active"}, fresh=True, descriptions=same).obstacle
+def test_what_is_in_the_way_of_a_cycle_is_named(changes, words):
+    obstacle = replace(WELL, **changes).obstacle
+    assert words in obstacle and bool(obstacle) is bool(changes)
