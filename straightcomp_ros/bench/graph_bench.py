@@ -192,7 +192,7 @@ def measure(
             follow,
             started=process_ids.update,
             commands=_CELL,
-            beside=beside,
+            programs=beside,
         )
         begin, end = window.looks[0], window.looks[-1]
         recording = read_window(bag, node_parameters("driver", values).stage.rate, begin.time_ns, end.time_ns)

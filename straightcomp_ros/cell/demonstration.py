@@ -104,14 +104,14 @@ def demonstrate(
     try:
         with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client):
             write_whole(parameter_file, as_parameter_file(values))
-            beside = {**emulated_machine(values, parameter_file), **gateway}
+            programs = {**emulated_machine(values, parameter_file), **gateway}
             run_cycle(
                 bag,
                 parameter_file,
                 logs,
                 duration,
                 progress,
-                beside=beside,
+                programs=programs,
                 in_place_of_cell=client,
                 namespace=namespace,
             )

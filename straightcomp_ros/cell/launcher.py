@@ -195,7 +195,7 @@ def run_cycle(
     *,
     started: Callable[[Mapping[str, int]], None] = lambda process_ids: None,
     commands: Mapping[str, Sequence[str]] | None = None,
-    beside: Mapping[str, Sequence[str]] | None = None,
+    programs: Mapping[str, Sequence[str]] | None = None,
     in_place_of_cell: Sequence[str] | None = None,
     namespace: str = "",
 ) -> None:
@@ -206,15 +206,15 @@ def run_cycle(
         progress: called about 20 times a second with the finished fraction of the cycle; True ends the cycle now.
         started: called once with the process id of each node.
         commands: by node, a command to start instead of the node's executable.
-        beside: by name, programs to start before the nodes, which need them: a bus, an emulated board.
+        programs: commands by name, to start before the nodes, which need them: a bus, an emulated board.
         in_place_of_cell: a program that runs the cycle from outside the graph and prints its progress like the cell.
 
     Raises:
         LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
     """
-    commands, beside = commands or {}, beside or {}
+    commands, programs = commands or {}, programs or {}
     with Graph(logs, namespace=namespace) as graph:
-        for name, command in beside.items():
+        for name, command in programs.items():
             graph.start_program(name, command)
         ids = {}
         for name in RECORDED:
@@ -226,7 +226,7 @@ def run_cycle(
             extra, command = {"progress": True}, commands.get("cell")
             cell = graph.start("cell", extra, parameter_file, command=command, read_output=True)
         started(ids)
-        _follow(graph, cell, (*beside, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
+        _follow(graph, cell, (*programs, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
         # The other nodes publish their last incomplete batches when they end.
         codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
         if codes["logger"] != 0:

@@ -135,19 +135,20 @@ class StateWork:
         """The reference is in the middle of the travel, or was requested to go there."""
         self.seen, self.now, self.since = Observation(), now, now
         """The graph as of this tick, the tick's time, and that of the state's beginning, s."""
-        self._asked = -math.inf
+        self._asked, self.recovering = -math.inf, False
 
     def of(self, state: State, since: float) -> Iterator[None]:
         """The work of a state that begins at ``since``; without an end for one that waits for a command."""
-        self.since, self._asked = since, -math.inf
+        self.since, self._asked, self.recovering = since, -math.inf, False
         work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
         return work
 
-    def recover(self, work: Iterator[None], done: Callable[[], None]) -> Iterator[None]:
-        """Clear the fault and switch on again, then go on with the interrupted ``work``; calls ``done()`` between."""
+    def recover(self, work: Iterator[None]) -> Iterator[None]:
+        """Clear the fault and switch on again, then go on with the interrupted ``work``."""
+        self.recovering = True
         yield from self._clearing(0.0)
         yield from self._switching_on()
-        done()
+        self.recovering = False
         yield from work
 
     def _resetting(self) -> Iterator[None]:
@@ -295,13 +296,10 @@ class CellSequence:
     ) -> None:
         self._machine, self._clock, self._recoveries = machine, clock, recoveries
         self._works = self.work_of_states(machine, motion, start_timeout, clock(), as_one=as_one, home=home)
+        self.movements = self._works.movements
+        """Of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop."""
         self.recovered, self._named = 0, False
         self._enter(State.STOPPED, "")
-
-    @property
-    def movements(self) -> StageMovements:
-        """Of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop."""
-        return self._works.movements
 
     @property
     def centred(self) -> bool:
@@ -369,14 +367,14 @@ class CellSequence:
         self._works.now, self._works.seen = self._clock(), seen
         missing = seen.absence if seen.missing else ""
         # A machine whose controller has died cannot be switched on again.
-        trouble = missing if self._recovering else self._trouble(seen)
+        trouble = missing if self._works.recovering else self._trouble(seen)
         if missing and self.state in (State.ABORTING, State.ABORTED) and not self._named:
             # A fault is seen at once; that a node has died, which may be its cause, only when its heartbeats stop.
             self._named = True
             self.message = self.message if missing in self.message else f"{self.message}; {missing}"
         if trouble and self._recoverable(seen):
             self.recovered += 1
-            self._recovering, self._work = True, self._works.recover(self._work, self._has_recovered)
+            self._work = self._works.recover(self._work)
         elif trouble:
             self._enter(State.ABORTING, trouble)
         try:
@@ -389,14 +387,10 @@ class CellSequence:
 
     def _enter(self, state: State, message: str) -> None:
         self.state, self.message = state, message
-        self._recovering = False
         self._named = state is State.ABORTED and self._named
         self._work = self._works.of(state, self._clock())
         if state is State.ABORTING:
             self._machine.switch_off()
-
-    def _has_recovered(self) -> None:
-        self._recovering = False
 
     def _trouble(self, seen: Observation) -> str:
         # In Stopped another client may use the graph: its faults are only shown as alarms.

@@ -16,7 +16,7 @@ from straightcomp_ros.opcua.snapshot import ALARMS, Snapshot
 
 T = ua.VariantType
 Commander = Callable[[Command | Order, int], Awaitable[str]]
-"""Takes what is asked, and the argument, 0 without one; gives why it is refused, or an empty text."""
+"""Takes a command and its argument, 0 without one; returns the reason of a refusal, or an empty text."""
 # UNECE Recommendation 20, as OPC UA numbers it: three characters, base 256.
 _UNITS = {"m": "MTR", "m/s": "MTS", "m/s²": "MSK", "A": "AMP", "s": "SEC"}
 

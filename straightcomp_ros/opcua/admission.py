@@ -1,4 +1,4 @@
-"""Where the OPC UA server listens and whom it lets in: its parameters, and its file of users.
+"""Where the OPC UA server listens and which clients it admits: its parameters, and its file of users.
 
 The file has one user a line, ``name:role:salt:hash``, the password as a scrypt hash.
 """
@@ -25,17 +25,17 @@ _SCRYPT = {"n": 2**14, "r": 8, "p": 1, "dklen": 32}
 
 @dataclass(frozen=True)
 class OpcuaParameters:
-    """Where the server listens and whom it lets in."""
+    """Where the server listens and which clients it admits."""
 
     host: str = parameter("127.0.0.1", "Address to listen on; 0.0.0.0 for all of this machine's addresses")
     port: int = parameter(4840, "TCP port to listen on", "[1, 65535]")
     security: str = parameter(
         AUTO,
-        "encrypted: only signed and encrypted connections of known users; none: no encryption, anybody may read and "
+        "encrypted: only signed and encrypted connections of known users; none: no encryption, every client may read and "
         "known users may command, on the loopback interface only; auto: none on loopback, encrypted elsewhere",
         choices=(AUTO, NONE, ENCRYPTED),
     )
-    users: str = parameter("", "File of users, made by `straightcomp opcua user`; empty: nobody may command")
+    users: str = parameter("", "File of users, made by `straightcomp opcua user`; empty: no client may command")
     certificates: str = parameter(
         "", "Folder of the server's own certificate and key, made there where they are missing; for encryption"
     )

@@ -1,4 +1,4 @@
-"""What the gateway shows at one moment, and the alarms in it."""
+"""What the gateway shows at one moment, and its alarms."""
 
 import math
 from collections.abc import Mapping

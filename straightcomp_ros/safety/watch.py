@@ -87,7 +87,7 @@ class SampleWatch:
             self._least, self._most = max(self._least, -limit), min(self._most, limit)
 
     def check(self, sample: Sample, current: float) -> Finding | None:
-        """The fault of a sample, if any; ``current`` (A) is asked of the amplifier, 0 while it is off."""
+        """The fault of a sample, if any; ``current`` (A) is the amplifier's command, 0 while it is off."""
         stamp_ns, x, y, _ = sample
         step = self._x_step
         if not -step <= x - self._x <= step or not self._least <= y <= self._most:

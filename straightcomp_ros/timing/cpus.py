@@ -131,11 +131,11 @@ def keep_others_off(cpus: Set[int]) -> str:
                 pass_fds=[one.fileno() for one in kept],
             )
     assert process.stdout is not None
-    said = process.stdout.readline().strip()
-    if not said.startswith(cpu_guard.KEPT):
-        raise OSError(said or f"its process ended with exit code {process.wait()}")
+    first = process.stdout.readline().strip()
+    if not first.startswith(cpu_guard.KEPT):
+        raise OSError(first or f"its process ended with exit code {process.wait()}")
     _held.append(process)
-    return said
+    return first
 
 
 def kept_free() -> set[int]:

@@ -120,6 +120,8 @@ class ViewServer(ThreadingHTTPServer):
 
     daemon_threads = True
     block_on_close = False
+    request_queue_size = 64
+    """With the 5 of the standard library a page among many slow clients would wait for TCP's retries of seconds."""
 
     def __init__(self, port: int, board: Board, actions: Mapping[str, Action]) -> None:
         super().__init__(("127.0.0.1", port), _Handler)
@@ -138,8 +140,8 @@ class ViewServer(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_port}/#{self.token}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """One connection too many ends the oldest that gets no news, or else the oldest: a client that is slow, or says
-        nothing, keeps no other out."""
+        """One connection too many ends the oldest that gets no news, or else the oldest: a client that is slow or
+        silent keeps no other out."""
         with self._changing:
             if len(self._open) >= _MOST_CONNECTIONS:
                 oldest = min(self._open, key=self._open.__getitem__)

@@ -41,13 +41,13 @@ def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys: p
         assert check["remedy"] == "" or check["remedy"].endswith("."), check
 
 
-def test_what_the_frames_of_a_stages_board_leave_open_is_told_too(
+def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(()))
     main(["doctor", "--json", "--stage", str(share_path("config/board_motorola.yaml"))])
-    told = [check["detail"] for check in json.loads(capsys.readouterr().out)["checks"]]
-    assert any(text.startswith("there is no heartbeat") for text in told)
+    details = [check["detail"] for check in json.loads(capsys.readouterr().out)["checks"]]
+    assert any(text.startswith("there is no heartbeat") for text in details)
     assert main(["doctor", "--stage", "nowhere.yaml"]) == 2
     assert "nowhere.yaml" in capsys.readouterr().err
 
@@ -73,13 +73,12 @@ def test_a_check_that_the_system_does_not_permit_is_a_warning_and_the_next_one_r
     assert [(one.name, one.state) for one in found] == [("a", "warn"), ("b", "ok")]
 
 
+def states(check, *cases) -> list[str]:
+    return [check(case).state for case in cases]
+
+
 def test_python_outside_of_the_range_fails() -> None:
-    assert [computer.python(version).state for version in ((3, 9), (3, 10), (3, 13), (3, 14))] == [
-        "fail",
-        "ok",
-        "ok",
-        "fail",
-    ]
+    assert states(computer.python, (3, 9), (3, 10), (3, 13), (3, 14)) == ["fail", "ok", "ok", "fail"]
 
 
 @pytest.mark.parametrize(
@@ -105,7 +104,7 @@ def test_a_middleware_that_is_asked_for_and_not_installed_is_named(monkeypatch: 
     assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
 
 
-def test_the_doctor_says_what_differs_under_another_middleware(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_differs_under_another_middleware_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
     answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
     rmw = computer.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
@@ -113,13 +112,11 @@ def test_the_doctor_says_what_differs_under_another_middleware(monkeypatch: pyte
 
 
 def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:
-    assert computer.distribution({"ROS_DISTRO": "humble"}).state == "warn"
-    assert computer.distribution({}).state == computer.distribution({"ROS_DISTRO": "jazzy"}).state == "ok"
+    cases = ({"ROS_DISTRO": "humble"}, {}, {"ROS_DISTRO": "jazzy"})
+    assert states(computer.distribution, *cases) == ["warn", "ok", "ok"]
     local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    assert computer.discovery(local).state == "ok"
-    assert computer.discovery({}).state == "warn"
-    for domain in ("102", "x"):
-        assert computer.discovery({**local, "ROS_DOMAIN_ID": domain}).state == "warn"
+    domains = [{**local, "ROS_DOMAIN_ID": domain} for domain in ("102", "x")]
+    assert states(computer.discovery, local, {}, *domains) == ["ok", "warn", "warn", "warn"]
 
 
 @pytest.mark.parametrize(
@@ -153,7 +150,7 @@ def test_a_refused_priority_is_a_warning_with_the_way_to_get_it() -> None:
         ("CONFIG_PREEMPT_RT=y\n# CONFIG_PREEMPT_NONE is not set\n", "", "ok", "PREEMPT_RT"),
     ],
 )
-def test_a_kernel_that_finishes_its_own_work_first_is_told(
+def test_a_kernel_that_finishes_its_own_work_first_is_reported(
     tmp_path: Path, configuration: str, command_line: str, state: str, detail: str
 ) -> None:
     booted = _file(tmp_path, "cmdline", command_line)
