@@ -31,7 +31,7 @@ class OpcuaParameters:
     port: int = parameter(4840, "TCP port to listen on", "[1, 65535]")
     security: str = parameter(
         AUTO,
-        "encrypted: only signed and encrypted connections of known users; none: no encryption, every client may read and "
+        "encrypted: only signed and encrypted connections of known users; none: no encryption, any client may read and "
         "known users may command, on the loopback interface only; auto: none on loopback, encrypted elsewhere",
         choices=(AUTO, NONE, ENCRYPTED),
     )
@@ -49,7 +49,7 @@ class OpcuaParameters:
     )
 
     def __post_init__(self) -> None:
-        if self.security == NONE and not self.on_loopback:
+        if self.security == NONE and self.host not in LOOPBACK:
             raise RefusedParameter(
                 "security",
                 f"'none' is not allowed with '{{group}}host' '{self.host}'; "
@@ -63,14 +63,9 @@ class OpcuaParameters:
             raise RefusedParameter("trusted", "needs encryption; allowed with '{group}security': encrypted")
 
     @property
-    def on_loopback(self) -> bool:
-        """Whether the server is reached from this machine only."""
-        return self.host in LOOPBACK
-
-    @property
     def encrypted(self) -> bool:
         """Whether connections must be signed and encrypted."""
-        return self.security == ENCRYPTED or (self.security == AUTO and not self.on_loopback)
+        return self.security == ENCRYPTED or (self.security == AUTO and self.host not in LOOPBACK)
 
     @property
     def endpoint(self) -> str:

@@ -120,25 +120,25 @@ class Levels:
     """
 
     def __init__(self) -> None:
-        self._lost = self._overruns = self._stalled_ms = self._samples = 0
+        self._counters = (0, 0, 0, 0)
         self._clean = _CLEAN_REPORTS
 
     def next(self, samples: int, lost: int, overruns: int, stalled_ms: int, error: bool) -> tuple[Level, str]:
         """Level and text of a report, from the node's counters since its start."""
-        new_lost, new_overruns = lost - self._lost, overruns - self._overruns
-        new_stalled_ms = stalled_ms - self._stalled_ms
-        late = new_overruns > _OVERRUN_SHARE * max(samples - self._samples, 1)
-        stalled = new_stalled_ms > _STALLED_MS
-        self._samples, self._lost, self._overruns, self._stalled_ms = samples, lost, overruns, stalled_ms
-        self._clean = 0 if new_lost > 0 or late or stalled or error else self._clean + 1
+        counters = (samples, lost, overruns, stalled_ms)
+        new = [now - before for now, before in zip(counters, self._counters, strict=True)]
+        self._counters = counters
+        problems = (
+            (new[1] > 0, f"{new[1]} samples lost in the last second"),
+            (new[2] > _OVERRUN_SHARE * max(new[0], 1), f"{new[2]} overruns in the last second"),
+            (new[3] > _STALLED_MS, f"the host held the loop up for {new[3]} ms in the last second"),
+        )
+        problem = next((words for found, words in problems if found), "")
+        self._clean = 0 if problem or error else self._clean + 1
         if error:
             return Level.ERROR, ""
-        if new_lost > 0:
-            return Level.WARN, f"{new_lost} samples lost in the last second"
-        if late:
-            return Level.WARN, f"{new_overruns} overruns in the last second"
-        if stalled:
-            return Level.WARN, f"the host held the loop up for {new_stalled_ms} ms in the last second"
+        if problem:
+            return Level.WARN, problem
         if self._clean < _CLEAN_REPORTS:
             return Level.WARN, "running again; it had a problem in the last seconds"
         return Level.OK, "running"
@@ -193,8 +193,7 @@ def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
     # Many short waits add up to a long one, but none was longer than the lateness of the loop. If the scheduler counted
     # less than half of that lateness, something else delayed the loop.
     no_cpu = [min(late_us, wait_us) for late_us, wait_us in zip(late, waits, strict=True) if wait_us >= 0.5 * late_us]
-    known = [late_us for late_us in late if not math.isnan(late_us)]
-    return HeldUp(max([0.0, *no_cpu]), max([0.0, *known]), scheduling)
+    return HeldUp(max(no_cpu, default=0.0), max((one for one in late if one >= 0.0), default=0.0), scheduling)
 
 
 def blamed(nodes: Mapping[str, HeldUp]) -> str:

@@ -71,9 +71,8 @@ def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _
         except (OSError, AttributeError, ValueError) as error:
             refusals.append(f"real-time: {what} was refused ({error}); running without. Remedy: {remedy}")
 
-    cpus, priority = realtime.cpus, realtime.priority
-    if cpus == REST and priority > 1:
-        priority -= 1
+    cpus = realtime.cpus
+    priority = realtime.priority - (cpus == REST and realtime.priority > 1)
     if cpus:
         remedy = f"name CPUs that this process may use, '{LOOP}' or '{REST}'"
         attempt(f"CPUs '{cpus}'", lambda: _set_cpus(cpus, graph), remedy)

@@ -1,12 +1,11 @@
-"""Each check of `straightcomp doctor` on made machines: what it calls ok, warn and fail, and what it advises."""
+"""Each check of `straightcomp doctor` on made computers: what it calls ok, warn and fail, and what it advises."""
 
 import gzip
 import json
 import os
 import resource
 import sys
-from collections import namedtuple
-from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,21 +14,10 @@ from straightcomp_ros.doctor import Finding, computer
 from straightcomp_ros.parameters.share import share_path
 
 MIB = 1 << 20
+LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
-def _file(folder: Path, name: str, text: str) -> Path:
-    path = folder / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-    return path
-
-
-def _free(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    space = namedtuple("space", "f_bavail f_frsize")(size // 4096, 4096)
-    monkeypatch.setattr(os, "statvfs", lambda _: space)
-
-
-def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys: pytest.CaptureFixture[str]) -> None:
+def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys):
     code = main(["doctor", "--json"])
     answer = json.loads(capsys.readouterr().out)
     names = [check["name"] for check in answer["checks"]]
@@ -41,9 +29,7 @@ def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys: p
         assert check["remedy"] == "" or check["remedy"].endswith("."), check
 
 
-def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(monkeypatch, capsys):
     monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(()))
     main(["doctor", "--json", "--stage", str(share_path("config/board_motorola.yaml"))])
     details = [check["detail"] for check in json.loads(capsys.readouterr().out)["checks"]]
@@ -53,32 +39,21 @@ def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(
 
 
 @pytest.mark.parametrize(("states", "code"), [(["ok", "warn"], 0), (["fail", "ok"], 1)])
-def test_only_a_failure_makes_the_exit_code_other_than_zero(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], states: list, code: int
-) -> None:
-    monkeypatch.setattr(
-        "straightcomp_ros.cli.doctor.examine", lambda: iter([Finding("a", state, "seen", "Do it.") for state in states])
-    )
+def test_only_a_failure_makes_the_exit_code_other_than_zero(monkeypatch, capsys, states, code):
+    found = [Finding("a", state, "seen", "Do it.") for state in states]
+    monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(found))
     assert main(["doctor"]) == code
     printed = capsys.readouterr().out
-    assert f"{states[0]}  a: seen" in printed
-    assert "Do it." in printed
+    assert f"{states[0]}  a: seen" in printed and "Do it." in printed
 
 
-def test_a_check_that_the_system_does_not_permit_is_a_warning_and_the_next_one_runs() -> None:
-    def refused() -> Finding:
-        raise PermissionError(13, "Permission denied")
-
+def test_a_check_that_the_system_does_not_permit_is_a_warning_and_the_next_one_runs():
     found = list(computer.examine({"a": refused, "b": lambda: Finding("b", "ok", "")}))
     assert [(one.name, one.state) for one in found] == [("a", "warn"), ("b", "ok")]
 
 
-def states(check, *cases) -> list[str]:
-    return [check(case).state for case in cases]
-
-
-def test_python_outside_of_the_range_fails() -> None:
-    assert states(computer.python, (3, 9), (3, 10), (3, 13), (3, 14)) == ["fail", "ok", "ok", "fail"]
+def refused():
+    raise PermissionError(1, "Operation not permitted")
 
 
 @pytest.mark.parametrize(
@@ -92,51 +67,93 @@ def test_python_outside_of_the_range_fails() -> None:
         ("import time; time.sleep(600)", ["fail"], "timed out"),
     ],
 )
-def test_a_missing_or_broken_rclpy_fails_with_its_last_words(program: str, states: list[str], word: str) -> None:
+def test_a_missing_or_broken_rclpy_fails_with_its_last_words(program, states, word):
     found = computer.ros((sys.executable, "-c", program), timeout=0.5 if "sleep" in program else 600.0)
-    assert [one.state for one in found] == states
-    assert word in found[0].detail
+    assert [one.state for one in found] == states and word in found[0].detail
 
 
-def test_a_middleware_that_is_asked_for_and_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_middleware_is_named_with_what_differs_and_with_its_remedy_where_it_is_missing(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
+    rmw = computer.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
+    assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message arrived")
     (found,) = computer.ros((sys.executable, "-c", "import sys; sys.exit(102)"), timeout=600.0)
     assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
 
 
-def test_what_differs_under_another_middleware_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
-    answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
-    rmw = computer.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
-    assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message arrived")
+def locked(limit, capabilities):
+    return {"status": f"CapEff:\t{capabilities}\n"}, lambda at: computer.locked_memory(limit, at / "status")
 
 
-def test_another_distribution_and_an_open_discovery_are_warned_of() -> None:
-    cases = ({"ROS_DISTRO": "humble"}, {}, {"ROS_DISTRO": "jazzy"})
-    assert states(computer.distribution, *cases) == ["warn", "ok", "ok"]
-    local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    domains = [{**local, "ROS_DOMAIN_ID": domain} for domain in ("102", "x")]
-    assert states(computer.discovery, local, {}, *domains) == ["ok", "warn", "warn", "warn"]
+def of_file(check, text=None):
+    return {"file": text} if text is not None else {}, lambda at: check(at / "file")
+
+
+def clock(text, now):
+    return {"file": text}, lambda at: computer.clock(at / "file", now)
+
+
+def governors(*names):
+    files = {f"cpu{number}/cpufreq/scaling_governor": f"{name}\n" for number, name in enumerate(names)}
+    return files, computer.governor
+
+
+def can(**files):
+    return {name.replace("_", "/"): text for name, text in files.items()}, computer.can_interfaces
+
+
+def given(check, *arguments):
+    return {}, lambda _: check(*arguments)
 
 
 @pytest.mark.parametrize(
-    ("limit", "capabilities", "state"),
-    [(8 * MIB, "0", "warn"), (8 * MIB, "4000", "ok"), (resource.RLIM_INFINITY, "0", "ok"), (1024 * MIB, "0", "ok")],
+    ("made", "state", "words"),
+    [
+        (given(computer.python, (3, 9)), "fail", "3.10 to 3.13"),
+        (given(computer.python, (3, 10)), "ok", "3.10"),
+        (given(computer.python, (3, 13)), "ok", "3.13"),
+        (given(computer.python, (3, 14)), "fail", "3.14"),
+        (given(computer.distribution, {"ROS_DISTRO": "humble"}), "warn", "jazzy/setup.bash"),
+        (given(computer.distribution, {"ROS_DISTRO": "jazzy"}), "ok", "jazzy"),
+        (given(computer.distribution, {}), "ok", "none sourced"),
+        (given(computer.discovery, LOCAL), "ok", "domain 0"),
+        (given(computer.discovery, {}), "warn", "LOCALHOST"),
+        (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "102"}), "warn", "0 to 101"),
+        (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "x"}), "warn", "0 to 101"),
+        (locked(8 * MIB, "0"), "warn", "memlock unlimited"),
+        (locked(8 * MIB, "4000"), "ok", "CAP_IPC_LOCK"),
+        (locked(resource.RLIM_INFINITY, "0"), "ok", "unlimited"),
+        (locked(1024 * MIB, "0"), "ok", "1024.0 MiB"),
+        (given(computer.priority, refused), "warn", "rtprio"),
+        (given(computer.priority, lambda: None), "ok", "permitted"),
+        (of_file(computer.throttling, "-1\n"), "warn", "sysctl"),
+        (of_file(computer.throttling, "950000\n"), "ok", "950000"),
+        (of_file(computer.kernel, "1\n"), "ok", "PREEMPT_RT"),
+        (of_file(computer.kernel), "warn", "no PREEMPT_RT"),
+        (of_file(computer.wake_up_latency), "warn", "is not there"),
+        (of_file(computer.wake_up_latency, ""), "ok", "can be written"),
+        (given(computer.cores, 2, ()), "warn", "4 or more"),
+        (given(computer.cores, 4, ()), "ok", "4"),
+        (given(computer.cores, 4, {1}), "warn", "kept off CPU 1"),
+        (governors(), "ok", "none"),
+        (governors("performance"), "ok", "performance"),
+        (governors("performance", "powersave"), "warn", "cpupower"),
+        (clock("tsc\n", 1.8e9), "ok", "tsc"),
+        (clock("hpet\n", 1.8e9), "warn", "clocksource=tsc"),
+        (clock("tsc\n", 0.0), "fail", "year 1970"),
+        (can(eth0_type="1\n"), "warn", "none in the kernel"),
+        (can(can0_type="280\n", can0_operstate="up\n"), "ok", "can0 up"),
+        (can(can0_type="280\n", can0_operstate="down\n"), "warn", "ip link set can0 up"),
+    ],
 )
-def test_memory_may_be_locked_by_limit_or_by_capability(
-    tmp_path: Path, limit: int, capabilities: str, state: str
-) -> None:
-    assert computer.locked_memory(limit, _file(tmp_path, "status", f"CapEff:\t{capabilities}\n")).state == state
-
-
-def test_a_refused_priority_is_a_warning_with_the_way_to_get_it() -> None:
-    def refuse() -> None:
-        raise PermissionError(1, "Operation not permitted")
-
-    found = computer.priority(refuse)
-    assert found.state == "warn"
-    assert "rtprio" in found.remedy
-    assert computer.priority(lambda: None).state == "ok"
+def test_a_check_judges_a_made_computer(tmp_path, made, state, words):
+    files, check = made
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    found = check(tmp_path)
+    assert found.state == state and words in f"{found.detail} {found.remedy}"
 
 
 @pytest.mark.parametrize(
@@ -150,66 +167,31 @@ def test_a_refused_priority_is_a_warning_with_the_way_to_get_it() -> None:
         ("CONFIG_PREEMPT_RT=y\n# CONFIG_PREEMPT_NONE is not set\n", "", "ok", "PREEMPT_RT"),
     ],
 )
-def test_a_kernel_that_finishes_its_own_work_first_is_reported(
-    tmp_path: Path, configuration: str, command_line: str, state: str, detail: str
-) -> None:
-    booted = _file(tmp_path, "cmdline", command_line)
-    plain = _file(tmp_path, "boot/config-7.0", configuration)
+def test_a_kernel_that_finishes_its_own_work_first_is_reported(tmp_path, configuration, command_line, state, detail):
+    booted, plain, compressed = (tmp_path / name for name in ("cmdline", "boot/config-7.0", "proc/config.gz"))
+    booted.write_text(command_line)
+    plain.parent.mkdir()
+    plain.write_text(configuration)
     assert computer.preemption(tmp_path, "6.0", booted).detail == "this kernel does not show its configuration"
     found = computer.preemption(tmp_path, "7.0", booted)
-    assert found.state == state
-    assert found.detail.startswith(detail)
+    assert found.state == state and found.detail.startswith(detail)
     plain.unlink()
-    compressed = tmp_path / "proc/config.gz"
     compressed.parent.mkdir()
     compressed.write_bytes(gzip.compress(configuration.encode()))
     assert computer.preemption(tmp_path, "7.0", booted) == found
 
 
-def test_what_the_kernel_says_of_real_time(tmp_path: Path) -> None:
-    assert computer.throttling(_file(tmp_path, "runtime", "-1\n")).state == "warn"
-    assert computer.throttling(_file(tmp_path, "runtime", "950000\n")).state == "ok"
-    assert computer.kernel(_file(tmp_path, "realtime", "1\n")).state == "ok"
-    assert computer.kernel(tmp_path / "missing").state == "warn"
-    assert computer.wake_up_latency(tmp_path / "missing").state == "warn"
-    assert computer.wake_up_latency(_file(tmp_path, "latency", "")).state == "ok"
-    assert [computer.cores(count, ()).state for count in (2, 4)] == ["warn", "ok"]
-    lost = computer.cores(4, {1})
-    assert lost.state == "warn" and "kept off CPU 1" in lost.detail and "straightcomp demo" in lost.remedy
-
-
-def test_a_slow_governor_and_a_slow_or_wrong_clock(tmp_path: Path) -> None:
-    assert computer.governor(tmp_path).state == "ok"
-    _file(tmp_path, "cpu0/cpufreq/scaling_governor", "performance\n")
-    assert computer.governor(tmp_path).state == "ok"
-    _file(tmp_path, "cpu1/cpufreq/scaling_governor", "powersave\n")
-    assert computer.governor(tmp_path).state == "warn"
-    assert computer.clock(_file(tmp_path, "source", "tsc\n"), now=1.8e9).state == "ok"
-    assert computer.clock(_file(tmp_path, "source", "hpet\n"), now=1.8e9).state == "warn"
-    assert computer.clock(tmp_path / "missing", now=0.0).state == "fail"
-
-
 @pytest.mark.parametrize(("late", "state"), [(50e-6, "ok"), (5e-3, "warn")])
-def test_a_late_timer_is_a_warning(late: float, state: str) -> None:
+def test_a_late_timer_is_a_warning(late, state):
     passed = [0.0]
 
-    def sleep(duration: float) -> None:
+    def sleep(duration):
         passed[0] += duration + late
 
     assert computer.timer(sleep, lambda: passed[0]).state == state
 
 
-def test_can_interfaces_of_the_kernel(tmp_path: Path) -> None:
-    _file(tmp_path, "eth0/type", "1\n")
-    assert computer.can_interfaces(tmp_path).state == "warn"
-    _file(tmp_path, "can0/type", "280\n")
-    _file(tmp_path, "can0/operstate", "up\n")
-    assert computer.can_interfaces(tmp_path).state == "ok"
-    _file(tmp_path, "can0/operstate", "down\n")
-    assert "ip link set can0 up" in computer.can_interfaces(tmp_path).remedy
-
-
-def test_python_can_without_our_interface_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_can_without_our_interface_is_a_warning(monkeypatch):
     import can.interfaces
 
     assert computer.python_can().state == "ok"
@@ -220,6 +202,6 @@ def test_python_can_without_our_interface_is_a_warning(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(("size", "state"), [(1 << 36, "ok"), (1 << 32, "warn"), (1 << 20, "fail")])
-def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, size: int, state: str) -> None:
-    _free(monkeypatch, size)
+def test_a_full_disk(monkeypatch, tmp_path, size, state):
+    monkeypatch.setattr(os, "statvfs", lambda _: SimpleNamespace(f_bavail=size // 4096, f_frsize=4096))
     assert computer.disk(tmp_path).state == state

@@ -143,18 +143,17 @@ def test_what_a_killed_guard_left_behind_is_seen_and_corrected_by_the_next_node(
 
 def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypatch):
     monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
-    note = cpu_guard.Note({stand.cpu})
-    note.write([4, 2], "ff")
-    assert note.read() == ({2, 4}, "ff") and cpus.left_behind() == {stand.cpu}
-    file = next(stand.notes.iterdir())
-    assert file.stat().st_mode & 0o777 == 0o600
+    note = stand.notes / cpu_guard.note_name(os.getuid(), stand.cpu)
+    cpu_guard.write_note(note, [4, 2], "ff")
+    assert cpu_guard.read_note(note) == ({2, 4}, "ff") and cpus.left_behind() == {stand.cpu}
+    assert note.stat().st_mode & 0o777 == 0o600
     for text in ("", "[]", '["a", "b"]', "7"):
-        file.write_text(text)
-        assert note.read() is None
-    file.rename(file.with_name(file.name.replace(f"_{stand.cpu}.", "_9999.")))
+        note.write_text(text)
+        assert cpu_guard.read_note(note) is None
+    note.rename(note.with_name(note.name.replace(f"_{stand.cpu}.", "_9999.")))
     (stand.notes / cpu_guard.note_name(os.getuid(), "x")).touch()
     assert cpus.left_behind() == set()
-    note.write([], "ff")
+    cpu_guard.write_note(note, [], "ff")
     boot = stand.notes / "boot"
     boot.write_text("another\n")
     monkeypatch.setattr(cpu_guard, "_BOOT", boot)
@@ -200,11 +199,11 @@ def test_guards_of_several_graphs_give_back_their_own_cpus_in_any_order(tmp_path
     before = {}
     for cpu in (3, 2):
         before[cpu] = cpu_guard._queues()
-        cpu_guard._keep_queues_off({cpu})
+        cpu_guard._set_queues({cpu})
     assert mask.read_text() == "3"
-    cpu_guard._give_queues_back({3}, before[3])
+    cpu_guard._set_queues({3}, before[3])
     assert mask.read_text() == "b"
-    cpu_guard._give_queues_back({2}, before[2])
+    cpu_guard._set_queues({2}, before[2])
     assert mask.read_text() == "f"
 
 
