@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from rclpy.node import Node
 from rclpy.task import Future
 
+from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.packml import Order
-from straightcomp_ros.cell.sequence import CellSequence
 from straightcomp_ros.opcua.admission import UsersError
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.parameters.declaration import ParameterError

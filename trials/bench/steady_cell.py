@@ -8,8 +8,8 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
+from straightcomp_ros.cell.cell_sequence import CellSequence, StateWork
 from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.cell.sequence import CellSequence, StateWork
 from straightcomp_ros.nodes.cell_node import CellNode
 from straightcomp_ros.runtime.runner import run
 

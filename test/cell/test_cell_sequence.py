@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, ORDERED_IN, Command, Order, State
-from straightcomp_ros.cell.sequence import CellSequence
 from straightcomp_ros.model.motion import MotionParameters
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
