@@ -3,9 +3,11 @@
 import random
 from pathlib import Path
 
+import pytest
+
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
-from straightcomp_ros.safety.faults import LABELLED, Fault, table
+from straightcomp_ros.safety.faults import LABELLED, Fault
 from straightcomp_ros.safety.state_machine import Condition, SafetyMachine
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
@@ -81,5 +83,10 @@ def test_faults_after_the_first_ask_nothing_more_of_the_machine(monkeypatch):
     assert (requests, safety.trips) == (["off"], 5000)
 
 
-def test_the_documented_table_is_the_code_s():
-    assert table() in DOCUMENT.read_text(), "put the output of straightcomp_ros.safety.faults.table() there"
+@pytest.mark.parametrize("fault", Fault)
+def test_each_fault_has_its_row_in_the_documented_table(fault):
+    (row,) = (
+        line for line in DOCUMENT.read_text().splitlines() if line.startswith(f"| `{fault.label}` | {fault.code} ")
+    )
+    *_, within, reaction, reset = [cell.strip() for cell in row.strip("|").split("|")]
+    assert (within, reaction, reset) == (f"{fault.value.within_ms:g}", fault.value.reaction, fault.value.reset)
