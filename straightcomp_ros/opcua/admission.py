@@ -49,7 +49,7 @@ class OpcuaParameters:
     )
 
     def __post_init__(self) -> None:
-        if self.security == NONE and self.host not in LOOPBACK:
+        if self.security == NONE and not self.on_loopback:
             raise RefusedParameter(
                 "security",
                 f"'none' is not allowed with '{{group}}host' '{self.host}'; "
@@ -63,9 +63,14 @@ class OpcuaParameters:
             raise RefusedParameter("trusted", "needs encryption; allowed with '{group}security': encrypted")
 
     @property
+    def on_loopback(self) -> bool:
+        """Whether the server is reached from this machine only."""
+        return self.host in LOOPBACK
+
+    @property
     def encrypted(self) -> bool:
         """Whether connections must be signed and encrypted."""
-        return self.security == ENCRYPTED or (self.security == AUTO and self.host not in LOOPBACK)
+        return self.security == ENCRYPTED or (self.security == AUTO and not self.on_loopback)
 
     @property
     def endpoint(self) -> str:
