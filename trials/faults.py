@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.cell.launcher import RECORDED
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.parameters.node_parameters import STAGE

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.cell.cycle import RECORDED
-from straightcomp_ros.cell.launcher import Graph, LaunchError, verb_command
+from straightcomp_ros.cell.launcher import RECORDED, Graph, LaunchError, verb_command
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import print_json, require_ros
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters

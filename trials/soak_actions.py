@@ -20,8 +20,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.cell.cycle import RECORDED
-from straightcomp_ros.cell.launcher import LaunchError
+from straightcomp_ros.cell.launcher import RECORDED, LaunchError
 from straightcomp_ros.contract import DIAGNOSTICS, POSITION
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.runtime.streams import subscribe

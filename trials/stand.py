@@ -19,8 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from straightcomp_ros.cell.cycle import RECORDED
-from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
+from straightcomp_ros.cell.launcher import RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.contract import COMMAND, POSITION, SAFETY_STATE, STAGE_TRAJECTORY, TRIP
 from straightcomp_ros.model.motion import Trajectory, Waypoint, trapezoid
 from straightcomp_ros.parameters.node_parameters import node_parameters

@@ -13,9 +13,8 @@ from straightcomp_ros.bags.recorded_diagnostics import read_reports
 from straightcomp_ros.bench.processes import cores, usage
 from straightcomp_ros.bench.recorded_window import Recording, read_window
 from straightcomp_ros.bench.window import Window, growth_mb_per_hour
-from straightcomp_ros.cell.cycle import RECORDED, run_cycle
 from straightcomp_ros.cell.demonstration import free_port
-from straightcomp_ros.cell.launcher import LaunchError, verb_command
+from straightcomp_ros.cell.launcher import RECORDED, LaunchError, run_cycle, verb_command
 from straightcomp_ros.contract import PACKAGE, STROKE
 from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.parameters.node_parameters import (
@@ -193,7 +192,7 @@ def measure(
             follow,
             started=process_ids.update,
             commands=_CELL,
-            beside=beside,
+            programs=beside,
         )
         begin, end = window.looks[0], window.looks[-1]
         recording = read_window(bag, node_parameters("driver", values).stage.rate, begin.time_ns, end.time_ns)

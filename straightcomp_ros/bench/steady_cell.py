@@ -8,9 +8,8 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
+from straightcomp_ros.cell.cell_sequence import CellSequence, StateWork
 from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.cell.packml_sequence import CellSequence
-from straightcomp_ros.cell.state_work import StateWork
 from straightcomp_ros.nodes.cell_node import CellNode
 from straightcomp_ros.runtime.runner import run
 

@@ -16,12 +16,18 @@ from straightcomp_ros.analysis.metrics import Metrics, MetricsError, evaluate
 from straightcomp_ros.analysis.run_verdict import judged_bag
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_diagnostics import read_reports
-from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED, run_cycle
-from straightcomp_ros.cell.launcher import LaunchError, executable_command, in_namespace, verb_command
+from straightcomp_ros.cell.launcher import (
+    IN_THE_LOOP,
+    RECORDED,
+    LaunchError,
+    executable_command,
+    in_namespace,
+    run_cycle,
+    verb_command,
+)
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import cycles
-from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
-from straightcomp_ros.opcua.users import OPERATOR, add_user
+from straightcomp_ros.opcua.admission import OPERATOR, OpcuaParameters, add_user
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.parameters.whole_file import write_whole
@@ -81,16 +87,13 @@ def demonstrate(
 
     Args:
         values: parameters of all nodes.
-        output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; made if need be. There must be no
-            bag.
+        output: folder that gets ``bag/``, ``logs/`` and ``parameters.yaml``; made if need be. There must be no bag.
         progress: called with the finished fraction of the cycle.
-        opcua_strokes: number of strokes run by a client of the OPC UA gateway; 0: the cell runs one stroke.
-        namespace: of all nodes.
+        opcua_strokes: strokes that a client of the OPC UA gateway runs; 0: the cell runs its own number.
 
     Raises:
         DemonstrationFailed: a node died, the cycle failed, or the bag is short.
-        ParameterError: a parameter is refused.
-        SurveyError: the map's survey file cannot be used.
+        ParameterError, SurveyError: a parameter, or the map's survey file, is refused.
     """
     bag, logs, parameter_file = output / "bag", output / "logs", output / "parameters.yaml"
     cell = node_parameters("cell", values)
@@ -101,14 +104,14 @@ def demonstrate(
     try:
         with _driven_by_opcua(values, parameter_file, opcua_strokes, namespace) as (values, gateway, client):
             write_whole(parameter_file, as_parameter_file(values))
-            beside = {**emulated_machine(values, parameter_file), **gateway}
+            programs = {**emulated_machine(values, parameter_file), **gateway}
             run_cycle(
                 bag,
                 parameter_file,
                 logs,
                 duration,
                 progress,
-                beside=beside,
+                programs=programs,
                 in_place_of_cell=client,
                 namespace=namespace,
             )

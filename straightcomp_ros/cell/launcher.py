@@ -1,7 +1,7 @@
 """Starts the nodes as separate processes, watches them, and stops them, like `ros2 launch` but without it.
 
-It imports no ROS: like `ros2 run` it finds executables through the ament index. If the package is not installed, this
-Python runs the modules.
+It imports no ROS: like `ros2 run` it finds executables through the ament index. If no installation of the package is
+sourced, this Python runs the modules of its own.
 """
 
 from __future__ import annotations
@@ -11,16 +11,24 @@ import importlib.util
 import json
 import os
 import random
+import select
 import signal
 import subprocess
 import sys
+import sysconfig
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.contract import PACKAGE
 
+RECORDED = ("driver", "feedforward", "controller", "logger")
+"""The nodes that must run as long as the cell does."""
+IN_THE_LOOP = ("driver", "feedforward", "controller")
+"""Those of them whose delays move the platform."""
+_SLACK_S = 90.0
+"""Time for start, discovery and delays of a busy machine, beyond the duration of the cycle itself."""
 _STOP_WITHIN_S = 5.0
 _PR_SET_PDEATHSIG = 1
 
@@ -35,12 +43,20 @@ def ros_available() -> bool:
 
 
 def executable_command(executable: str) -> list[str]:
-    """Command that starts an executable of this package, e.g. ``driver_node``."""
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        path = Path(prefix) / "lib" / PACKAGE / executable
-        if prefix and os.access(path, os.X_OK):
-            return [str(path)]
-    return [sys.executable, "-m", f"{PACKAGE}.nodes.{executable}"]
+    """Command that starts an executable of this package, e.g. ``driver_node``; LaunchError if there is none."""
+    for prefix in map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))):
+        if (prefix / "share/ament_index/resource_index/packages" / PACKAGE).exists():
+            installed = prefix / "lib" / PACKAGE / executable
+            if os.access(installed, os.X_OK):
+                return [str(installed)]
+            remedy = f"colcon build --packages-select {PACKAGE}, then source the workspace again"
+            raise LaunchError(f"executable '{executable}' is missing in {installed.parent}; remedy: {remedy}")
+    if importlib.util.find_spec(f"{PACKAGE}.nodes.{executable}"):
+        return [sys.executable, "-m", f"{PACKAGE}.nodes.{executable}"]
+    script = Path(sysconfig.get_path("scripts")) / executable
+    if os.access(script, os.X_OK):
+        return [str(script)]
+    raise LaunchError(f"executable '{executable}' is missing in {script.parent}; remedy: make setup")
 
 
 def verb_command(verb: str, *arguments: str) -> list[str]:
@@ -168,3 +184,70 @@ def _end_with_parent() -> None:
     # Nodes must not outlive a launcher that was killed: orphans would disturb every later run.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def run_cycle(
+    bag: Path,
+    parameter_file: Path,
+    logs: Path,
+    duration: float,
+    progress: Callable[[float], object],
+    *,
+    started: Callable[[Mapping[str, int]], None] = lambda process_ids: None,
+    commands: Mapping[str, Sequence[str]] | None = None,
+    programs: Mapping[str, Sequence[str]] | None = None,
+    in_place_of_cell: Sequence[str] | None = None,
+    namespace: str = "",
+) -> None:
+    """Start the graph, follow the cell to the end of its cycle of ``duration`` s, and stop it; ``bag`` has the record.
+
+    Args:
+        logs: folder for the output of the nodes.
+        progress: called about 20 times a second with the finished fraction of the cycle; True ends the cycle now.
+        started: called once with the process id of each node.
+        commands: by node, a command to start instead of the node's executable.
+        programs: commands by name, to start before the nodes, which need them: a bus, an emulated board.
+        in_place_of_cell: a program that runs the cycle from outside the graph and prints its progress like the cell.
+
+    Raises:
+        LaunchError: a node died, the cycle failed or did not end, or the logger did not finish its bag.
+    """
+    commands, programs = commands or {}, programs or {}
+    with Graph(logs, namespace=namespace) as graph:
+        for name, command in programs.items():
+            graph.start_program(name, command)
+        ids = {}
+        for name in RECORDED:
+            extra = {"output": str(bag)} if name == "logger" else {}
+            ids[name] = graph.start(name, extra, parameter_file, command=commands.get(name)).pid
+        if in_place_of_cell:
+            cell = graph.start_program("cell", in_place_of_cell, read_output=True)
+        else:
+            extra, command = {"progress": True}, commands.get("cell")
+            cell = graph.start("cell", extra, parameter_file, command=command, read_output=True)
+        started(ids)
+        _follow(graph, cell, (*programs, *RECORDED), time.monotonic() + duration + _SLACK_S, progress)
+        # The other nodes publish their last incomplete batches when they end.
+        codes = graph.stop([name for name in RECORDED if name != "logger"]) | graph.stop(["logger"])
+        if codes["logger"] != 0:
+            raise LaunchError(f"logger: {exit_words(codes['logger'])}: {graph.last_words('logger')}")
+        # The bag is complete and the amplifier is off now, so how the other nodes ended does not affect the result.
+        for name, code in codes.items():
+            if code != 0:
+                print(f"node '{name}' did not stop cleanly: {exit_words(code)}", file=sys.stderr)
+
+
+def _follow(
+    graph: Graph, cell: Any, watched: Sequence[str], deadline: float, progress: Callable[[float], object]
+) -> None:
+    """Pass on the cell's progress until the cell ends or ``progress`` returns True; LaunchError if a node fails."""
+    while cell.poll() is None:
+        graph.check(watched)
+        if time.monotonic() > deadline:
+            raise LaunchError("the cycle did not end in time")
+        if select.select([cell.stdout], [], [], 0.2)[0]:
+            word, _, fraction = cell.stdout.readline().partition(" ")
+            if word == "progress" and progress(float(fraction)) is True:
+                return
+    if cell.returncode != 0:
+        raise LaunchError(f"cell: {graph.last_words('cell')}")

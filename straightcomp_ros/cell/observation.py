@@ -1,12 +1,16 @@
-"""An observation of the graph from outside at one moment."""
+"""An observation of the graph from outside at one moment, and the error of each movement of the stage in it."""
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 ABSENT, SILENT, PLAIN = "absent", "silent", "plain"
 """States of a node that reports no lifecycle state: it does not run, does not answer, or has no lifecycle."""
 _WORKING = ("active", PLAIN)
+_LOOK_BACK_NS = 100_000_000
+_STILL_M = 50e-6
+"""Smaller distances in the look-back time count as standstill: 0.5 mm/s, far above the encoder's noise."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +21,7 @@ class Observation:
     faults: Mapping[str, str] = field(default_factory=dict)  # fault of each node that has one
     fault_code: int = 0  # of the driver's latched fault; 0 without one
     unrecorded: tuple[str, ...] = ()  # topics that the logger, if there is one, is not connected to
-    descriptions: Mapping[str, str] = field(default_factory=dict)  # of the stage, of each node that tells its own
+    descriptions: Mapping[str, str] = field(default_factory=dict)  # of the stage, of each node that reports its own
     fresh: bool = False  # samples are arriving
     commissioning: str = ""  # what commissioning, or an excitation of the loop, is doing; empty if none is at work
     amplifier_on: bool = False  # samples are arriving, and the driver reports the amplifier on
@@ -68,3 +72,41 @@ class Observation:
         unrecorded = f"not recorded: {', '.join(self.unrecorded)}" if self.unrecorded else ""
         motion = "" if self.still else "the stage moves"
         return self.occupied or self.fault or self.absence or self.contradiction or unrecorded or motion
+
+
+class StrokeErrors:
+    """Peak-to-peak error over each movement, from the streams of position and error.
+
+    The streams need not be synchronous: a tenth of a second at either end of a movement may be counted or not.
+    """
+
+    def __init__(self) -> None:
+        self.still = True  # the stage is at rest
+        self.last_pp = math.nan  # error over the last finished movement, m
+        self.finished = 0  # movements so far
+        self._positions: deque[tuple[int, float]] = deque()
+        self._low, self._high = math.inf, -math.inf
+
+    def add_position(self, stamp_ns: int, x: float) -> None:
+        """Add the stage's position ``x`` (m) at ``stamp_ns``."""
+        positions = self._positions
+        if positions and stamp_ns <= positions[-1][0]:
+            # The source restarted: its earlier positions are meaningless now.
+            positions.clear()
+        positions.append((stamp_ns, x))
+        while stamp_ns - positions[0][0] > _LOOK_BACK_NS:
+            positions.popleft()
+        still = abs(x - positions[0][1]) < _STILL_M
+        if still and not self.still:
+            self._finish()
+        self.still = still
+
+    def add_error(self, error: float) -> None:
+        """Add a compensation error in m."""
+        if not self.still and math.isfinite(error):
+            self._low, self._high = min(self._low, error), max(self._high, error)
+
+    def _finish(self) -> None:
+        self.finished += 1
+        self.last_pp = self._high - self._low if self._high >= self._low else math.nan
+        self._low, self._high = math.inf, -math.inf

@@ -16,7 +16,7 @@ from straightcomp_ros.bench.graph_bench import (
     measure,
     view_beside,
 )
-from straightcomp_ros.cell.cycle import RECORDED
+from straightcomp_ros.cell.launcher import RECORDED
 from straightcomp_ros.cli.bench_options import add_results, results_folder
 from straightcomp_ros.cli.law_tables import rounded, titled_table
 from straightcomp_ros.cli.options import check_range

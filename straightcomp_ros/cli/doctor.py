@@ -6,8 +6,8 @@ import argparse
 import itertools
 
 from straightcomp_ros.cli.findings import show_findings
-from straightcomp_ros.doctor.examination import examine
-from straightcomp_ros.doctor.wire_findings import board_findings
+from straightcomp_ros.doctor.computer import examine
+from straightcomp_ros.doctor.stage_findings import board_findings
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterable
 
 from straightcomp_ros.cli.output import console, print_json, styled
-from straightcomp_ros.doctor.finding import Finding
+from straightcomp_ros.doctor import Finding
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 

@@ -13,8 +13,7 @@ from typing import Any
 
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json
-from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
-from straightcomp_ros.opcua.users import OPERATOR, ROLES, add_user
+from straightcomp_ros.opcua.admission import OPERATOR, ROLES, OpcuaParameters, add_user
 
 SUMMARY = "users of the OPC UA gateway; a cycle run through it"
 PASSWORD = "STRAIGHTCOMP_OPCUA_PASSWORD"

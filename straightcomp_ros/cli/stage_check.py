@@ -8,8 +8,7 @@ import itertools
 
 from straightcomp_ros.cli.findings import show_findings
 from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
-from straightcomp_ros.doctor.stage_findings import stage_findings
-from straightcomp_ros.doctor.wire_findings import board_findings
+from straightcomp_ros.doctor.stage_findings import board_findings, stage_findings
 from straightcomp_ros.parameters.node_parameters import node_parameters
 
 SUMMARY = "check a description: what does not fit together, why, and what helps"

@@ -7,7 +7,7 @@ from typing import Any
 from straightcomp_ros.cli.law_tables import titled_table
 from straightcomp_ros.cli.output import console, print_json
 from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
-from straightcomp_ros.doctor.consequences import Consequences, consequences
+from straightcomp_ros.doctor.stage_findings import Consequences, consequences
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.straightness.guide_map import load_map
 

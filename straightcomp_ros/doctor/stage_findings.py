@@ -1,12 +1,20 @@
-"""Reads the description of a stage as an engineer would: what does not fit together, why, and what helps."""
+"""Reads the description of a stage and the frames of its board like an engineer: what follows, what does not fit."""
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
-from straightcomp_ros.control.laws import ControlParameters
+import numpy as np
+
+from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.least_margins import missing_margin
-from straightcomp_ros.doctor.consequences import Consequences, consequences
-from straightcomp_ros.doctor.finding import Finding
+from straightcomp_ros.control.margins import Margins, loop_margins
+from straightcomp_ros.doctor import Finding, judged
+from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, load, traffic
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.message_code import Signals
+from straightcomp_ros.hardware.can.wire_gaps import gaps
+from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
@@ -14,6 +22,10 @@ from straightcomp_ros.straightness.survey import SurveyError
 
 EASY, FEASIBLE = 0.5, 0.65
 """Of the unstable pole times the dead time: gains with usual margins exist below the first, none beyond the second."""
+FLOOR_COUNTS = 1.1
+"""Least p-p error in counts of the encoder that any law here with margins has left (docs/accuracy.md)."""
+_GRID = 0.1e-3
+"""m; far below the pitch of any survey."""
 _GAIN_LOW, _GAIN_HIGH = 0.7, 1.5
 """Least gain margins of a loop that deserves trust, to either side."""
 _SHARE_OF_LIMIT = 0.7
@@ -21,10 +33,73 @@ _SHARE_OF_LIMIT = 0.7
 _BUS_FULL = 0.8
 
 
+@dataclass(frozen=True)
+class Consequences:
+    """What an engineer would compute by hand from a description before the first run, SI units."""
+
+    current_stiffness: float  # K̄_i, N/A, from (3)
+    position_stiffness: float  # K̄_y, N/m, from (3)
+    unstable_pole: float  # √(K̄_y/M) of the platform in its magnets, 1/s
+    dead_time: float  # T_d of the loop
+    dac_force: float  # of one step of the D/A converter
+    dac_displacement: float  # of one step against the bristles
+    breakaway_current: float  # that overcomes static friction
+    holding_current: float  # for friction, the magnets' pull at the largest correction, and its acceleration
+    correction: float  # largest |r| over the stroke
+    reference_speed: float  # largest |ṙ| of a stroke
+    reference_acceleration: float  # largest |r̈|
+    encoder_floor: float  # p-p error that the encoder's count leaves at best
+    margins: Margins | None  # None if the law has no linearisation at rest
+    can_load: float  # fraction of the time for which a bus of 1 Mbit/s is busy
+    can_fd_load: float  # of FD with 5 Mbit/s
+
+    @property
+    def difficulty(self) -> float:
+        """Unstable pole times dead time: below some 0.5 gains with margins exist, at 0.65 none do."""
+        return self.unstable_pole * self.dead_time
+
+
+def consequences(stage: StageParameters, control: ControlParameters, straightness: StraightnessMap) -> Consequences:
+    """The figures of ``stage`` with the law of ``control`` and the map of its guide."""
+    actuator, friction, motion = stage.actuator, stage.friction, stage.motion
+    x = motion.start + np.arange(0.0, motion.stroke + _GRID, _GRID)
+    r, slope, curvature = (float(np.abs(values).max()) for values in straightness.evaluate(x))
+    # At cruise, and at the ends of the ramps.
+    acceleration = curvature * motion.speed**2 + slope * motion.acceleration
+    force = (
+        friction.static
+        + friction.viscous * slope * motion.speed
+        + actuator.position_stiffness * r
+        + stage.platform.mass * acceleration
+    )
+    dac_force = stage.drive.current_step * actuator.current_stiffness
+    try:
+        margins = loop_margins(make_law(control, stage), stage)
+    except ValueError:
+        margins = None
+    return Consequences(
+        current_stiffness=actuator.current_stiffness,
+        position_stiffness=actuator.position_stiffness,
+        unstable_pole=math.sqrt(actuator.position_stiffness / stage.platform.mass),
+        dead_time=stage.dead_time,
+        dac_force=dac_force,
+        dac_displacement=dac_force / friction.bristle_stiffness,
+        breakaway_current=friction.static / actuator.current_stiffness,
+        holding_current=force / actuator.current_stiffness,
+        correction=r,
+        reference_speed=slope * motion.speed,
+        reference_acceleration=acceleration,
+        encoder_floor=FLOOR_COUNTS * stage.encoder.y_resolution,
+        margins=margins,
+        can_load=load(traffic(CanParameters(fd=False).make_wire(), stage.rate), CLASSIC_1M),
+        can_fd_load=load(traffic(CanParameters(fd=True).make_wire(), stage.rate), FD_1M_5M),
+    )
+
+
 def stage_findings(
     stage: StageParameters, control: ControlParameters, tracking: FeedforwardParameters
 ) -> Iterator[Finding]:
-    """Check the description with the law of ``control`` and the feedforward's ``tracking``; each check is a finding."""
+    """Check the description with the law of ``control`` and the feedforward's ``tracking``."""
     try:
         straightness = load_map(stage.guide)
     except SurveyError as error:
@@ -48,10 +123,8 @@ def _span(stage: StageParameters, straightness: StraightnessMap) -> Finding:
         f"survey from {first * 1e3:.1f} to {last * 1e3:.1f} mm, strokes from {start * 1e3:.1f} to {end * 1e3:.1f} mm"
     )
     beyond = max(first - start, end - last)
-    if beyond > 1e-6:
-        state = "fail" if beyond > stage.guide.runout else "warn"
-        return Finding("survey", state, detail, "Survey the whole stroke, or shorten stage.motion.stroke.")
-    return Finding("survey", "ok", detail)
+    remedy = "Survey the whole stroke, or shorten stage.motion.stroke."
+    return judged("survey", beyond <= 1e-6, detail, remedy, "fail" if beyond > stage.guide.runout else "warn")
 
 
 def _correction(stage: StageParameters, found: Consequences) -> Finding:
@@ -71,17 +144,14 @@ def _correction(stage: StageParameters, found: Consequences) -> Finding:
 def _reference(stage: StageParameters, found: Consequences, tracking: FeedforwardParameters) -> Finding:
     # The stage's acceleration changes within a sample; the tracking filter knows it late by about 1/(2π f).
     late = 1.0 / (2.0 * math.pi * tracking.bandwidth)
-    slope = found.reference_speed / stage.motion.speed
-    wrong = slope * stage.motion.acceleration * late
+    wrong = found.reference_speed / stage.motion.speed * stage.motion.acceleration * late
     error = wrong * found.dead_time
     detail = (
         f"ṙ up to {found.reference_speed * 1e6:.0f} µm/s, r̈ up to {found.reference_acceleration:.3g} m/s²; at the ends "
         f"of a ramp ṙ errs by {wrong * 1e6:.1f} µm/s, {error * 1e9:.0f} nm within the dead time"
     )
-    if error > stage.encoder.y_resolution:
-        remedy = "Raise feedforward.bandwidth (node feedforward), or accelerate the stage less."
-        return Finding("reference", "warn", detail, remedy)
-    return Finding("reference", "ok", detail)
+    remedy = "Raise feedforward.bandwidth (node feedforward), or accelerate the stage less."
+    return judged("reference", error <= stage.encoder.y_resolution, detail, remedy)
 
 
 def _pole(stage: StageParameters, found: Consequences) -> Finding:
@@ -89,16 +159,14 @@ def _pole(stage: StageParameters, found: Consequences) -> Finding:
         f"the magnets' negative stiffness of {found.position_stiffness / 1e3:.3g} kN/m gives a pole at "
         f"{found.unstable_pole:.0f} 1/s; dead time {found.dead_time * 1e3:.2f} ms; product {found.difficulty:.2f}"
     )
-    if found.difficulty < EASY:
-        return Finding("instability", "ok", detail)
-    # With what is left to the dead time at this pole.
     longest = EASY / found.unstable_pole
     bias = stage.actuator.bias_current * (EASY / found.difficulty)
     remedy = (
         f"Below {EASY:g} gains with usual margins exist: shorten the dead time to {longest * 1e3:.2f} ms (rate, delay, "
         f"amplifier), or lower stage.actuator.bias_current to {bias:.2g} A, or add mass."
     )
-    return Finding("instability", "fail" if found.difficulty >= FEASIBLE else "warn", detail, remedy)
+    bad = "fail" if found.difficulty >= FEASIBLE else "warn"
+    return judged("instability", found.difficulty < EASY, detail, remedy, bad)
 
 
 def _loop(control: ControlParameters, stage: StageParameters, found: Consequences) -> Finding:
@@ -112,9 +180,8 @@ def _loop(control: ControlParameters, stage: StageParameters, found: Consequence
         f"law {law}: stable for gains from {margins.gain_low:.2f} to {margins.gain_high:.2f}, phase "
         f"{margins.phase:.0f}°, delay up to {margins.longest_delay * 1e3:.2f} ms"
     )
-    if margins.gain_low > _GAIN_LOW or margins.gain_high < _GAIN_HIGH:
-        return Finding("loop", "warn", detail, "The margins are thin: straightcomp design finds gains for this stage.")
-    return Finding("loop", "ok", detail)
+    wide = margins.gain_low <= _GAIN_LOW and margins.gain_high >= _GAIN_HIGH
+    return judged("loop", wide, detail, "The margins are thin: straightcomp design finds gains for this stage.")
 
 
 def _force(stage: StageParameters, found: Consequences) -> Finding:
@@ -128,9 +195,8 @@ def _force(stage: StageParameters, found: Consequences) -> Finding:
         return Finding("force", "warn", detail, f"stage.actuator.current_limit is above {smaller}.")
     if found.holding_current > limit:
         return Finding("force", "fail", detail, "Raise current limit and bias, or reduce friction, mass or speed.")
-    if found.holding_current > _SHARE_OF_LIMIT * limit:
-        return Finding("force", "warn", detail, "Little is left for the law's corrections: raise the current limit.")
-    return Finding("force", "ok", detail)
+    remedy = "Little is left for the law's corrections: raise the current limit."
+    return judged("force", found.holding_current <= _SHARE_OF_LIMIT * limit, detail, remedy)
 
 
 def _quanta(stage: StageParameters, found: Consequences) -> Finding:
@@ -139,19 +205,70 @@ def _quanta(stage: StageParameters, found: Consequences) -> Finding:
         f"a count of {count * 1e9:g} nm leaves some {found.encoder_floor * 1e9:.0f} nm p-p at best; a step of the D/A "
         f"converter is {found.dac_force * 1e3:.3g} mN, or {found.dac_displacement * 1e9:.3g} nm against the bristles"
     )
-    if found.dac_displacement > count:
-        remedy = "The D/A converter is coarser than the encoder: use more bits, or a smaller range or gain."
-        return Finding("quanta", "warn", detail, remedy)
-    return Finding("quanta", "ok", detail)
+    remedy = "The D/A converter is coarser than the encoder: use more bits, or a smaller range or gain."
+    return judged("quanta", found.dac_displacement <= count, detail, remedy)
 
 
 def _bus(stage: StageParameters, found: Consequences) -> Finding:
+    only_fd = ": only CAN FD carries it" if found.can_load > _BUS_FULL >= found.can_fd_load else ""
     detail = (
         f"at {stage.rate} Hz classic CAN (1 Mbit/s) is busy by {found.can_load:.0%}, CAN FD (5 Mbit/s) by "
-        f"{found.can_fd_load:.0%}"
+        f"{found.can_fd_load:.0%}{only_fd}"
     )
-    if found.can_fd_load > _BUS_FULL:
-        return Finding("bus", "warn", detail, "No CAN bus carries this rate: use another link, or a lower rate.")
-    if found.can_load > _BUS_FULL:
-        return Finding("bus", "ok", f"{detail}: only CAN FD carries it")
-    return Finding("bus", "ok", detail)
+    remedy = "No CAN bus carries this rate: use another link, or a lower rate."
+    return judged("bus", found.can_fd_load <= _BUS_FULL, detail, remedy)
+
+
+def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
+    """As :func:`wire_findings`, for a machine that is a board on CAN or has a DBC file; none for another."""
+    if driver.hardware == "can" or driver.can.dbc:
+        yield from wire_findings(driver.stage, driver.can)
+
+
+def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Finding]:
+    """Check the frames of the board with ``can`` for ``stage``: ranges, resolution, protection, load of the bus."""
+    wire, motion, encoder, step = can.make_wire(), stage.motion, stage.encoder, stage.drive.current_step
+    names = [frames.signals.message.name for frames in (*wire.reports.values(), *wire.commands)]
+    yield Finding("wire", "ok", f"{wire.dbc.file}: {', '.join(names)}")
+    ends = motion.start, motion.start + motion.stroke
+    stop, limit = stage.platform.stop, stage.actuator.current_limit
+    yield _range("wire x", wire.sample.signals, "x", ends, encoder.x_resolution, "m")
+    yield _range("wire y", wire.homes["y"].signals, "y", (-stop, stop), encoder.y_resolution, "m")
+    yield _range("wire command", wire.command.signals, "current", (-limit, limit), step, "A")
+    if wire.current is not None:
+        yield _range("wire current", wire.current.signals, "current", (-limit, limit), step, "A")
+    missing = gaps(wire)
+    for gap in missing:
+        yield Finding("wire protection", "warn", gap, "Ask the maker of the board, or accept what follows.")
+    if not missing:
+        yield Finding("wire protection", "ok", "CRC, counters, echo and heartbeat are there")
+    busy = load(traffic(wire, stage.rate), Bitrate(can.bitrate, can.data_bitrate if can.fd else None))
+    detail = f"at {stage.rate} Hz the bus of {can.bitrate / 1e6:g} Mbit/s is busy by {busy:.0%}"
+    remedy = "Shorten the frames, raise can.bitrate or can.data_bitrate, or lower stage.rate."
+    yield judged("wire bus", busy <= _BUS_FULL, detail, remedy, "fail" if busy > 1.0 else "warn")
+
+
+def _range(name: str, signals: Signals, field: str, ends: tuple[float, float], resolution: float, unit: str) -> Finding:
+    least, largest = signals.span(field)
+    step = _step(signals, field, ends)
+    signal = signals.signals[field].name
+    detail = (
+        f"'{signal}' from {least:.6g} to {largest:.6g} {unit} in steps of {step:.3g} {unit}; the stage needs "
+        f"{ends[0]:.6g} to {ends[1]:.6g} {unit} in steps of {resolution:.3g} {unit}"
+    )
+    if least > ends[0] or largest < ends[1]:
+        remedy = f"Use a wider signal or another scale for '{signal}', or check the stage and the unit in the DBC file."
+        return Finding(name, "fail", detail, remedy)
+    remedy = f"The scale of '{signal}' is too coarse: use a finer one, or more bits."
+    # A DBC file writes its scales with few digits.
+    return judged(name, step <= 1.001 * resolution, detail, remedy)
+
+
+def _step(signals: Signals, field: str, ends: tuple[float, float]) -> float:
+    """Resolution in SI units; of a float where the stage needs the largest number."""
+    signal, factor = signals.signals[field], signals.factors[field]
+    if not signal.is_float:
+        return signals.step(field)
+    scale = abs(signal.scale * factor)
+    kind = {16: np.float16, 32: np.float32, 64: np.float64}[signal.length]
+    return float(np.spacing(kind(max(abs(end) for end in ends) / scale))) * scale

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from rclpy.node import Node
 from rclpy.task import Future
 
-from straightcomp_ros.cell.cycle import IN_THE_LOOP
+from straightcomp_ros.cell.cell_sequence import AMPLIFIER_OFF, CellSequence
+from straightcomp_ros.cell.launcher import IN_THE_LOOP
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, State
-from straightcomp_ros.cell.packml_sequence import AMPLIFIER_OFF, CellSequence
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.parameters.parameter_sets import CellNodeParameters
 from straightcomp_ros.runtime.declare import declare

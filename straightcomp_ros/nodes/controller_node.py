@@ -31,7 +31,7 @@ from straightcomp_ros.runtime.streams import SubscriptionQueue, subscribe, unspu
 from straightcomp_ros.runtime.trip import tripper
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ErrorWatch
-from straightcomp_ros.timing.gaps import StampGaps
+from straightcomp_ros.timing.delays import StampGaps
 from straightcomp_ros.timing.node_timing import EXCITATION, LOST, OVERRUNS, SAMPLES
 
 _LOOK_FOR_SILENCE_S = 0.05

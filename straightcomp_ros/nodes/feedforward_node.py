@@ -22,7 +22,7 @@ from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
-from straightcomp_ros.timing.gaps import StampGaps
+from straightcomp_ros.timing.delays import StampGaps
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 
 _LOOK_AT_MAP_S = 0.02

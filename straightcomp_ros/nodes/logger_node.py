@@ -29,8 +29,7 @@ from straightcomp_ros.runtime.recorder_services import serve_recorder
 from straightcomp_ros.runtime.remote_parameters import RemoteParameters
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.streams import Fetched, RawQueue, message_type, stream_qos, unspun_node
-from straightcomp_ros.timing.gaps import StampGaps
-from straightcomp_ros.timing.histogram import Histogram
+from straightcomp_ros.timing.delays import Histogram, StampGaps
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, TIMER_ERROR, written
 
 _FETCH_INTERVAL_NS = 20_000_000

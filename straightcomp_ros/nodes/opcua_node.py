@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from rclpy.node import Node
 from rclpy.task import Future
 
+from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.packml import Order
-from straightcomp_ros.cell.packml_sequence import CellSequence
+from straightcomp_ros.opcua.admission import UsersError
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
-from straightcomp_ros.opcua.users import UsersError
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.parameter_sets import OpcuaNodeParameters
 from straightcomp_ros.runtime.declare import declare

@@ -16,8 +16,7 @@ from straightcomp_ros.runtime.streams import unspun_node
 from straightcomp_ros.stage.due_maintenance import WatchedAdvice
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
 from straightcomp_ros.timing.realtime import RealtimeParameters
-from straightcomp_ros.view.page_server import ActionRefused, ViewServer
-from straightcomp_ros.view.series import Board, Series
+from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer
 
 _FETCH_S = 0.05
 _SLOT_S = 0.02

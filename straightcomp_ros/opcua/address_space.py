@@ -16,7 +16,7 @@ from straightcomp_ros.opcua.snapshot import ALARMS, Snapshot
 
 T = ua.VariantType
 Commander = Callable[[Command | Order, int], Awaitable[str]]
-"""Takes what is asked, and the argument, 0 without one; gives why it is refused, or an empty text."""
+"""Takes a command and its argument, 0 without one; returns the reason of a refusal, or an empty text."""
 # UNECE Recommendation 20, as OPC UA numbers it: three characters, base 256.
 _UNITS = {"m": "MTR", "m/s": "MTS", "m/s²": "MSK", "A": "AMP", "s": "SEC"}
 
@@ -101,22 +101,23 @@ class AddressSpace:
         self._index = await self._server.register_namespace(NAMESPACE)
         cell = await self._server.nodes.objects.add_object(self._id(""), self._named(CELL))
         counter = Value(T.UInt32, "Counts up ten times a second", lambda _: self._heartbeat)
-        limits = {
-            key: Value(T.Double, text, lambda s, key=key: s.limits.get(key, math.nan), unit)
-            for key, (unit, text) in LIMITS.items()
+        folders = {
+            "Status": {**_STATUS, "Heartbeat": counter},
+            "Live": _LIVE,
+            "Limits": {
+                key: Value(T.Double, text, lambda s, key=key: s.limits.get(key, math.nan), unit)
+                for key, (unit, text) in LIMITS.items()
+            },
+            "Nodes": {
+                node: Value(T.String, "State", lambda s, node=node: s.seen.nodes.get(node, "absent")) for node in nodes
+            },
+            "Alarms": {
+                key: Value(T.String, f"{text}; empty: not active", lambda s, key=key: s.alarms.get(key, ""))
+                for key, (_, text) in ALARMS.items()
+            },
         }
-        states = {
-            node: Value(T.String, "State", lambda s, node=node: s.seen.nodes.get(node, "absent")) for node in nodes
-        }
-        alarms = {
-            key: Value(T.String, f"{text}; empty: not active", lambda s, key=key: s.alarms.get(key, ""))
-            for key, (_, text) in ALARMS.items()
-        }
-        await self._add_folder(cell, "Status", {**_STATUS, "Heartbeat": counter})
-        await self._add_folder(cell, "Live", _LIVE)
-        await self._add_folder(cell, "Limits", limits)
-        await self._add_folder(cell, "Nodes", states)
-        await self._add_folder(cell, "Alarms", alarms)
+        for title, values in folders.items():
+            await self._add_folder(cell, title, values)
         commands = await self._add_folder(cell, "Commands", {})
         for kind, text in _METHODS.items():
             await self._add_method(commands, kind, text, command)

@@ -1,4 +1,4 @@
-"""The OPC UA server, on a thread of its own: clients cannot hold up who feeds it."""
+"""The OPC UA server, on a thread of its own: clients cannot hold up the node that feeds it."""
 
 import asyncio
 import contextlib
@@ -29,10 +29,9 @@ from straightcomp_ros.cell.packml import Command, Order
 from straightcomp_ros.contract import PACKAGE
 from straightcomp_ros.opcua import APPLICATION
 from straightcomp_ros.opcua.address_space import AddressSpace
-from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
+from straightcomp_ros.opcua.admission import OpcuaParameters, Users
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
 from straightcomp_ros.opcua.snapshot import Snapshot
-from straightcomp_ros.opcua.users import Users
 from straightcomp_ros.parameters.whole_file import write_whole
 
 _PERIOD_S = 0.1
@@ -59,7 +58,7 @@ _LONGEST_LINE = 300
 
 @dataclass
 class Request:
-    """What a client asks for; ``answer`` takes why it is refused, or an empty text."""
+    """A client's command; ``answer`` takes the reason of a refusal, or an empty text."""
 
     asked: Command | Order
     argument: int
@@ -134,14 +133,14 @@ class GatewayServer:
         self._snapshot = snapshot
 
     def requests(self) -> Iterator[Request]:
-        """What has been asked for since the last call; each is to be answered.
+        """The commands since the last call; each is to be answered.
 
-        Requests whose client has gone, or was told that it took too long, are left out: nobody waits for them any more.
+        Those whose client has gone, or got a timeout, are left out: no client waits for them any more.
         """
         with contextlib.suppress(queue.Empty):
             while True:
                 request = self._requests.get_nowait()
-                # From here on nobody can cancel it: an answer that nobody takes does no harm.
+                # From here on it cannot be cancelled: an answer that no client takes does no harm.
                 if request.answer.set_running_or_notify_cancel():
                     yield request
 
@@ -189,14 +188,11 @@ class GatewayServer:
         server.set_server_name(PACKAGE)
         await server.set_application_uri(APPLICATION)
         if parameters.encrypted:
-            certificate, key = await _own_certificate(parameters.certificates, APPLICATION)
+            certificate, key = await _own_certificate(parameters.certificates)
             await server.load_certificate(certificate)
             await server.load_private_key(key)
-        policies, tokens = (
-            (_ENCRYPTED, _KNOWN) if parameters.encrypted else (_OPEN, [ua.AnonymousIdentityToken, *_KNOWN])
-        )
-        server.set_security_policy(policies, LeftToTheSession())
-        server.set_identity_tokens(tokens)
+        server.set_security_policy(_ENCRYPTED if parameters.encrypted else _OPEN, LeftToTheSession())
+        server.set_identity_tokens(_KNOWN if parameters.encrypted else [ua.AnonymousIdentityToken, *_KNOWN])
         return server
 
     async def _command(self, asked: Command | Order, argument: int) -> str:
@@ -213,7 +209,7 @@ class GatewayServer:
 
 def make_room(clients: Sequence[OPCUAProtocol], most: int) -> None:
     """Close connections until at most ``most`` are left: first the oldest of those that are not a known user's, so that
-    whoever knows a password gets in however many others are there. Whoever does not take its answers is closed too."""
+    a known user gets in however many others are there. A client that does not take its answers is closed too."""
     for client in clients:
         if client.transport is not None and client.transport.get_write_buffer_size() > _MOST_UNSENT:
             client.transport.abort()
@@ -230,7 +226,7 @@ def _is_known(client: OPCUAProtocol) -> bool:
     return session is not None and session.is_activated() and session.user.name is not None
 
 
-async def _own_certificate(folder: str | Path, uri: str) -> tuple[Path, Path]:
+async def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
     """Certificate (DER) and key (PEM) in ``folder``, made there (self-signed, for a year) if missing or expired."""
     certificate, key = Path(folder) / "certificate.der", Path(folder) / "key.pem"
     before = os.umask(0o077)
@@ -243,7 +239,8 @@ async def _own_certificate(folder: str | Path, uri: str) -> tuple[Path, Path]:
             new = {file: Path(place) / file.name for file in (key, certificate)}
             for file in filter(Path.is_file, new):
                 shutil.copyfile(file, new[file])
-            await setup_self_signed_certificate(new[key], new[certificate], uri, socket.gethostname(), usage, subject)
+            host = socket.gethostname()
+            await setup_self_signed_certificate(new[key], new[certificate], APPLICATION, host, usage, subject)
             for file in new:
                 if not (file.is_file() and filecmp.cmp(file, new[file], shallow=False)):
                     write_whole(file, new[file].read_bytes(), private=True)

@@ -1,8 +1,8 @@
-"""Who may do what on the server: enforced in the session, whatever the connection.
+"""What each user may do on the server: enforced in the session, whatever the connection.
 
 asyncua ties its rules to the secure channel. A client that opens none escapes them: asyncua takes unsecured messages
 even where no unsecured endpoint is offered, lets any connection take over a session whose (consecutive) token it
-guesses, checks a client's certificate only where the client shows it twice, and lets anybody register servers.
+guesses, checks a client's certificate only where the client shows it twice, and lets any client register servers.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 
-from straightcomp_ros.opcua.users import OPERATOR, Users
+from straightcomp_ros.opcua.admission import OPERATOR, Users
 
 _log = logging.getLogger(__name__)
 _FASTEST_PUBLISHING_MS = 50.0
@@ -101,7 +101,7 @@ class GuardedServer(InternalServer):
         return GuardedSession(self, self.aspace, self.subscription_service, name, user=user, external=external)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> InternalSession | None:
-        """None: nobody takes over a session; a client that lost its connection logs in again."""
+        """None: no client takes over a session; one that lost its connection logs in again."""
         return None
 
     def register_server(self, server: Any, conf: Any = None) -> None:
@@ -121,7 +121,7 @@ def _own_only(method: Callable[..., Any], subscriptions: Callable[[Any], Sequenc
 
 
 class GuardedSession(InternalSession):
-    """A client's session: anybody who was let in reads, operators call methods, nobody writes or changes nodes.
+    """A client's session: every admitted client reads, operators call methods, none writes or changes nodes.
 
     Subscriptions are bounded in number and speed, and only the session that made one can change, use or end it.
     """
@@ -146,7 +146,7 @@ class GuardedSession(InternalSession):
             raise
 
     async def close_session(self, delete_subs: bool = True) -> None:
-        """Subscriptions always end too: nobody could take them over."""
+        """Subscriptions always end too: no client could take them over."""
         await super().close_session(True)
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:

@@ -1,4 +1,4 @@
-"""What the gateway shows at one moment, and the alarms in it."""
+"""What the gateway shows at one moment, and its alarms."""
 
 import math
 from collections.abc import Mapping
@@ -20,12 +20,7 @@ ALARMS: Mapping[str, tuple[int, str]] = {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """State, message, strokes and reference of the cell's sequence, and what is seen of the graph.
-
-    Attributes:
-        alarms: by name, for those that are active, the text.
-        limits: by name, in SI units; NaN where not known yet.
-    """
+    """State, message, strokes and reference of the cell's sequence, and the observation of the graph."""
 
     state: State = State.STOPPED
     message: str = ""
@@ -33,8 +28,8 @@ class Snapshot:
     strokes_done: int = 0
     centred: bool = False
     seen: Observation = field(default_factory=Observation)
-    alarms: Mapping[str, str] = field(default_factory=dict)
-    limits: Mapping[str, float] = field(default_factory=dict)
+    alarms: Mapping[str, str] = field(default_factory=dict)  # text by name of those that are active
+    limits: Mapping[str, float] = field(default_factory=dict)  # by name, SI units; NaN where not known yet
 
 
 class Alarms:
@@ -46,8 +41,7 @@ class Alarms:
         self._loss, self._loss_until = "", -math.inf
 
     def active(self, seen: Observation, state: State, now: float, maintenance: str = "") -> dict[str, str]:
-        """By name, the text of each alarm that is active at the monotonic time ``now``; ``maintenance`` is what is due,
-        in words."""
+        """Text by name of each alarm active at the monotonic time ``now``; ``maintenance`` is what is due, in words."""
         found = {"Fault": seen.fault}
         # Nothing need run in a machine that is stopped.
         if state is not State.STOPPED:

@@ -10,7 +10,7 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.commanded_plant import Hold
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
+from straightcomp_ros.opcua.admission import OpcuaParameters
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.stage.description import StageParameters

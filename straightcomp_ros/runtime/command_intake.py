@@ -7,7 +7,7 @@ from collections.abc import Callable
 from straightcomp_ros.hardware.interface import Hardware
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import CommandWatch
-from straightcomp_ros.timing.histogram import Histogram
+from straightcomp_ros.timing.delays import Histogram
 from straightcomp_ros.timing.node_timing import LATENCY, written
 
 _SPARE = 4

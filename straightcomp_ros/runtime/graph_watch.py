@@ -10,8 +10,7 @@ from typing import NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
-from straightcomp_ros.cell.observation import ABSENT, SILENT, Observation
-from straightcomp_ros.cell.stroke_errors import StrokeErrors
+from straightcomp_ros.cell.observation import ABSENT, SILENT, Observation, StrokeErrors
 from straightcomp_ros.contract import (
     ALWAYS_PUBLISHED,
     CONTROLLER_STATE,

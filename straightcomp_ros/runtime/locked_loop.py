@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 from straightcomp_ros.runtime.periodic import IDLE_EVERY_NS, IdleWork
-from straightcomp_ros.timing.histogram import Histogram
-from straightcomp_ros.timing.missed_periods import MissedPeriods
-from straightcomp_ros.timing.node_timing import TIMER_ERROR, written
+from straightcomp_ros.timing.delays import Histogram
+from straightcomp_ros.timing.node_timing import TIMER_ERROR, MissedPeriods, written
 
 _GAIN = 0.02
 

@@ -31,7 +31,7 @@ from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service
 from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
 from straightcomp_ros.straightness.survey import SurveyError
-from straightcomp_ros.timing.normal_priority import at_normal_priority
+from straightcomp_ros.timing.cpus import at_normal_priority
 
 REFUSALS = (ParameterError, SurveyError, HardwareError, BagError, OSError)
 """Raised if parameters, files or the machine cannot be used."""

@@ -10,8 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS
-from straightcomp_ros.timing.cpu_wait import CpuWait
-from straightcomp_ros.timing.level import Levels
+from straightcomp_ros.timing.delays import CpuWait
 from straightcomp_ros.timing.node_timing import (
     CPU_WAIT,
     DESCRIPTION,
@@ -23,6 +22,7 @@ from straightcomp_ros.timing.node_timing import (
     SAMPLES,
     SCHEDULING,
     STALLED_MS,
+    Levels,
 )
 
 _TICK_S, _TICKS = 0.25, 4

@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from straightcomp_ros.timing.histogram import Histogram
-from straightcomp_ros.timing.missed_periods import MissedPeriods
-from straightcomp_ros.timing.node_timing import TIMER_ERROR, written
+from straightcomp_ros.timing.delays import Histogram
+from straightcomp_ros.timing.node_timing import TIMER_ERROR, MissedPeriods, written
 
 _PR_SET_TIMERSLACK = 29
 IDLE_EVERY_NS = 6_000_000

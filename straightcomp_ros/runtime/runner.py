@@ -24,7 +24,7 @@ from straightcomp_ros.runtime.middleware import middleware_in_words, own_profile
 from straightcomp_ros.runtime.periodic import Loop
 from straightcomp_ros.runtime.timers import WithSteadyTimers
 from straightcomp_ros.timing import realtime
-from straightcomp_ros.timing.normal_priority import give_up_priority
+from straightcomp_ros.timing.cpus import give_up_priority
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 EXIT_CONFIGURATION = 2

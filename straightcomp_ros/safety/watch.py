@@ -54,15 +54,12 @@ def current_against_friction(stage: StageParameters) -> float:
 
 
 class SampleWatch:
-    """Checks each sample, of which a normal one costs three comparisons and a mean.
-
-    Attributes:
-        travel: largest movement of y since the amplifier was switched on, m; a change holds from the next switch-on.
-    """
+    """Checks each sample, of which a normal one costs three comparisons and a mean."""
 
     def __init__(self, parameters: WatchParameters, stage: StageParameters) -> None:
         self._parameters = parameters
         self.travel = parameters.travel
+        """Largest movement of y since the amplifier was switched on, m; a change holds from the next switch-on."""
         self._period_ns = period_ns = stage.period_ns
         self._x_step = stage.motion.highest_speed * period_ns * 1e-9
         self._share = 1.0 - math.exp(-period_ns * 1e-9 / _MEAN_TIME)
@@ -90,7 +87,7 @@ class SampleWatch:
             self._least, self._most = max(self._least, -limit), min(self._most, limit)
 
     def check(self, sample: Sample, current: float) -> Finding | None:
-        """The fault of a sample, if any; ``current`` (A) is asked of the amplifier, 0 while it is off."""
+        """The fault of a sample, if any; ``current`` (A) is the amplifier's command, 0 while it is off."""
         stamp_ns, x, y, _ = sample
         step = self._x_step
         if not -step <= x - self._x <= step or not self._least <= y <= self._most:
@@ -193,29 +190,21 @@ class ClockWatch:
 
 
 class ErrorWatch:
-    """The following error r − y, once it was within its limit with the amplifier on; NaN is beyond it.
-
-    Attributes:
-        limit: in m; may be changed.
-    """
+    """The following error r − y, once it was within its limit with the amplifier on; NaN is beyond it."""
 
     def __init__(self, limit: float) -> None:
-        self.limit = limit
+        self.limit = limit  # m; may be changed
         self._held = False
 
     def check(self, error: float, *, amplifier_on: bool) -> Finding | None:
-        """The fault of a sample with ``error`` in m, if any; told once."""
+        """The fault of a sample with ``error`` in m, if any; reported once."""
         within = abs(error) <= self.limit
-        if not amplifier_on or within:
-            self._held = amplifier_on
+        left = self._held and amplifier_on and not within
+        self._held = amplifier_on and within
+        if not left:
             return None
-        if not self._held:
-            return None
-        self._held = False
-        return (
-            Fault.FOLLOWING_ERROR,
-            f"the platform is {error * 1e6:.1f} µm from its reference; allowed: ±{self.limit * 1e6:g} µm",
-        )
+        where = f"the platform is {error * 1e6:.1f} µm from its reference"
+        return Fault.FOLLOWING_ERROR, f"{where}; allowed: ±{self.limit * 1e6:g} µm"
 
 
 class CommandWatch:

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 KEPT = "kept"
-"""First word of what the guard says when it has begun; anything else is the reason why it could not."""
+"""First word of the guard's output when it has begun; any other output is the reason why it could not."""
 NOTES = Path(tempfile.gettempdir())
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _PROCESSES = Path("/proc")
@@ -32,30 +32,21 @@ def note_name(user: object, cpus: str) -> str:
     return f"straightcomp_exclusive_{boot}_{user}_{cpus}.json"
 
 
-class Note:
-    """The state before others were kept off these CPUs, in a file of this user that survives a kill."""
+def read_note(file: Path) -> tuple[set[int], str] | None:
+    """The state before: threads that did not use the CPUs, and the mask of the kernel's work queues; None without."""
+    with suppress(OSError, ValueError, TypeError):
+        if file.lstat().st_uid == os.getuid():
+            threads, queues = json.loads(file.read_text())
+            return set(map(int, threads)), str(queues)
+    return None
 
-    def __init__(self, cpus: set[int]) -> None:
-        self._file = NOTES / note_name(os.getuid(), "-".join(map(str, sorted(cpus))))
 
-    def read(self) -> tuple[set[int], str] | None:
-        """Threads that did not use the CPUs, and the mask of the kernel's work queues; None without a file."""
-        with suppress(OSError, ValueError, TypeError):
-            if self._file.lstat().st_uid == os.getuid():
-                threads, queues = json.loads(self._file.read_text())
-                return set(map(int, threads)), str(queues)
-        return None
-
-    def write(self, threads: Collection[int], queues: str) -> None:
-        """Keep both until :meth:`remove`."""
-        self.remove()
-        with suppress(OSError), open(self._file, "x", opener=lambda path, flags: os.open(path, flags, 0o600)) as file:
-            json.dump([sorted(threads), queues], file)
-
-    def remove(self) -> None:
-        """Delete the file."""
-        with suppress(OSError):
-            self._file.unlink()
+def write_note(file: Path, threads: Collection[int], queues: str) -> None:
+    """Keep the state in a file that survives a kill."""
+    with suppress(OSError):
+        file.unlink(missing_ok=True)
+        with open(file, "x", opener=lambda path, flags: os.open(path, flags, 0o600)) as output:
+            json.dump([sorted(threads), queues], output)
 
 
 def _serve(cpus: set[int], loops: set[int]) -> None:
@@ -68,10 +59,10 @@ def _serve(cpus: set[int], loops: set[int]) -> None:
     if rest <= loops:
         raise OSError("each other CPU has the loop of another graph")
     os.sched_setaffinity(0, rest)
-    note = Note(cpus)
-    elsewhere, queues = note.read() or ({thread for thread, allowed in _others() if not allowed & cpus}, _queues())
-    note.write(elsewhere, queues)
-    _keep_queues_off(cpus)
+    note = NOTES / note_name(os.getuid(), "-".join(map(str, sorted(cpus))))
+    elsewhere, queues = read_note(note) or ({thread for thread, allowed in _others() if not allowed & cpus}, _queues())
+    write_note(note, elsewhere, queues)
+    _set_queues(cpus)
     moved, refused = _move(lambda affinity: affinity - cpus)
     names = ", ".join(map(str, sorted(cpus)))
     left = f"; {refused} threads belong to other users and stay" if refused else ""
@@ -79,10 +70,11 @@ def _serve(cpus: set[int], loops: set[int]) -> None:
     with suppress(KeyboardInterrupt):
         while os.read(sys.stdin.fileno(), 1):
             pass
-    _give_queues_back(cpus, queues)
+    _set_queues(cpus, queues)
     # Threads started meanwhile have inherited the smaller set.
     _move(lambda affinity: affinity | cpus, without=elsewhere)
-    note.remove()
+    with suppress(OSError):
+        note.unlink()
 
 
 def _others() -> Iterator[tuple[int, set[int]]]:
@@ -125,20 +117,15 @@ def _queues() -> str:
     return ""
 
 
-def _keep_queues_off(cpus: set[int]) -> None:
-    """Let the kernel do its own work on the other CPUs, if this user may set that."""
-    with suppress(OSError, ValueError):
-        mask = int(_queues().replace(",", ""), 16) & ~sum(1 << cpu for cpu in cpus)
-        if mask:
-            _WORK_QUEUES.write_text(f"{mask:x}")
+def _set_queues(cpus: set[int], before: str = "0") -> None:
+    """Let the kernel do its own work on ``cpus`` as in the mask ``before``, if this user may set that.
 
-
-def _give_queues_back(cpus: set[int], before: str) -> None:
-    """Let the kernel work on ``cpus`` again as ``before``; another graph's guard may have taken other CPUs since."""
+    The other CPUs stay as they are: another graph's guard may have taken them.
+    """
     with suppress(OSError, ValueError):
         own = sum(1 << cpu for cpu in cpus)
-        mask = int(_queues().replace(",", ""), 16) | int(before.replace(",", ""), 16) & own
-        _WORK_QUEUES.write_text(f"{mask:x}")
+        if mask := int(_queues().replace(",", ""), 16) & ~own | int(before.replace(",", ""), 16) & own:
+            _WORK_QUEUES.write_text(f"{mask:x}")
 
 
 def main(words: list[str]) -> int:

@@ -1,6 +1,6 @@
-"""Names of the timing values in a node's diagnostics, which nodes write and bag readers read, and what delayed a
-node."""
+"""The timing in a node's diagnostics: names of its values, level, and what a reader concludes: rates, what delayed."""
 
+import enum
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from functools import reduce
 from operator import add
 from typing import Any, NamedTuple
 
-from straightcomp_ros.timing.histogram import NOTHING, Distribution
+from straightcomp_ros.timing.delays import NOTHING, Distribution
 
 SAMPLES = "samples"
 """Samples that the node has processed since its start."""
@@ -33,6 +33,12 @@ NORMAL, REFUSED = "normal", "normal, real-time priority refused"
 """Scheduling of a node without real-time priority: not requested, or not permitted."""
 _NOTED_US = 5_000.0
 """Shorter delays (ten samples at 2 kHz) happen on every desktop."""
+_STALL_NS = 2_000_000
+"""No cycle takes that long by its own work, at any rate."""
+_CLEAN_REPORTS = 5
+_OVERRUN_SHARE = 0.01
+_STALLED_MS = 10
+"""Of one second; shorter stalls happen on every desktop."""
 _MOST, _DIGITS = 2**63 - 1, 20
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
@@ -72,49 +78,98 @@ def written(name: str, distribution: Distribution) -> dict[str, str]:
     return {**values, f"{name}_histogram": distribution.to_text()}
 
 
-class Report(NamedTuple):
-    """One node's diagnostics: time of publication in ns since the epoch, all values by name, as texts, and what the
-    node reports on: a machine, or the computer that it runs on."""
+class MissedPeriods:
+    """Counts missed periods of a loop by their cause.
 
-    time_ns: int
+    Periods missed at once that last less than 2 ms together are overruns: the cycles took longer than a period. A
+    longer gap is a stall: other programs, the kernel or the hypervisor had the CPU.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self.overruns = self.stalls = self._stalled_ns = 0
+
+    def count(self, missed: int) -> None:
+        """Count ``missed`` periods that were missed at once, if any."""
+        lasted_ns = missed * self._period_ns
+        if lasted_ns >= _STALL_NS:
+            self.stalls += 1
+            self._stalled_ns += lasted_ns
+        else:
+            self.overruns += missed
+
+    def report(self) -> dict[str, object]:
+        """Values for the diagnostics, since the start."""
+        return {OVERRUNS: self.overruns, STALLS: self.stalls, STALLED_MS: self._stalled_ns // 1_000_000}
+
+
+class Level(enum.IntEnum):
+    """The levels of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class Levels:
+    """The level of each report of one node, with hysteresis, so that it does not change every second.
+
+    A report with lost samples, with overruns in more than 1 % of the samples, or with stalls of more than 10 ms, is a
+    warning. So are the next ones until five in a row had none. An error is reported while it lasts, and warnings
+    follow it in the same way.
+    """
+
+    def __init__(self) -> None:
+        self._counters = (0, 0, 0, 0)
+        self._clean = _CLEAN_REPORTS
+
+    def next(self, samples: int, lost: int, overruns: int, stalled_ms: int, error: bool) -> tuple[Level, str]:
+        """Level and text of a report, from the node's counters since its start."""
+        counters = (samples, lost, overruns, stalled_ms)
+        new = [now - before for now, before in zip(counters, self._counters, strict=True)]
+        self._counters = counters
+        problems = (
+            (new[1] > 0, f"{new[1]} samples lost in the last second"),
+            (new[2] > _OVERRUN_SHARE * max(new[0], 1), f"{new[2]} overruns in the last second"),
+            (new[3] > _STALLED_MS, f"the host held the loop up for {new[3]} ms in the last second"),
+        )
+        problem = next((words for found, words in problems if found), "")
+        self._clean = 0 if problem or error else self._clean + 1
+        if error:
+            return Level.ERROR, ""
+        if problem:
+            return Level.WARN, problem
+        if self._clean < _CLEAN_REPORTS:
+            return Level.WARN, "running again; it had a problem in the last seconds"
+        return Level.OK, "running"
+
+
+class Report(NamedTuple):
+    """One node's diagnostics."""
+
+    time_ns: int  # of publication, ns since the epoch
     values: Mapping[str, str]
-    hardware_id: str = ""
+    hardware_id: str = ""  # what the node reports on: a machine, or the computer that it runs on
 
 
 class HeldUp(NamedTuple):
-    """What delayed a node, as far as its diagnostics tell.
+    """What delayed a node, as far as its diagnostics show."""
 
-    Attributes:
-        no_cpu_us: longest time for which a thread of the node was ready to run but got no CPU.
-        late_us: largest lateness of its loop, whatever the cause.
-        scheduling: "FIFO 40", :data:`NORMAL` or :data:`REFUSED`; empty if unknown.
-    """
-
-    no_cpu_us: float = 0.0
-    late_us: float = 0.0
-    scheduling: str = ""
+    no_cpu_us: float = 0.0  # longest time for which a thread of the node was ready to run but got no CPU
+    late_us: float = 0.0  # largest lateness of its loop, whatever the cause
+    scheduling: str = ""  # "FIFO 40", NORMAL or REFUSED; empty if unknown
 
 
 @dataclass(frozen=True)
 class NodeTiming:
-    """Timing of a node over some time.
+    """Timing of a node over some time."""
 
-    Attributes:
-        rate_hz: samples processed per second; NaN with fewer than two reports.
-        overruns: periods that its loop missed by its own work.
-        stalls: gaps of at least 2 ms in which the host held its loop up.
-        lost_samples: samples that did not reach it.
-        timer_error: lateness of its loop's wake-ups.
-        latency: from a sample until its command arrived (driver only).
-        held_up: what delayed the node.
-    """
-
-    rate_hz: float
-    overruns: int
-    stalls: int
-    lost_samples: int
-    timer_error: Distribution
-    latency: Distribution
+    rate_hz: float  # samples processed per second; NaN with fewer than two reports
+    overruns: int  # periods that its loop missed by its own work
+    stalls: int  # gaps of at least 2 ms in which the host held its loop up
+    lost_samples: int  # that did not reach it
+    timer_error: Distribution  # lateness of its loop's wake-ups
+    latency: Distribution  # from a sample until its command arrived; driver only
     held_up: HeldUp = HeldUp()
 
     def to_display(self) -> dict[str, Any]:
@@ -138,8 +193,7 @@ def held_up(reports: Sequence[Mapping[str, str]]) -> HeldUp:
     # Many short waits add up to a long one, but none was longer than the lateness of the loop. If the scheduler counted
     # less than half of that lateness, something else delayed the loop.
     no_cpu = [min(late_us, wait_us) for late_us, wait_us in zip(late, waits, strict=True) if wait_us >= 0.5 * late_us]
-    known = [late_us for late_us in late if not math.isnan(late_us)]
-    return HeldUp(max([0.0, *no_cpu]), max([0.0, *known]), scheduling)
+    return HeldUp(max(no_cpu, default=0.0), max((one for one in late if one >= 0.0), default=0.0), scheduling)
 
 
 def blamed(nodes: Mapping[str, HeldUp]) -> str:
@@ -173,9 +227,8 @@ def amplifier_on(driver: Sequence[Report]) -> tuple[int, int]:
 def summarise(reports: Sequence[Report], begin_ns: int = 0, end_ns: int = 2**63) -> NodeTiming:
     """Timing of a node from its first to its last report in [begin_ns, end_ns], times in ns since the epoch.
 
-    ``reports`` are those of one node in the order of their times. The first only marks the beginning, since its values
-    describe the time before it.
-    Values that are no numbers, or no histograms of :meth:`Distribution.to_text`, count as absent.
+    ``reports`` are in the order of their times. The first only marks the beginning, since its values describe the time
+    before it. Values that are no numbers, or no histograms of :meth:`Distribution.to_text`, count as absent.
     """
     inside = [report for report in reports if begin_ns <= report.time_ns <= end_ns]
     if len(inside) < 2:

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from straightcomp_ros.parameters.declaration import parameter
-from straightcomp_ros.timing.exclusive import keep_others_off, kept_free, left_behind
-from straightcomp_ros.timing.loop_cpu import loop_cpu, loop_cpus
+from straightcomp_ros.timing.cpus import keep_others_off, kept_free, left_behind, loop_cpu, loop_cpus
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CPU_LATENCY = "/dev/cpu_dma_latency"
@@ -59,16 +58,10 @@ class RealtimeParameters:
 
 
 def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _: None, graph: str = "") -> list[str]:
-    """Apply the parameters; call it after all threads of the node have been started.
+    """Apply the parameters, after all threads of the node have started; returns a sentence for each refused request.
 
-    Args:
-        realtime: the parameters.
-        inform: called with what was done to other programs.
-        graph: what tells the node's graph from others on this machine, whose loops have other CPUs; empty for a program
-            that belongs to none.
-
-    Returns:
-        A sentence for each refused request, with the remedy.
+    ``inform`` is called with what was done to other programs. ``graph`` distinguishes the node's graph from others on
+    this machine, whose loops have other CPUs; empty for a program that belongs to none.
     """
     refusals: list[str] = []
 
@@ -78,9 +71,8 @@ def apply(realtime: RealtimeParameters, inform: Callable[[str], None] = lambda _
         except (OSError, AttributeError, ValueError) as error:
             refusals.append(f"real-time: {what} was refused ({error}); running without. Remedy: {remedy}")
 
-    cpus, priority = realtime.cpus, realtime.priority
-    if cpus == REST and priority > 1:
-        priority -= 1
+    cpus = realtime.cpus
+    priority = realtime.priority - (cpus == REST and realtime.priority > 1)
     if cpus:
         remedy = f"name CPUs that this process may use, '{LOOP}' or '{REST}'"
         attempt(f"CPUs '{cpus}'", lambda: _set_cpus(cpus, graph), remedy)
@@ -112,9 +104,9 @@ def _set_cpus(names: str, graph: str) -> None:
 
 def _set_priority(priority: int) -> None:
     # For the middleware's threads too; not for those that the node itself started, which do not affect its timing.
-    helpers = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
+    own = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
     for thread in map(int, os.listdir(_THREADS)):
-        if thread in helpers:
+        if thread in own:
             continue
         with suppress(FileNotFoundError, ProcessLookupError):
             if Path(_THREADS, str(thread), "comm").read_text().startswith(_POLLING):

@@ -1,14 +1,17 @@
-"""The page's server: the standard library's, on the loopback interface only; news by server-sent events.
+"""The page's server, and the decimated series that it shows.
 
-Reading needs the page's address alone. Buttons need the token that `straightcomp view` prints, and come as POST
-requests of JSON: another site's page can send neither the token nor, without asking first, JSON.
+It is the standard library's, on the loopback interface only; news come by server-sent events. Reading needs the
+page's address alone. Buttons need the token that `straightcomp view` prints, and come as POST requests of JSON: another
+site's page can send neither the token nor, without asking first, JSON.
 """
 
 import json
+import math
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -16,8 +19,8 @@ from importlib.resources import files
 from typing import Any
 
 from straightcomp_ros.parameters.plain_json import plain
-from straightcomp_ros.view.series import Board
 
+_KEEP_S = 20.0
 _NEWS_EVERY_S = 0.1
 _MOST_CONNECTIONS = 16
 _LONGEST_BODY = 4096
@@ -32,11 +35,80 @@ _GUARDS = {
 }
 
 Action = Callable[[], str]
-"""Does what a button says; gives the answer for the person who pressed it. Raises ActionRefused."""
+"""A button's action; returns the message for the page. Raises ActionRefused."""
 
 
 class ActionRefused(Exception):
     """The graph refused; the message says why."""
+
+
+class Series:
+    """One quantity in slots of ``slot`` s, each with the least and the greatest value: no peak is lost.
+
+    ``scale`` is the shown unit per SI unit, e.g. 1e6 for µm. The last 20 s are kept.
+    """
+
+    def __init__(self, slot: float, scale: float) -> None:
+        self._slot_ns, self._scale = round(slot * 1e9), scale
+        self._slots: deque[list[float]] = deque(maxlen=round(_KEEP_S / slot))
+        self._number, self._low, self._high = -1, math.inf, -math.inf
+
+    def add(self, samples: Iterable[tuple[int, float]]) -> None:
+        """Add samples: (stamp in ns, value in SI units). Values that are not finite leave their slot as it is."""
+        for stamp_ns, value in samples:
+            number = stamp_ns // self._slot_ns
+            if number != self._number:
+                self._close(number)
+            if math.isfinite(value):
+                self._low, self._high = min(self._low, value), max(self._high, value)
+
+    def _close(self, number: int) -> None:
+        if number < self._number:
+            # The source was started anew.
+            self._slots.clear()
+        elif self._low <= self._high:
+            values = (float(f"{value * self._scale:.5g}") for value in (self._low, self._high))
+            self._slots.append([self._number, self._number * self._slot_ns * 1e-9, *values])
+        self._number, self._low, self._high = number, math.inf, -math.inf
+
+    def after(self, number: int) -> list[list[float]]:
+        """Finished slots after slot ``number``: [number, time in s since the epoch, least, greatest], to 5 digits."""
+        return [slot for slot in self._slots if slot[0] > number]
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest finished slot; -1 without any."""
+        return int(self._slots[-1][0]) if self._slots else -1
+
+
+class Board:
+    """All series by name and the present state, written by one thread and read by those that serve pages."""
+
+    def __init__(self, series: dict[str, Series]) -> None:
+        self._series = series
+        self._state: dict[str, object] = {}
+        self._lock = threading.Lock()
+
+    def add(self, name: str, samples: Sequence[tuple[int, float]]) -> None:
+        """Add samples to one series."""
+        with self._lock:
+            self._series[name].add(samples)
+
+    def show(self, state: dict[str, object]) -> None:
+        """The state from now on."""
+        with self._lock:
+            self._state = state
+
+    def news(self, seen: dict[str, int]) -> dict[str, object]:
+        """State, and what each series has after the slot that ``seen`` names, which is then brought up to date."""
+        with self._lock:
+            fresh = {}
+            for name, series in self._series.items():
+                last = seen.get(name, -1)
+                # A source that was started anew counts from the beginning.
+                fresh[name] = series.after(last if last <= series.newest else -1)
+                seen[name] = series.newest
+            return {"state": self._state, "series": fresh}
 
 
 class ViewServer(ThreadingHTTPServer):
@@ -48,6 +120,8 @@ class ViewServer(ThreadingHTTPServer):
 
     daemon_threads = True
     block_on_close = False
+    request_queue_size = 64
+    """With the 5 of the standard library a page among many slow clients would wait for TCP's retries of seconds."""
 
     def __init__(self, port: int, board: Board, actions: Mapping[str, Action]) -> None:
         super().__init__(("127.0.0.1", port), _Handler)
@@ -66,8 +140,8 @@ class ViewServer(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_port}/#{self.token}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """One connection too many ends the oldest that gets no news, or else the oldest: a client that is slow, or says
-        nothing, keeps no other out."""
+        """One connection too many ends the oldest that gets no news, or else the oldest: a client that is slow or
+        silent keeps no other out."""
         with self._changing:
             if len(self._open) >= _MOST_CONNECTIONS:
                 oldest = min(self._open, key=self._open.__getitem__)
@@ -121,7 +195,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(*self._pressed())
 
     def _pressed(self) -> tuple[HTTPStatus, str]:
-        """Do what a button says; status and message for the page."""
+        """Execute a button's action; status and message for the page."""
         if not secrets.compare_digest(self.headers.get("X-Token", "").encode(), self.server.token.encode()):
             return HTTPStatus.FORBIDDEN, "wrong or no token; open the address that `straightcomp view` printed"
         if self.headers.get_content_type() != "application/json":
@@ -139,7 +213,7 @@ class _Handler(BaseHTTPRequestHandler):
             return HTTPStatus.CONFLICT, str(refusal)
 
     def _addressed_to_us(self) -> bool:
-        """A name that somebody else's DNS leads here is refused: its page would count as ours."""
+        """Another name that DNS leads here is refused: a page under that name would count as ours."""
         if self.headers.get("Host", "") in (f"{name}:{self.server.server_port}" for name in ("127.0.0.1", "localhost")):
             return True
         self.close_connection = True

@@ -16,8 +16,7 @@ from rclpy.parameter import parameter_value_to_python
 from std_srvs.srv import SetBool, Trigger
 from waiting import wait_for_line
 
-from straightcomp_ros.cell.cycle import RECORDED
-from straightcomp_ros.cell.launcher import verb_command
+from straightcomp_ros.cell.launcher import RECORDED, verb_command
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, COMMISSIONING_STATE, SAFETY_STATE
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState
 from straightcomp_ros.safety.faults import Fault

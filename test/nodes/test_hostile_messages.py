@@ -194,7 +194,7 @@ def spin(participant, turns):
 @pytest.mark.parametrize("count", [200, pytest.param(2000, marks=pytest.mark.soak)])
 def test_no_message_ends_a_node_and_the_amplifier_goes_off_by_stated_faults_only(graph, short_cycle, tmp_path, count):
     pytest.importorskip("asyncua")
-    from straightcomp_ros.opcua.users import add_user
+    from straightcomp_ros.opcua.admission import add_user
 
     add_user(tmp_path / "users", "plc1", "plcpassword1", "operator")
     output = {"logger": {"output": str(tmp_path / "bag")}, "commissioning": {"output": str(tmp_path / "steps")}}

@@ -21,7 +21,7 @@ if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
 
 from straightcomp_ros.cell.demonstration import free_port
-from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
+from straightcomp_ros.opcua.admission import OpcuaParameters
 
 pytestmark = [pytest.mark.keeps_time, pytest.mark.soak]
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -7,14 +7,14 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
+from trials.soak_scene import Scene
 
 from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.safety.faults import HELD_UP, Fault
-from trials.stand import MOTION, Seen
 from trials.soak import actions as soak_actions
 from trials.soak import scene as soak_scene
-from trials.soak_scene import Scene
 from trials.soak_verdict import Soak
+from trials.stand import MOTION, Seen
 
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 

@@ -58,6 +58,20 @@ async def connect(url, user=None, certificates=None):
     return made
 
 
+async def give(made, method, *arguments):
+    """Call a command's method by its browse name."""
+    return await made.get_node(path("Commands")).call_method(path(f"Commands.{method}"), *arguments)
+
+
+async def several(url, count):
+    """As many anonymous clients of ``count`` as get in."""
+    made = []
+    for _ in range(int(count)):
+        with contextlib.suppress(ua.UaError, OSError, asyncio.TimeoutError):
+            made.append(await connect(url))
+    return made
+
+
 async def logins(url, *certificates):
     folder = Path(certificates[0]) if certificates else None
     results = {}
@@ -84,22 +98,19 @@ async def rights(url):
     for name, user in {"operator": OPERATOR, "viewer": ("bob", "battery staple"), "anonymous": None}.items():
         made = await connect(url, user)
         state = made.get_node(path("Status.StateCurrent"))
-        commands = made.get_node(path("Commands"))
-        start = commands.call_method(path("Commands.Start"), ua.Variant(3, ua.VariantType.UInt32))
-        results[name] = {
-            "read": await outcome(state.read_value()),
-            "write": await outcome(state.write_value(ua.Variant(17, ua.VariantType.Int32))),
-            "reset": await outcome(commands.call_method(path("Commands.Reset"))),
-            "start": await outcome(start),
-            "start without strokes": await outcome(commands.call_method(path("Commands.Start"))),
-            "reload map": await outcome(commands.call_method(path("Commands.ReloadMap"))),
-            "center": await outcome(commands.call_method(path("Commands.Center"), True)),
-            "center by a number": await outcome(
-                commands.call_method(path("Commands.Center"), ua.Variant(1, ua.VariantType.UInt32))
-            ),
-            "add": await outcome(made.nodes.objects.add_object(2, "Intruder")),
-            "delete": await outcome(made.delete_nodes([state])),
+        tried = {
+            "read": state.read_value(),
+            "write": state.write_value(ua.Variant(17, ua.VariantType.Int32)),
+            "reset": give(made, "Reset"),
+            "start": give(made, "Start", ua.Variant(3, ua.VariantType.UInt32)),
+            "start without strokes": give(made, "Start"),
+            "reload map": give(made, "ReloadMap"),
+            "center": give(made, "Center", True),
+            "center by a number": give(made, "Center", ua.Variant(1, ua.VariantType.UInt32)),
+            "add": made.nodes.objects.add_object(2, "Intruder"),
+            "delete": made.delete_nodes([state]),
         }
+        results[name] = {what: await outcome(awaitable) for what, awaitable in tried.items()}
         await made.disconnect()
     return results
 
@@ -107,7 +118,7 @@ async def rights(url):
 async def shapes(url):
     """Arguments of other types, numbers and shapes than each method declares."""
     made = await connect(url, OPERATOR)
-    commands, t = made.get_node(path("Commands")), ua.VariantType
+    t = ua.VariantType
     odd = {
         "array": [ua.Variant([1, 2], t.UInt32)],
         "array of one": [ua.Variant([1], t.UInt32)],
@@ -121,31 +132,23 @@ async def shapes(url):
         "two": [ua.Variant(1, t.UInt32), ua.Variant(1, t.UInt32)],
         "two hundred": [ua.Variant(1, t.UInt32)] * 200,
     }
-    methods = [await node.read_browse_name() for node in await commands.get_methods()]
     results = {}
-    for method in methods:
+    for node in await made.get_node(path("Commands")).get_methods():
+        method = (await node.read_browse_name()).Name
         for name, arguments in odd.items():
-            call = commands.call_method(path(f"Commands.{method.Name}"), *arguments)
-            results[f"{method.Name} {name}"] = await outcome(call)
-    results["Start 4294967295"] = await outcome(
-        commands.call_method(path("Commands.Start"), ua.Variant(2**32 - 1, t.UInt32))
-    )
+            results[f"{method} {name}"] = await outcome(give(made, method, *arguments))
+    results["Start 4294967295"] = await outcome(give(made, "Start", ua.Variant(2**32 - 1, t.UInt32)))
     await made.disconnect()
     return results
 
 
 async def crowd(url, count):
     """Whether an operator gets in, and stays, while others connect without a name."""
-    others = []
-    for _ in range(int(count)):
-        with contextlib.suppress(ua.UaError, OSError, asyncio.TimeoutError):
-            others.append(await connect(url))
+    others = await several(url, count)
     operator = await connect(url, OPERATOR)
-    for _ in range(int(count)):
-        with contextlib.suppress(ua.UaError, OSError, asyncio.TimeoutError):
-            others.append(await connect(url))
+    others += await several(url, count)
     await asyncio.sleep(0.5)
-    results = {"operator": await outcome(operator.get_node(path("Commands")).call_method(path("Commands.Reset")))}
+    results = {"operator": await outcome(give(operator, "Reset"))}
     for one in (operator, *others):
         one.disconnect_socket()
     return results
@@ -171,10 +174,7 @@ async def around(url):
     await made.send_hello()
     await outcome(made.create_session())
     await outcome(made.activate_session())
-    commands = made.get_node(path("Commands"))
-    results["command without channel"] = await outcome(
-        asyncio.wait_for(commands.call_method(path("Commands.Reset")), 5)
-    )
+    results["command without channel"] = await outcome(asyncio.wait_for(give(made, "Reset"), 5))
     made.disconnect_socket()
     # Tokens of sessions are consecutive: take over the operator's.
     victim = await connect(url, OPERATOR)
@@ -185,10 +185,7 @@ async def around(url):
     await thief.open_secure_channel()
     thief.uaclient.protocol.authentication_token = token
     await outcome(thief.activate_session())
-    commands = thief.get_node(path("Commands"))
-    results["command in another's session"] = await outcome(
-        asyncio.wait_for(commands.call_method(path("Commands.Reset")), 5)
-    )
+    results["command in another's session"] = await outcome(asyncio.wait_for(give(thief, "Reset"), 5))
     thief.disconnect_socket()
     results["victim goes on"] = await outcome(victim.get_node(path("Status.StateCurrent")).read_value())
     subscription = await victim.create_subscription(100, None)
@@ -205,7 +202,7 @@ async def leave(url, count):
     """Give commands and be gone before the answers."""
     for _ in range(int(count)):
         made = await connect(url, OPERATOR)
-        call = asyncio.ensure_future(made.get_node(path("Commands")).call_method(path("Commands.Reset")))
+        call = asyncio.ensure_future(give(made, "Reset"))
         await asyncio.sleep(0.3)
         made.disconnect_socket()
         await outcome(asyncio.wait_for(call, 5))
@@ -247,12 +244,7 @@ async def orders(url, map_file):
 
 async def flood(url, count):
     """More connections than there are places, garbage, and reads as fast as they go, until this is killed."""
-    made = []
-    for _ in range(int(count)):
-        try:
-            made.append(await connect(url))
-        except (ua.UaError, OSError, asyncio.TimeoutError):
-            break
+    made = await several(url, count)
     for garbage in (b"\0" * 64, b"HELF" + struct.pack("<I", 2**31 - 1), b"GET / HTTP/1.1\r\n\r\n"):
         _, writer = await asyncio.open_connection("127.0.0.1", int(url.split(":")[2].split("/")[0]))
         writer.write(garbage)
@@ -289,12 +281,12 @@ async def storm(url, count):
         while True:
             await outcome(connect(url, ("ann", "wrong horse")))
 
-    async def tell():
+    async def report():
         while True:
             await asyncio.sleep(0.2)
             print(answered, flush=True)
 
-    await asyncio.gather(*(ask() for _ in range(int(count))), guess(), tell())
+    await asyncio.gather(*(ask() for _ in range(int(count))), guess(), report())
 
 
 async def watch(url, seconds):
@@ -329,7 +321,7 @@ async def watch(url, seconds):
 
 
 async def maintenance(url, file):
-    """What the alarm MaintenanceDue does while a file of advice appears, and then tells that nothing is due."""
+    """What the alarm MaintenanceDue does while a file of advice appears, and then holds no advice any more."""
     events = []
 
     class Handler:
@@ -341,7 +333,7 @@ async def maintenance(url, file):
     await subscription.subscribe_events(made.get_node(ua.NodeId(CELL, 2)))
     alarm = made.get_node(path("Alarms.MaintenanceDue"))
 
-    async def told(advice, wanted):
+    async def after(advice, wanted):
         part = Path(file + ".part")
         part.write_text(json.dumps({"stage": "gantry", "as_of": "2026-05-01", "advice": advice}))
         part.replace(file)
@@ -351,8 +343,8 @@ async def maintenance(url, file):
         return await alarm.read_value()
 
     values = [await alarm.read_value()]
-    values.append(await told([{"text": "the guide moved", "remedy": "survey it"}], "MaintenanceDue: as of"))
-    values.append(await told([], "MaintenanceDue: over"))
+    values.append(await after([{"text": "the guide moved", "remedy": "survey it"}], "MaintenanceDue: as of"))
+    values.append(await after([], "MaintenanceDue: over"))
     await made.disconnect()
     return {"values": values, "events": [event for event in events if "MaintenanceDue" in event[0]]}
 

@@ -13,20 +13,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from asyncua.crypto.cert_gen import setup_self_signed_certificate
+from asyncua.server.internal_session import InternalSession
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
-asyncua = pytest.importorskip("asyncua", reason="the extra 'opcua' is not installed")
-
-from asyncua.crypto.cert_gen import setup_self_signed_certificate  # noqa: E402
-from asyncua.server.internal_session import InternalSession  # noqa: E402
-from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: E402
-
-from straightcomp_ros.cell.demonstration import free_port  # noqa: E402
-from straightcomp_ros.cell.observation import Observation  # noqa: E402
-from straightcomp_ros.cell.packml import Command, Order  # noqa: E402
-from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters  # noqa: E402
-from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer  # noqa: E402
-from straightcomp_ros.opcua.snapshot import Snapshot  # noqa: E402
-from straightcomp_ros.opcua.users import add_user  # noqa: E402
+from straightcomp_ros.cell.demonstration import free_port
+from straightcomp_ros.cell.observation import Observation
+from straightcomp_ros.cell.packml import Command, Order
+from straightcomp_ros.opcua.admission import OpcuaParameters, add_user
+from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer
+from straightcomp_ros.opcua.snapshot import Snapshot
 
 PROBES = Path(__file__).with_name("probes.py")
 WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fault_code=6, fresh=True, x=0.25))
@@ -45,7 +41,7 @@ def probed(probe, *arguments):
     return json.loads(output.splitlines()[-1])
 
 
-class Served:
+class Gateway:
     """A server whose commands are all accepted, and noted."""
 
     def __init__(self, parameters):
@@ -82,12 +78,12 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def plain(folder):
-    served = Served(OpcuaParameters(port=free_port(), users=str(folder / "users"), max_clients=12))
-    yield served
-    served.close()
+    gateway = Gateway(OpcuaParameters(port=free_port(), users=str(folder / "users"), max_clients=12))
+    yield gateway
+    gateway.close()
 
 
-def test_only_known_operators_command_and_nobody_writes(plain):
+def test_only_known_operators_command_and_no_client_writes(plain):
     rights = probed("rights", plain.url)
     methods = ("reset", "start", "start without strokes", "reload map", "center", "center by a number")
     refused = dict.fromkeys(methods, "BadUserAccessDenied")
@@ -160,7 +156,7 @@ def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
     assert len(results) == 3 and not plain.commands
 
 
-def test_a_client_that_is_gone_before_its_answer_harms_nobody_who_answers(plain):
+def test_a_client_that_is_gone_before_its_answer_does_not_end_the_answers(plain):
     plain.commands.clear()
     plain.slowness = 1.0
     try:
@@ -193,7 +189,7 @@ def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
     assert plain.server.alive
 
 
-def test_without_encryption_nobody_gets_in_where_it_is_asked_for(folder):
+def test_without_encryption_no_client_gets_in_where_it_is_required(folder):
     for name in ("client", "stranger"):
         (folder / name).mkdir()
         asyncio.run(
@@ -208,7 +204,7 @@ def test_without_encryption_nobody_gets_in_where_it_is_asked_for(folder):
         )
     (folder / "trusted").mkdir()
     (folder / "trusted" / "client.der").write_bytes((folder / "client" / "certificate.der").read_bytes())
-    served = Served(
+    gateway = Gateway(
         OpcuaParameters(
             port=free_port(),
             security="encrypted",
@@ -218,16 +214,16 @@ def test_without_encryption_nobody_gets_in_where_it_is_asked_for(folder):
         )
     )
     try:
-        results = probed("logins", served.url, folder / "client")
+        results = probed("logins", gateway.url, folder / "client")
     finally:
-        served.close()
+        gateway.close()
     assert results.pop("operator") == "done"
     assert results["untrusted"] == "BadCertificateUntrusted"
     assert all(outcome != "done" for outcome in results.values()) and len(results) == 5
     assert (folder / "own" / "key.pem").stat().st_mode & 0o077 == 0
 
 
-def test_a_port_that_is_taken_is_said(plain, folder):
+def test_a_port_that_is_taken_is_an_error(plain, folder):
     port = int(plain.url.split(":")[2].split("/")[0])
     with pytest.raises(OSError, match="address already in use"):
         GatewayServer(OpcuaParameters(port=port), ["driver"])

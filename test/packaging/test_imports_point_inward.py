@@ -1,4 +1,4 @@
-"""Imports point downward through the rooms that docs/architecture.md draws; the servo knows no wing, the core no ROS."""
+"""Imports point downward through the rooms of docs/architecture.md; the servo knows no wing, the core no ROS."""
 
 import ast
 import itertools

@@ -23,17 +23,24 @@ from straightcomp_ros.stage.description import StageParameters
 STAGE = StageParameters()
 T = STAGE.period_ns
 COUNT = 1e-7
+TRAJECTORY = Trajectory(forward_and_back(MotionParameters()))
+SECOND = 10**9
 
 
-def watch():
-    return SampleWatch(WatchParameters(), STAGE)
+def watch(stage=STAGE, **parameters):
+    return SampleWatch(WatchParameters(**parameters), stage)
+
+
+def feed(found, number, x, y, current=0.0):
+    """The finding of the sample with this number."""
+    return found.check(Sample(number * T, x, y, 0.0), current)
 
 
 def fed(samples, currents=None):
     """The first finding in samples of (x, y), and its place."""
     found = watch()
     for place, (x, y) in enumerate(samples):
-        finding = found.check(Sample(place * T, x, y, 0.0), currents[place] if currents else 0.0)
+        finding = feed(found, place, x, y, currents[place] if currents else 0.0)
         if finding:
             return place, finding[0]
     return None
@@ -46,166 +53,132 @@ def test_a_sample_that_is_not_finite_is_found_in_x_and_in_y(bad):
     assert fed([(bad, 0.0)]) == (0, Fault.SAMPLE_NOT_FINITE)
 
 
-def test_x_that_jumps_is_found_and_x_at_full_speed_is_not():
+def test_x_that_jumps_is_found_and_neither_full_speed_nor_lost_samples_nor_a_restart_are_jumps():
     assert fed([(0.0, 0.0), (0.002, 0.0)]) == (1, Fault.X_JUMP)
     assert fed([(0.9 * 2.0 * T * 1e-9 * k, COUNT * k) for k in range(100)]) is None
-
-
-def test_lost_samples_are_no_jump():
     found = watch()
-    assert found.check(Sample(0, 0.0, 0.0, 0.0), 0.0) is None
-    assert found.check(Sample(100 * T, 0.05, 0.0, 0.0), 0.0) is None
-    assert found.check(Sample(101 * T, 0.06, 0.0, 0.0), 0.0) == (
-        Fault.X_JUMP,
-        "x went from 50.0000 to 60.0000 mm within one sample",
-    )
+    assert feed(found, 0, 0.0, 0.0) is None and feed(found, 100, 0.05, 0.0) is None
+    jump = (Fault.X_JUMP, "x went from 50.0000 to 60.0000 mm within one sample")
+    assert feed(found, 101, 0.06, 0.0) == jump
+    found.restart()
+    assert feed(found, 102, 1.0, 0.0) is None
 
 
 def test_x_at_the_largest_speed_is_no_jump_over_lost_samples_either():
     # A speed of one, and twice the step: no rounding.
-    stage = from_mapping(StageParameters, {"motion.highest_speed": 1.0})
-    found = SampleWatch(WatchParameters(), stage)
+    found = watch(from_mapping(StageParameters, {"motion.highest_speed": 1.0}))
     step = T * 1e-9
-    assert found.check(Sample(0, 0.0, 0.0, 0.0), 0.0) is None
-    assert found.check(Sample(2 * T, 2.0 * step, 0.0, 0.0), 0.0) is None
-    assert found.check(Sample(4 * T, 4.001 * step, 0.0, 0.0), 0.0)[0] == Fault.X_JUMP
+    assert feed(found, 0, 0.0, 0.0) is None and feed(found, 2, 2.0 * step, 0.0) is None
+    assert feed(found, 4, 4.001 * step, 0.0)[0] == Fault.X_JUMP
 
 
 def test_y_that_leaves_its_limit_is_found_and_y_that_comes_back_is_not():
     found = watch()
-    assert found.check(Sample(0, 0.0, 1.2e-3, 0.0), 0.0) is None
+    assert feed(found, 0, 0.0, 1.2e-3) is None
     found.hold()
-    assert found.check(Sample(T, 0.0, 1.1e-3, 0.0), 0.0) is None
-    assert found.check(Sample(2 * T, 0.0, 0.9e-3, 0.0), 0.0) is None
+    assert feed(found, 1, 0.0, 1.1e-3) is None and feed(found, 2, 0.0, 1e-3) is None
     found.hold()
-    assert found.check(Sample(3 * T, 0.0, -1.1e-3, 0.0), 0.0)[0] == Fault.Y_OUT_OF_RANGE
+    assert feed(found, 3, 0.0, -1e-3) is None
+    for y in (1e-3 + COUNT, -1e-3 - COUNT):
+        fault, words = feed(found, 4, 0.0, y)
+        assert fault is Fault.Y_OUT_OF_RANGE and f"y = {y * 1e6:.1f} µm; allowed: ±1000 µm" in words
     found.switched()
-    assert found.check(Sample(4 * T, 0.0, -1.1e-3, 0.0), 0.0) is None
+    assert feed(found, 5, 0.0, -1.1e-3) is None
+
+
+def test_a_movement_beyond_the_travel_since_the_switch_on_is_a_fault_of_its_sample():
+    found = watch()
+    found.travel = 3e-6
+    found.switched()
+    assert not any(feed(found, step, 0.0, y) for step, y in enumerate((5e-6, 7e-6, 2.5e-6)))
+    fault, words = feed(found, 3, 0.0, 8.2e-6)
+    assert fault is Fault.FOLLOWING_ERROR and "moved by 3.2 µm" in words
+    found.switched()
+    assert feed(found, 4, 0.0, 8.2e-6) is None
 
 
 def test_y_that_stays_although_the_current_has_moved_is_frozen():
-    currents = [0.0] * 100 + [0.5] * 200
-    place, fault = fed([(0.0, 5 * COUNT)] * 300, currents)
+    place, fault = fed([(0.0, 5 * COUNT)] * 300, [0.0] * 100 + [0.5] * 200)
     assert fault is Fault.Y_FROZEN and 100 < place < 200
+    found = watch()
+    findings = [feed(found, k, 0.0, 5e-6, -0.5 if k else 0.0) for k in range(2000)]
+    assert findings[-1] == (Fault.Y_FROZEN, "y stays at 5.0 µm though the current changed by -0.50 A")
 
 
-def test_a_platform_at_rest_is_not_frozen_and_neither_is_a_law_that_switches():
-    assert fed([(0.0, 5 * COUNT)] * 5000, [0.05] * 5000) is None
-    assert fed([(0.0, 5 * COUNT)] * 5000, [0.3 * (-1) ** k for k in range(5000)]) is None
+def test_a_platform_at_rest_a_law_that_switches_and_an_amplifier_that_is_off_make_nothing_frozen():
+    still = [(0.0, 5 * COUNT)] * 5000
+    assert fed(still, [0.05] * 5000) is None
+    assert fed(still, [0.3 * (-1) ** k for k in range(5000)]) is None
     random.seed(1)
     moving = [(0.0, COUNT * round(10 * math.sin(0.01 * k) + random.random())) for k in range(5000)]
     assert fed(moving, [0.8 * math.sin(0.003 * k) for k in range(5000)]) is None
-
-
-def test_a_switched_off_amplifier_makes_nothing_frozen():
     found = watch()
     for place in range(3000):
         if place == 1000:
             found.switched()
-        current = 0.5 if place < 1000 else 0.0
-        finding = found.check(Sample(place * T, 0.0, COUNT * (place if place < 1000 else 1000), 0.0), current)
-        assert finding is None
-
-
-def test_x_that_stays_while_the_stage_is_to_move_is_frozen():
-    trajectory = Trajectory(forward_and_back(MotionParameters()))
-    stage = StageWatch(WatchParameters())
-    assert stage.check(0, 0.0) is None
-    stage.follow(trajectory, 0, 0.0)
-    for at_ns in range(0, trajectory.end_ns + 10**9, 50_000_000):
-        assert stage.check(at_ns, trajectory.position(at_ns)) is None
-    stage.follow(trajectory, 0, 0.0)
-    frozen = trajectory.position(2_000_000_000)
-    found = [
-        at_ns
-        for at_ns in range(0, 4_000_000_000, 50_000_000)
-        if stage.check(at_ns, min(trajectory.position(at_ns), frozen))
-    ]
-    assert len(found) == 1 and 2_000_000_000 < found[0] < 2_300_000_000
-
-
-@pytest.mark.parametrize("start_ns", [0, 10**18])
-def test_the_stage_is_judged_by_the_time_since_its_trajectory_began(start_ns):
-    trajectory = Trajectory(forward_and_back(MotionParameters()))
-    stage = StageWatch(WatchParameters())
-    stage.follow(trajectory, start_ns, 0.0)
-    assert stage.check(start_ns + 1_500_000_000, trajectory.position(1_500_000_000)) is None
-    stuck = trajectory.position(2_000_000_000)
-    assert stage.check(start_ns + 2_000_000_000, stuck) is None
-    fault, words = stage.check(start_ns + 3_000_000_000, stuck)
-    moved = (trajectory.position(3_000_000_000) - stuck) * 1e3
-    assert fault is Fault.X_FROZEN and f"{stuck * 1e3:.4f} mm" in words and f"{moved:+.1f} mm" in words
-
-
-def test_a_stage_that_has_not_begun_to_move_is_not_frozen():
-    trajectory = Trajectory(forward_and_back(MotionParameters()))
-    stage = StageWatch(WatchParameters())
-    stage.follow(trajectory, 0, 0.0)
-    assert all(stage.check(at_ns, 0.0) is None for at_ns in range(0, trajectory.end_ns, 50_000_000))
-
-
-def test_a_stage_that_is_sent_anew_has_to_move_anew():
-    trajectory = Trajectory(forward_and_back(MotionParameters()))
-    stage = StageWatch(WatchParameters())
-    stage.follow(trajectory, 0, 0.0)
-    assert stage.check(1_500_000_000, 0.025) is None
-    stage.follow(trajectory, 0, 0.025)
-    assert stage.check(3_000_000_000, 0.025) is None
-
-
-def test_y_at_its_limit_is_allowed_and_a_count_beyond_is_not():
-    found = watch()
-    found.check(Sample(0, 0.0, 1e-3, 0.0), 0.0)
-    found.hold()
-    assert found.check(Sample(T, 0.0, -1e-3, 0.0), 0.0) is None
-    for y in (1e-3 + COUNT, -1e-3 - COUNT):
-        fault, words = found.check(Sample(2 * T, 0.0, y, 0.0), 0.0)
-        assert fault is Fault.Y_OUT_OF_RANGE and f"y = {y * 1e6:.1f} µm; allowed: ±1000 µm" in words
-
-
-def test_a_break_in_the_samples_starts_the_watch_anew():
-    found = watch()
-    found.check(Sample(0, 0.0, 0.0, 0.0), 0.0)
-    found.restart()
-    assert found.check(Sample(T, 1.0, 0.0, 0.0), 0.0) is None
+        assert feed(found, place, 0.0, COUNT * min(place, 1000), 0.5 if place < 1000 else 0.0) is None
 
 
 def test_y_is_called_frozen_only_after_the_frozen_time():
-    found = SampleWatch(WatchParameters(frozen_time=0.01, frozen_current=0.08), STAGE)
-    findings = [found.check(Sample(k * T, 0.0, COUNT, 0.0), 100.0) for k in range(30)]
+    found = watch(frozen_time=0.01, frozen_current=0.08)
+    findings = [feed(found, k, 0.0, COUNT, 100.0) for k in range(30)]
     # The first sample changes y; twenty more of half a millisecond are ten milliseconds.
     assert [bool(finding) for finding in findings] == [k >= 20 for k in range(30)]
 
 
-def test_the_finding_gives_y_in_micrometres_and_the_sign_of_the_change():
-    found = watch()
-    findings = [found.check(Sample(k * T, 0.0, 5e-6, 0.0), -0.5 if k else 0.0) for k in range(2000)]
-    assert findings[-1] == (Fault.Y_FROZEN, "y stays at 5.0 µm though the current changed by -0.50 A")
-
-
 def test_no_friction_within_the_uncertainty_makes_y_frozen_and_more_does():
-    rough = from_mapping(
-        StageParameters,
-        {"uncertainty.friction": 3.0, "uncertainty.force": 0.4, "uncertainty.air_gap": 0.4},
-    )
+    uncertain = {"uncertainty.friction": 3.0, "uncertainty.force": 0.4, "uncertainty.air_gap": 0.4}
+    rough = from_mapping(StageParameters, uncertain)
     # The worst machine: K̄_i × 0.6 / 1.4², F_S × 3. Friction goes from −F_S to F_S before the platform moves.
     held = 2.0 * rough.friction.static * 3.0 / (rough.actuator.current_stiffness * 0.6 / 1.4**2)
     for change, frozen in ((held, False), (1.25 * held, True)):
-        found = SampleWatch(WatchParameters(), rough)
-        found.check(Sample(0, 0.0, COUNT, 0.0), 0.0)
-        findings = [found.check(Sample(k * T, 0.0, COUNT, 0.0), change) for k in range(1, 400)]
-        assert any(findings) == frozen
-    # Who knows the machine better finds a dead encoder sooner.
+        found = watch(rough)
+        assert any([feed(found, k, 0.0, COUNT, change if k else 0.0) for k in range(400)]) == frozen
+    # With a smaller uncertainty a dead encoder is found sooner.
     assert current_against_friction(STAGE) == pytest.approx(0.105, abs=0.001)
     assert current_against_friction(rough) > 0.3
 
 
 def test_the_mean_current_follows_a_step_to_63_percent_in_five_milliseconds():
     # So long does the mean of a step of 1 A take to 1 − 1/e: with that threshold the fault comes there.
-    found = SampleWatch(WatchParameters(frozen_time=1e-9, frozen_current=1.0 - math.exp(-1.0)), STAGE)
-    found.check(Sample(0, 0.0, COUNT, 0.0), 0.0)
-    findings = [found.check(Sample(k * T, 0.0, COUNT, 0.0), 1.0) for k in range(1, 20)]
-    assert [bool(finding) for finding in findings].index(True) in (9, 10)
+    found = watch(frozen_time=1e-9, frozen_current=1.0 - math.exp(-1.0))
+    findings = [feed(found, k, 0.0, COUNT, 1.0 if k else 0.0) for k in range(20)]
+    assert [bool(finding) for finding in findings].index(True) in (10, 11)
+
+
+def follow(start_ns=0, x=0.0):
+    stage = StageWatch(WatchParameters())
+    stage.follow(TRAJECTORY, start_ns, x)
+    return stage
+
+
+def test_x_that_stays_while_the_stage_is_to_move_is_frozen_once():
+    assert StageWatch(WatchParameters()).check(0, 0.0) is None
+    stage = follow()
+    for at_ns in range(0, TRAJECTORY.end_ns + SECOND, 50_000_000):
+        assert stage.check(at_ns, TRAJECTORY.position(at_ns)) is None
+    stage, frozen = follow(), TRAJECTORY.position(2 * SECOND)
+    times = range(0, 4 * SECOND, 50_000_000)
+    found = [at_ns for at_ns in times if stage.check(at_ns, min(TRAJECTORY.position(at_ns), frozen))]
+    assert len(found) == 1 and 2 * SECOND < found[0] < 2_300_000_000
+
+
+@pytest.mark.parametrize("start_ns", [0, 10**18])
+def test_the_stage_is_judged_by_the_time_since_its_trajectory_began(start_ns):
+    stage, stuck = follow(start_ns), TRAJECTORY.position(2 * SECOND)
+    assert stage.check(start_ns + 1_500_000_000, TRAJECTORY.position(1_500_000_000)) is None
+    assert stage.check(start_ns + 2 * SECOND, stuck) is None
+    fault, words = stage.check(start_ns + 3 * SECOND, stuck)
+    moved = (TRAJECTORY.position(3 * SECOND) - stuck) * 1e3
+    assert fault is Fault.X_FROZEN and f"{stuck * 1e3:.4f} mm" in words and f"{moved:+.1f} mm" in words
+
+
+def test_a_stage_that_has_not_begun_to_move_along_this_trajectory_is_not_frozen():
+    stage = follow()
+    assert all(stage.check(at_ns, 0.0) is None for at_ns in range(0, TRAJECTORY.end_ns, 50_000_000))
+    assert stage.check(1_500_000_000, 0.025) is None
+    stage.follow(TRAJECTORY, 0, 0.025)
+    assert stage.check(3 * SECOND, 0.025) is None
 
 
 @pytest.mark.parametrize(
@@ -222,8 +195,10 @@ def test_four_repeated_answers_within_ten_seconds_are_a_second_controller(every,
 class Clocks:
     """Both clocks at hand; each reading of the monotonic one takes ``reading_ns``."""
 
-    def __init__(self):
-        self.monotonic, self.offset, self.reading_ns = 1_000_000_000, 5_000_000_000_000, 1000
+    def __init__(self, reading_ns=1000):
+        self.monotonic, self.offset, self.reading_ns = SECOND, 5_000 * SECOND, reading_ns
+        self.watch = ClockWatch(WatchParameters(clock_step=0.05), self.monotonic_ns, self.system_ns)
+        self.watch.restart()
 
     def monotonic_ns(self):
         self.monotonic += self.reading_ns
@@ -232,108 +207,77 @@ class Clocks:
     def system_ns(self):
         return self.monotonic + self.offset
 
-    def watch(self):
-        found = ClockWatch(WatchParameters(clock_step=0.05), self.monotonic_ns, self.system_ns)
-        found.restart()
-        return found
-
-    def seen_by(self, found):
-        return found.check(self.monotonic_ns(), self.system_ns())
+    def check(self, late_ns=0):
+        return self.watch.check(self.monotonic_ns() - late_ns, self.system_ns())
 
 
 @pytest.mark.parametrize("step_s", [-1.0, -0.06, 0.06, 3600.0])
 def test_a_step_of_the_systems_clock_is_found_once(step_s):
     clocks = Clocks()
-    found = clocks.watch()
-    assert clocks.seen_by(found) is None
+    assert clocks.check() is None
     clocks.offset += round(step_s * 1e9)
-    fault, words = clocks.seen_by(found)
-    assert fault is Fault.CLOCK_JUMP
-    assert f"{step_s:+.3f} s" in words
-    assert clocks.seen_by(found) is None
+    fault, words = clocks.check()
+    assert fault is Fault.CLOCK_JUMP and f"{step_s:+.3f} s" in words
+    assert clocks.check() is None
 
 
 def test_a_clock_that_is_slewed_is_followed():
     clocks = Clocks()
-    found = clocks.watch()
     for _ in range(100):
         clocks.offset += 10_000_000
-        assert clocks.seen_by(found) is None
-        found.follow()
-
-
-def test_a_process_that_stood_still_between_two_readings_has_seen_no_step():
-    clocks = Clocks()
-    found = clocks.watch()
-    before = clocks.monotonic_ns()
-    clocks.monotonic += 200_000_000
-    assert found.check(before, clocks.system_ns()) is None
-    clocks.offset += 1_000_000_000
-    clocks.reading_ns = 200_000_000
-    assert clocks.seen_by(found) is None
-    clocks.reading_ns = 1000
-    assert clocks.seen_by(found) is not None
-
-
-def test_a_step_of_the_limit_is_none_and_a_longer_one_is():
-    for step_ns, found in ((50_000_000, False), (-50_000_000, False), (50_000_001, True), (-50_000_001, True)):
-        clocks = Clocks()
-        clocks.reading_ns = 0
-        watching = clocks.watch()
-        clocks.offset += step_ns
-        assert bool(clocks.seen_by(watching)) is found
-        # Nor does it matter that the process was held up between the readings before.
-        assert bool(watching.check(clocks.monotonic_ns() - 10**9, clocks.system_ns())) is False
-
-
-def test_a_step_is_judged_by_the_middle_of_the_readings_around_it():
-    clocks = Clocks()
-    clocks.reading_ns = 0
-    found = clocks.watch()
-    # The system's clock is read 10 ms after the monotonic one and 10 ms before it is read again.
-    times = iter([10_000_000, 30_000_000])
-    found._monotonic_ns = lambda: clocks.monotonic + next(times)
-    found._system_ns = lambda: clocks.monotonic + 20_000_000 + clocks.offset + 55_000_000
-    fault, words = found.check(clocks.monotonic, clocks.monotonic + clocks.offset + 55_000_000)
-    assert fault is Fault.CLOCK_JUMP and "+0.055 s" in words
+        assert clocks.check() is None
+        clocks.watch.follow()
 
 
 @pytest.mark.parametrize(("slewed_ms", "stepped_ms", "fault"), [(30, 30, Fault.CLOCK_JUMP), (24, 40, None)])
 def test_following_takes_less_than_half_a_step_at_once_and_no_more(slewed_ms, stepped_ms, fault):
-    clocks = Clocks()
-    clocks.reading_ns = 0
-    found = clocks.watch()
+    clocks = Clocks(reading_ns=0)
     clocks.offset += slewed_ms * 1_000_000
-    found.follow()
+    clocks.watch.follow()
     clocks.offset += stepped_ms * 1_000_000
-    assert (clocks.seen_by(found) or [None])[0] == fault
+    assert (clocks.check() or [None])[0] == fault
 
 
-def test_a_following_error_is_a_fault_once_it_was_within_its_limit():
-    watch = ErrorWatch(1e-5)
-    assert watch.check(1e-3, amplifier_on=True) is None  # not yet there
-    assert watch.check(1e-6, amplifier_on=True) is None
-    finding = watch.check(-2e-5, amplifier_on=True)
-    assert finding is not None and finding[0] is Fault.FOLLOWING_ERROR and "-20.0 µm" in finding[1]
-    assert watch.check(-2e-5, amplifier_on=True) is None  # told once
+def test_a_process_that_stood_still_between_two_readings_has_seen_no_step():
+    clocks = Clocks()
+    before = clocks.monotonic_ns()
+    clocks.monotonic += 200_000_000
+    assert clocks.watch.check(before, clocks.system_ns()) is None
+    clocks.offset += SECOND
+    clocks.reading_ns = 200_000_000
+    assert clocks.check() is None
+    clocks.reading_ns = 1000
+    assert clocks.check() is not None
 
 
-def test_a_following_error_that_is_no_number_is_a_fault_and_with_the_amplifier_off_none_is():
-    watch = ErrorWatch(1e-5)
-    watch.check(0.0, amplifier_on=True)
-    assert watch.check(1.0, amplifier_on=False) is None
-    assert watch.check(1.0, amplifier_on=True) is None
-    watch.check(0.0, amplifier_on=True)
-    assert watch.check(math.nan, amplifier_on=True) is not None
+def test_a_step_of_the_limit_is_none_and_a_longer_one_is():
+    for step_ns, found in ((50_000_000, False), (-50_000_000, False), (50_000_001, True), (-50_000_001, True)):
+        clocks = Clocks(reading_ns=0)
+        clocks.offset += step_ns
+        assert bool(clocks.check()) is found
+        # Nor does it matter that the process was held up between the readings before.
+        assert clocks.check(late_ns=SECOND) is None
 
 
-def test_a_movement_beyond_the_travel_since_the_switch_on_is_a_fault_of_its_sample():
-    guard = SampleWatch(WatchParameters(), STAGE)
-    guard.travel = 3e-6
-    guard.switched()
-    for step, y in enumerate((5e-6, 7e-6, 2.5e-6)):
-        assert guard.check(Sample(step * T, 0.0, y, 0.0), 0.0) is None
-    finding = guard.check(Sample(3 * T, 0.0, 8.2e-6, 0.0), 0.0)
-    assert finding is not None and finding[0] is Fault.FOLLOWING_ERROR and "moved by 3.2 µm" in finding[1]
-    guard.switched()
-    assert guard.check(Sample(4 * T, 0.0, 8.2e-6, 0.0), 0.0) is None
+def test_a_step_is_judged_by_the_middle_of_the_readings_around_it():
+    clocks = Clocks(reading_ns=0)
+    # The system's clock is read 10 ms after the monotonic one and 10 ms before it is read again.
+    times = iter([10_000_000, 30_000_000])
+    clocks.watch._monotonic_ns = lambda: clocks.monotonic + next(times)
+    clocks.watch._system_ns = lambda: clocks.monotonic + 20_000_000 + clocks.offset + 55_000_000
+    fault, words = clocks.watch.check(clocks.monotonic, clocks.monotonic + clocks.offset + 55_000_000)
+    assert fault is Fault.CLOCK_JUMP and "+0.055 s" in words
+
+
+def test_a_following_error_is_a_fault_once_after_it_was_within_its_limit_with_the_amplifier_on():
+    following = ErrorWatch(1e-5)
+    assert following.check(1e-3, amplifier_on=True) is None  # not yet there
+    assert following.check(1e-6, amplifier_on=True) is None
+    fault, words = following.check(-2e-5, amplifier_on=True)
+    assert fault is Fault.FOLLOWING_ERROR and "-20.0 µm" in words
+    assert following.check(-2e-5, amplifier_on=True) is None
+    following.check(0.0, amplifier_on=True)
+    assert following.check(1.0, amplifier_on=False) is None
+    assert following.check(1.0, amplifier_on=True) is None
+    following.check(0.0, amplifier_on=True)
+    assert following.check(math.nan, amplifier_on=True) is not None

@@ -7,24 +7,23 @@ from http.client import HTTPConnection
 
 import pytest
 
-from straightcomp_ros.view.page_server import ActionRefused, ViewServer
-from straightcomp_ros.view.series import Board, Series
+from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer
 
 MS = 1_000_000
 
 
 @pytest.fixture
-def served():
+def server():
     pressed = []
 
     def refuse():
         raise ActionRefused("a fault is latched")
 
     board = Board({"error": Series(0.02, 1e6)})
-    server = ViewServer(0, board, {"enable": refuse, "reset": lambda: pressed.append("reset") or "faults reset"})
-    server.pressed = pressed
-    yield server
-    server.close()
+    made = ViewServer(0, board, {"enable": refuse, "reset": lambda: pressed.append("reset") or "faults reset"})
+    made.pressed = pressed
+    yield made
+    made.close()
 
 
 def ask(server, method, path, body=None, **headers):
@@ -60,28 +59,28 @@ def news(server, count):
         connection.close()
 
 
-def test_the_page_needs_nothing_from_elsewhere(served):
-    status, headers, body = ask(served, "GET", "/")
+def test_the_page_needs_nothing_from_elsewhere(server):
+    status, headers, body = ask(server, "GET", "/")
     text = body.decode()
     assert status == 200 and "default-src 'none'" in headers["Content-Security-Policy"]
     assert "http://" not in text and "https://" not in text and "src=" not in text and "@import" not in text
-    assert served.token not in text
-    assert ask(served, "GET", "/etc/passwd")[0] == 404
+    assert server.token not in text
+    assert ask(server, "GET", "/etc/passwd")[0] == 404
 
 
-def test_news_hold_the_state_and_each_slot_once(served):
-    served.board.show({"fresh": True, "x_mm": float("nan")})
-    served.board.add("error", [(1000 * MS + k * MS, 1e-6 * k) for k in range(100)])
-    first, second = news(served, 2)
+def test_news_hold_the_state_and_each_slot_once(server):
+    server.board.show({"fresh": True, "x_mm": float("nan")})
+    server.board.add("error", [(1000 * MS + k * MS, 1e-6 * k) for k in range(100)])
+    first, second = news(server, 2)
     assert first["state"] == {"fresh": True, "x_mm": None}
     assert [slot[2:] for slot in first["series"]["error"]] == [[0, 19], [20, 39], [40, 59], [60, 79]]
     assert second["series"]["error"] == []
 
 
-def test_buttons_work_with_the_token_and_their_refusal_is_told(served):
-    assert press(served, "reset") == (200, "faults reset") and served.pressed == ["reset"]
-    assert press(served, "enable") == (409, "a fault is latched")
-    assert press(served, "explode")[0] == 400
+def test_buttons_work_with_the_token_and_a_refusal_is_the_answer(server):
+    assert press(server, "reset") == (200, "faults reset") and server.pressed == ["reset"]
+    assert press(server, "enable") == (409, "a fault is latched")
+    assert press(server, "explode")[0] == 400
 
 
 @pytest.mark.parametrize(
@@ -95,31 +94,28 @@ def test_buttons_work_with_the_token_and_their_refusal_is_told(served):
         ({"Content_Length": "x"}, 400),
     ],
 )
-def test_whatever_another_page_could_send_is_refused(served, headers, status):
-    assert press(served, "reset", **headers)[0] == status
-    assert not served.pressed
+def test_whatever_another_page_could_send_is_refused(server, headers, status):
+    assert press(server, "reset", **headers)[0] == status
+    assert not server.pressed
 
 
-def test_another_name_for_this_machine_is_refused(served):
-    assert ask(served, "GET", "/", Host=f"evil.example:{served.server_port}")[0] == 403
-    assert ask(served, "GET", "/", Host=f"localhost:{served.server_port}")[0] == 200
+def test_it_is_for_this_machine_under_its_own_names_only(server):
+    assert server.server_address[0] == "127.0.0.1"
+    assert ask(server, "GET", "/", Host=f"evil.example:{server.server_port}")[0] == 403
+    assert ask(server, "GET", "/", Host=f"localhost:{server.server_port}")[0] == 200
 
 
-def test_it_listens_on_this_machine_only(served):
-    assert served.server_address[0] == "127.0.0.1"
-
-
-def test_a_page_gets_in_however_many_others_are_open(served):
+def test_a_page_gets_in_however_many_others_are_open(server):
     pages = []
     try:
         for _ in range(20):
-            page = HTTPConnection("127.0.0.1", served.server_port, timeout=30)
+            page = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
             page.request("GET", "/news")
             # The answer owns the socket.
             pages.append(page.getresponse())
             pages[-1].readline()
-        assert ask(served, "GET", "/")[0] == 200
-        assert len(news(served, 1)) == 1
+        assert ask(server, "GET", "/")[0] == 200
+        assert len(news(server, 1)) == 1
     finally:
         for page in pages:
             page.close()
@@ -128,17 +124,19 @@ def test_a_page_gets_in_however_many_others_are_open(served):
 @pytest.mark.parametrize(
     "said", [b"", b"G", b"POST /action HTTP/1.1\r\nContent-Length: 4000\r\n", b"GET / HTTP/1.1\r\nX: "]
 )
-def test_clients_that_are_slow_end_before_a_page_that_gets_news(served, said):
-    page = HTTPConnection("127.0.0.1", served.server_port, timeout=30)
+def test_clients_that_are_slow_end_before_a_page_that_gets_news(server, said):
+    # News of some kilobytes, to read past those that were sent before the slow clients came.
+    server.board.show({"filler": "x" * 4096})
+    page = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
     page.request("GET", "/news")
     watched = page.getresponse()
-    slow = [socket.create_connection(("127.0.0.1", served.server_port)) for _ in range(40)]
+    slow = [socket.create_connection(("127.0.0.1", server.server_port)) for _ in range(40)]
     try:
         for one in slow:
             with suppress(OSError):
                 one.sendall(said)
-        assert ask(served, "GET", "/")[0] == 200
-        watched.read(1 << 12)
+        assert ask(server, "GET", "/")[0] == 200
+        watched.read(1 << 14)
         assert watched.readline()
     finally:
         for one in (*slow, watched):

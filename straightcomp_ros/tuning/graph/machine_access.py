@@ -11,9 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from straightcomp_ros.cell.cycle import IN_THE_LOOP, RECORDED
 from straightcomp_ros.cell.demonstration import emulated_machine, on_hub
-from straightcomp_ros.cell.launcher import Graph, LaunchError, isolated_environment
+from straightcomp_ros.cell.launcher import IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.parameters.declaration import belongs_to_ros
 from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file

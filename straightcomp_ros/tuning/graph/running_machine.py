@@ -19,7 +19,7 @@ from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.runtime.graph_client import ANSWER_S, GraphClient
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import WatchParameters
-from straightcomp_ros.timing.exclusive import use_kept_free
+from straightcomp_ros.timing.cpus import use_kept_free
 from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import Series
 from straightcomp_ros.tuning.commissioning.recorded_series import excited, recorded_series

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels
-from trials.worn_stage import StrokePool, stroke_pool
-from trials.worn_stage import write_store
+from trials.worn_stage import StrokePool, stroke_pool, write_store
 
 DAYS, BINS = 120, 100
 LEVELS = {"friction_A": 0.007, "stiffness_A_per_m": 667.0, "amplifier_bandwidth_Hz": 500.0, "latency_p50_us": 120.0}

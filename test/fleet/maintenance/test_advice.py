@@ -7,8 +7,7 @@ import pytest
 
 from straightcomp_ros.fleet.maintenance.advice import advice_of
 from straightcomp_ros.fleet.maintenance.day_levels import levels_of
-from trials.worn_stage import WEARS
-from trials.worn_stage import BAGS_A_DAY, levels_of_months, months
+from trials.worn_stage import BAGS_A_DAY, WEARS, levels_of_months, months
 
 DAYS, BEGIN = 120, 60
 SINCE = np.maximum(np.arange(DAYS) - BEGIN, 0.0)

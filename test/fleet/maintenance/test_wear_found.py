@@ -1,11 +1,10 @@
 """Every alarm that a person would have been told of counts, and nothing that came to be known later."""
 
 import numpy as np
-
 from trials.bench import wear_found
-from trials.worn_stage import SOUND
+
 from trials.wear import Alarm, alarms_of
-from trials.worn_stage import levels_of_months, months
+from trials.worn_stage import SOUND, levels_of_months, months
 
 DAYS = np.arange(120)
 

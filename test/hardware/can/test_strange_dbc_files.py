@@ -10,7 +10,7 @@ import cantools
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.doctor.wire_findings import wire_findings
+from straightcomp_ros.doctor.stage_findings import wire_findings
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError
 from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report

@@ -1,4 +1,4 @@
-"""The cell's state machine, with a machine that is made of what it was told."""
+"""The cell's state machine on a machine that carries out each request within a tick."""
 
 import math
 from dataclasses import replace
@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from straightcomp_ros.cell.cell_sequence import CellSequence
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, ORDERED_IN, Command, Order, State
-from straightcomp_ros.cell.packml_sequence import CellSequence
 from straightcomp_ros.model.motion import MotionParameters
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
@@ -18,12 +18,12 @@ AT_REST_WITHOUT_CURRENT = (State.STOPPED, State.IDLE, State.COMPLETE, State.ABOR
 
 
 class Bench:
-    """A graph that does what it is told within a tick, and a clock that ticks by hand."""
+    """A graph that carries out requests at once, unless ``obeys`` is False, and a clock that ticks by hand."""
 
     def __init__(self, **options) -> None:
         self.now, self.refusal, self.obstacle = 100.0, "", ""
         self.obeys, self.active = True, False
-        self.moves, self.told = [], []
+        self.moves, self.requests = [], []
         self.answers, self.centred, self.centerings = [], True, []
         self.seen = Observation(nodes={"driver": "inactive"}, fresh=True, x=0.0, stamp_ns=1)
         self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now, **options)
@@ -32,14 +32,14 @@ class Bench:
         self.seen = replace(self.seen, nodes={"driver": "active"})
 
     def switch_on(self):
-        self.told.append("on")
+        self.requests.append("on")
         if self.obeys:
             self.seen = replace(self.seen, amplifier_on=True)
         else:
             self.refusal = "not today"
 
     def switch_off(self):
-        self.told.append("off")
+        self.requests.append("off")
         self.seen = replace(self.seen, amplifier_on=False)
 
     def reset_faults(self):
@@ -78,6 +78,10 @@ class Bench:
         self.seen = replace(self.seen, stamp_ns=round(self.now * 1e9), x=x, still=still)
         self.sequence.tick(self.seen)
 
+    def ticks(self, count):
+        for _ in range(count):
+            self.tick()
+
     def until(self, state, seconds=30.0):
         """Tick until the state comes; returns the states on the way, each once in a row."""
         way = [self.sequence.state]
@@ -89,17 +93,25 @@ class Bench:
                 way.append(self.sequence.state)
         return way
 
-    def started(self, strokes):
+    def idle(self):
         assert not self.sequence.command(Command.RESET)
-        self.until(State.IDLE)
+        assert self.until(State.IDLE) == [State.RESETTING, State.IDLE]
+
+    def started(self, strokes):
+        self.idle()
         assert not self.sequence.command(Command.START, strokes)
         self.until(State.EXECUTE)
+
+    def see(self, **changes):
+        self.seen = replace(self.seen, **changes)
+
+
+COIL = {"driver": "coil burnt"}
 
 
 def test_a_cycle_runs_its_strokes_forward_and_back_and_ends_with_the_amplifier_off():
     bench = Bench()
-    assert not bench.sequence.command(Command.RESET)
-    assert bench.until(State.IDLE) == [State.RESETTING, State.IDLE]
+    bench.idle()
     assert not bench.sequence.command(Command.START, 2)
     assert bench.until(State.COMPLETE) == [State.STARTING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
     assert [goal for _, goal in bench.moves] == [0.1, 0.0, 0.1, 0.0]
@@ -131,35 +143,34 @@ def test_stop_lets_the_movement_end_and_abort_does_not():
 def test_with_no_strokes_it_compensates_until_complete():
     bench = Bench()
     bench.started(0)
-    for _ in range(200):
-        bench.tick()
+    bench.ticks(200)
     assert bench.sequence.state is State.EXECUTE and not bench.moves
     assert not bench.sequence.command(Command.COMPLETE)
     bench.until(State.COMPLETE)
 
 
 @pytest.mark.parametrize(
-    "trouble, words",
+    ("trouble", "recoveries", "words"),
     [
-        ({"faults": {"driver": "coil burnt"}}, "coil burnt"),
-        ({"nodes": {"driver": "silent"}}, "driver (silent)"),
-        ({"fresh": False}, "no samples"),
-        ({"amplifier_on": False}, "amplifier went off"),
+        ({"faults": COIL}, 2, "coil burnt"),
+        ({"nodes": {"driver": "silent"}}, 2, "driver (silent)"),
+        ({"fresh": False, "amplifier_on": False}, 2, "no samples"),
+        ({"amplifier_on": False}, 0, "amplifier went off"),
     ],
 )
-def test_trouble_while_executing_aborts_with_the_reason(trouble, words):
-    bench = Bench()
+def test_trouble_while_executing_aborts_with_the_reason(trouble, recoveries, words):
+    bench = Bench(as_one=True, recoveries=recoveries)
     bench.started(1)
-    bench.seen = replace(bench.seen, **trouble)
+    bench.see(**trouble)
     bench.until(State.ABORTED)
-    assert words in bench.sequence.message
-    assert bench.told[-1] == "off" and not bench.seen.amplifier_on
+    assert words in bench.sequence.message and bench.sequence.recovered == 0
+    assert bench.requests[-1] == "off" and not bench.seen.amplifier_on
 
 
 def test_clear_resets_faults_and_gives_up_where_they_remain():
     bench = Bench()
     bench.started(1)
-    bench.seen = replace(bench.seen, faults={"driver": "coil burnt"})
+    bench.see(faults=COIL)
     bench.until(State.ABORTED)
     bench.obeys = False
     assert not bench.sequence.command(Command.CLEAR)
@@ -170,14 +181,13 @@ def test_clear_resets_faults_and_gives_up_where_they_remain():
     bench.until(State.STOPPED)
 
 
-def test_a_driver_that_refuses_the_amplifier_stops_the_machine_with_its_words():
+def test_a_driver_that_refuses_the_amplifier_is_asked_again_and_stops_the_machine_with_its_words():
     bench = Bench()
-    assert not bench.sequence.command(Command.RESET)
-    bench.until(State.IDLE)
+    bench.idle()
     bench.obeys = False
     assert not bench.sequence.command(Command.START, 1)
-    bench.until(State.STOPPED)
-    assert bench.told.count("on") > 2
+    assert bench.until(State.STOPPED)[-2:] == [State.STOPPING, State.STOPPED]
+    assert bench.requests.count("on") > 2 and "refuses to enable: not today" in bench.sequence.message
 
 
 def test_a_stage_that_does_not_arrive_aborts():
@@ -190,10 +200,9 @@ def test_a_stage_that_does_not_arrive_aborts():
 
 def test_faults_of_a_graph_that_others_run_change_nothing_while_stopped():
     bench = Bench()
-    bench.seen = replace(bench.seen, faults={"driver": "coil burnt"}, amplifier_on=True)
-    for _ in range(20):
-        bench.tick()
-    assert bench.sequence.state is State.STOPPED and not bench.told
+    bench.see(faults=COIL, amplifier_on=True)
+    bench.ticks(20)
+    assert bench.sequence.state is State.STOPPED and not bench.requests
 
 
 def test_orders_are_accepted_where_the_nodes_work_and_nothing_else_is_under_way():
@@ -228,15 +237,13 @@ def test_with_the_reference_in_the_middle_no_stroke_begins_until_it_is_back():
     assert bench.ordered(Order.CENTER, middle=False) and not bench.sequence.command(Command.UNHOLD)
     bench.until(State.COMPLETE)
     assert bench.ordered(Order.CENTER, middle=True)
-    assert not bench.sequence.command(Command.RESET)
-    bench.until(State.IDLE)
+    bench.idle()
     assert not bench.sequence.centred and not bench.centred
 
 
 def test_no_stroke_begins_before_the_answer_to_center():
     bench = Bench()
-    assert not bench.sequence.command(Command.RESET)
-    bench.until(State.IDLE)
+    bench.idle()
     bench.sequence.order(Order.CENTER, True, lambda refusal: None)
     assert bench.sequence.command(Command.START, 1) and not bench.sequence.command(Command.START, 0)
 
@@ -245,7 +252,7 @@ def test_an_answer_that_comes_late_does_not_hide_why_the_machine_aborted():
     bench = Bench()
     bench.started(0)
     bench.sequence.order(Order.RELOAD_MAP, False, lambda refusal: None)
-    bench.seen = replace(bench.seen, faults={"driver": "coil burnt"})
+    bench.see(faults=COIL)
     bench.until(State.ABORTED)
     bench.answers.pop()("")
     assert "coil burnt" in bench.sequence.message
@@ -262,7 +269,7 @@ def test_strokes_as_one_are_a_single_trajectory_and_the_cycle_ends_with_its_time
 
 def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_after_it():
     bench = Bench(as_one=True, home=True)
-    bench.seen = replace(bench.seen, stamp_ns=0)
+    bench.see(stamp_ns=0)
     sample_ns, began, move = 0, 0.0, bench.move
 
     def lockstep():
@@ -273,7 +280,7 @@ def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_
         bench.now += TICK_S
         first_ns = 10**18 if sample_ns else 0
         stamp_ns = first_ns + sample_ns if sample_ns else 0
-        bench.seen = replace(bench.seen, stamp_ns=stamp_ns, first_ns=first_ns, still=not sample_ns)
+        bench.see(stamp_ns=stamp_ns, first_ns=first_ns, still=not sample_ns)
         bench.sequence.tick(bench.seen)
 
     def moved(waypoints):
@@ -290,8 +297,7 @@ def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_
 
 def test_homing_takes_the_platform_to_the_middle_and_back_to_the_map_before_the_first_stroke():
     bench = Bench(home=True)
-    assert not bench.sequence.command(Command.RESET)
-    bench.until(State.IDLE)
+    bench.idle()
     bench.centerings.clear()
     assert not bench.sequence.command(Command.START, 1)
     began = bench.now
@@ -301,8 +307,7 @@ def test_homing_takes_the_platform_to_the_middle_and_back_to_the_map_before_the_
 
 def test_a_reference_that_refuses_to_be_homed_stops_the_machine_with_its_words():
     bench = Bench(home=True)
-    assert not bench.sequence.command(Command.RESET)
-    bench.until(State.IDLE)
+    bench.idle()
     bench.center = lambda middle, then: then("not finished")
     assert not bench.sequence.command(Command.START, 1)
     assert bench.until(State.STOPPED)[-2:] == [State.STOPPING, State.STOPPED]
@@ -314,57 +319,49 @@ def test_an_amplifier_that_goes_off_in_mid_cycle_is_switched_on_again_as_often_a
     bench.started(1)
     for fault in ({"driver": "tripped"}, {}):
         bench.tick()
-        bench.seen = replace(bench.seen, faults=fault, amplifier_on=False)
+        bench.see(faults=fault, amplifier_on=False)
         for _ in range(5):
             bench.tick()
         assert bench.sequence.state is State.EXECUTE and bench.seen.amplifier_on and not bench.seen.faults
     assert bench.sequence.recovered == 2 and len(bench.moves) == 1
-    bench.seen = replace(bench.seen, amplifier_on=False)
+    bench.see(amplifier_on=False)
     bench.until(State.ABORTED)
     assert bench.sequence.message == "the amplifier went off"
-
-
-@pytest.mark.parametrize("trouble", [{"nodes": {"driver": "silent"}}, {"fresh": False, "amplifier_on": False}])
-def test_a_graph_that_has_died_in_mid_cycle_is_not_recovered(trouble):
-    bench = Bench(as_one=True, recoveries=2)
-    bench.started(1)
-    bench.seen = replace(bench.seen, **trouble)
-    bench.until(State.ABORTED)
-    assert bench.sequence.recovered == 0
 
 
 def test_a_fault_that_remains_ends_the_recovery():
     bench = Bench(as_one=True, recoveries=2)
     bench.started(1)
     bench.obeys = False
-    bench.seen = replace(bench.seen, faults={"driver": "coil burnt"}, amplifier_on=False)
+    bench.see(faults=COIL, amplifier_on=False)
     bench.until(State.ABORTED)
     assert bench.sequence.message == "the fault remains: driver: coil burnt"
 
 
-def test_nothing_starts_while_nobody_takes_the_trajectory():
+@pytest.mark.parametrize(
+    ("obstacle", "seen", "within", "words"),
+    [
+        ("no node subscribes to the trajectory", {}, 6.0, "not ready: no node subscribes to the trajectory"),
+        ("", {"descriptions": {"driver": "a 12", "controller": "b 34"}}, 2.0, "differ (controller b 34, driver a 12)"),
+        ("", {"commissioning": "design", "amplifier_on": True}, 0.1, "being commissioned: design"),
+    ],
+)
+def test_what_stands_in_the_way_of_resetting_ends_it_and_leaves_the_amplifier_as_it_is(obstacle, seen, within, words):
     bench = Bench()
-    bench.obstacle = "no node subscribes to the stage's trajectory"
-    assert not bench.sequence.command(Command.RESET)
-    bench.until(State.STOPPED)
-    assert bench.sequence.message == "not ready: no node subscribes to the stage's trajectory"
-
-
-def test_nothing_starts_on_nodes_with_different_descriptions_and_nobody_waits_for_long():
-    bench = Bench()
-    bench.seen = replace(bench.seen, descriptions={"driver": "a 12", "controller": "b 34"})
     began = bench.now
     assert not bench.sequence.command(Command.RESET)
+    bench.obstacle = obstacle
+    bench.see(**seen)
     bench.until(State.STOPPED)
-    assert "descriptions of the stage differ (controller b 34, driver a 12)" in bench.sequence.message
-    assert bench.now - began < 2.0
+    assert words in bench.sequence.message and bench.now - began < within
+    bench.ticks(3)
+    assert bench.seen.amplifier_on is seen.get("amplifier_on", False) and not bench.requests
 
 
 @pytest.mark.parametrize("strokes", [-1, 10**7])
 def test_strokes_out_of_range_are_refused(strokes):
     bench = Bench()
-    assert not bench.sequence.command(Command.RESET)
-    bench.until(State.IDLE)
+    bench.idle()
     assert "allowed: 0 to" in bench.sequence.command(Command.START, strokes)
     assert bench.sequence.state is State.IDLE
 
@@ -393,7 +390,7 @@ def test_whatever_comes_only_transitions_of_the_tables_happen(events):
             after = bench.sequence.state
             assert after is (before if refused else ACCEPTED[event][before])
         else:
-            bench.seen = replace(bench.seen, **event)
+            bench.see(**event)
         for _ in range(10):
             before = bench.sequence.state
             bench.tick()
@@ -403,39 +400,27 @@ def test_whatever_comes_only_transitions_of_the_tables_happen(events):
     assert math.isfinite(bench.seen.x)
 
 
-def test_while_the_machine_is_commissioned_no_cycle_is_begun():
+def test_while_the_machine_is_commissioned_no_cycle_begins_and_an_idle_cell_aborts():
     bench = Bench()
-    bench.seen = replace(bench.seen, commissioning="identification")
+    bench.see(commissioning="identification")
     bench.tick()
     assert bench.sequence.command(Command.RESET) == "the machine is being commissioned: identification"
-    assert bench.sequence.state is State.STOPPED and "on" not in bench.told
-
-
-def test_a_cell_that_learns_of_commissioning_while_it_resets_fails_at_once():
-    bench = Bench()
-    bench.sequence.command(Command.RESET)
-    bench.seen = replace(bench.seen, commissioning="design")
+    assert bench.sequence.state is State.STOPPED and "on" not in bench.requests
+    bench.see(commissioning="")
     bench.tick()
-    assert bench.sequence.state is FAILED[State.RESETTING] and "being commissioned: design" in bench.sequence.message
-
-
-def test_a_cell_that_fails_in_resetting_leaves_the_amplifier_of_another_client_on():
-    bench = Bench()
-    bench.sequence.command(Command.RESET)
-    bench.seen = replace(bench.seen, commissioning="design", amplifier_on=True)
-    for _ in range(3):
-        bench.tick()
-    assert bench.sequence.state is State.STOPPED and bench.seen.amplifier_on and "off" not in bench.told
+    bench.idle()
+    bench.see(commissioning="connection")
+    bench.until(State.ABORTED)
+    assert "being commissioned: connection" in bench.sequence.message
 
 
 def test_a_node_that_is_silent_only_after_the_fault_that_its_death_caused_is_added_to_the_reason_once():
     bench = Bench()
     bench.started(1)
-    bench.seen = replace(bench.seen, faults={"driver": "command_timeout: no command"})
+    bench.see(faults={"driver": "command_timeout: no command"})
     bench.until(State.ABORTED)
-    bench.seen = replace(bench.seen, nodes={"driver": "active", "controller": "silent"})
-    for _ in range(3):
-        bench.tick()
+    bench.see(nodes={"driver": "active", "controller": "silent"})
+    bench.ticks(3)
     assert bench.sequence.message == (
         "driver: command_timeout: no command; nodes that do not work: controller (silent)"
     )
@@ -445,21 +430,9 @@ def test_a_recovery_ends_at_once_when_a_node_has_died():
     bench = Bench(recoveries=3)
     bench.started(1)
     bench.obeys = False
-    bench.seen = replace(bench.seen, amplifier_on=False, faults={"driver": "command_timeout: no command"})
+    bench.see(amplifier_on=False, faults={"driver": "command_timeout: no command"})
     bench.tick()
     assert bench.sequence.recovered == 1 and bench.sequence.state is State.EXECUTE
-    bench.seen = replace(bench.seen, nodes={"driver": "active", "controller": "silent"})
+    bench.see(nodes={"driver": "active", "controller": "silent"})
     bench.tick()
     assert bench.sequence.state is State.ABORTED and "controller (silent)" in bench.sequence.message
-
-
-def test_commissioning_takes_an_idle_cell_to_aborted_with_the_reason():
-    bench = Bench()
-    bench.sequence.command(Command.RESET)
-    for _ in range(60):
-        bench.tick()
-    assert bench.sequence.state is State.IDLE
-    bench.seen = replace(bench.seen, commissioning="connection")
-    for _ in range(3):
-        bench.tick()
-    assert bench.sequence.state is State.ABORTED and "being commissioned: connection" in bench.sequence.message

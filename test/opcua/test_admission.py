@@ -1,4 +1,4 @@
-"""Users, and who is let in by which parameters."""
+"""The file of users, which parameters admit whom, and the alarms."""
 
 import stat
 from concurrent.futures import ThreadPoolExecutor
@@ -8,9 +8,8 @@ import pytest
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import State
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
+from straightcomp_ros.opcua.admission import OpcuaParameters, Users, UsersError, add_user
 from straightcomp_ros.opcua.snapshot import Alarms
-from straightcomp_ros.opcua.users import Users, UsersError, add_user
 from straightcomp_ros.parameters.declaration import ParameterError
 
 
@@ -22,11 +21,8 @@ def test_a_user_is_known_by_the_right_password_only_and_the_file_does_not_hold_i
     users = Users(path)
     assert (users.role("ann", "a new password"), users.role("bob", "battery staple")) == ("operator", "viewer")
     assert users.role("ann", "correct horse") is None and users.role("eve", "") is None
+    assert Users().role("", "") is None  # without a file
     assert "password" not in path.read_text() and stat.S_IMODE(path.stat().st_mode) == 0o600
-
-
-def test_without_a_file_nobody_is_known():
-    assert Users().role("", "") is None
 
 
 @pytest.mark.parametrize(

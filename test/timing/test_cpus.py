@@ -1,4 +1,4 @@
-"""Other programs leave a node's CPU for as long as it lives; here these are processes of the test's own only."""
+"""Which CPUs loops take, and how other programs are kept off them; all other processes are the test's own."""
 
 import os
 import signal
@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.timing import cpu_guard, exclusive, realtime
-from straightcomp_ros.timing.claimed_names import claim
+from straightcomp_ros.timing import cpu_guard, cpus, realtime
+from straightcomp_ros.timing.cpus import at_normal_priority, claim, claimed, loop_cpu, loop_cpus
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
-pytestmark = pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one CPU has nothing to share out")
-
+CPUS = {0, 1, 2, 3}
 SERVER = """
 import sys
 sys.path.insert(0, {root!r})
@@ -26,11 +25,10 @@ sys.exit(cpu_guard.main(sys.argv[1:]))
 """
 NODE = """
 import sys, time
-from straightcomp_ros.timing import cpu_guard, exclusive, loop_cpu
-exclusive._NAME, exclusive._TURN_S = {name!r}, 0.2
-loop_cpu._NAME = {loops!r}
+from straightcomp_ros.timing import cpu_guard, cpus
+cpus._KEPT, cpus._TURN_S, cpus._LOOPS = {name!r}, 0.2, {loops!r}
 cpu_guard.__file__ = {server!r}
-print(exclusive.keep_others_off({cpus!r}), flush=True)
+print(cpus.keep_others_off({cpus!r}), flush=True)
 time.sleep(60)
 """
 
@@ -47,7 +45,7 @@ class Stand:
         self.processes.mkdir()
         self.notes.mkdir()
         self.queues.write_text("ff\n")
-        root = str(Path(exclusive.__file__).parents[2])
+        root = str(Path(cpus.__file__).parents[2])
         self.server.write_text(
             SERVER.format(
                 root=root,
@@ -93,6 +91,8 @@ class Stand:
 
 @pytest.fixture
 def stand(tmp_path):
+    if len(os.sched_getaffinity(0)) < 2:
+        pytest.skip("one CPU has nothing to share out")
     made = Stand(tmp_path)
     yield made
     made.close()
@@ -115,71 +115,59 @@ def test_others_leave_the_cpu_until_the_node_ends_in_whatever_way(stand, number)
     assert stand.queues.read_text().strip() == "ff"
 
 
-def test_what_a_killed_guard_left_behind_is_seen_and_mended_by_the_next_node(stand, monkeypatch):
-    monkeypatch.setattr(exclusive, "_NAME", stand.name)
+def test_what_a_killed_guard_left_behind_is_seen_and_corrected_by_the_next_node(stand, monkeypatch):
+    monkeypatch.setattr(cpus, "_KEPT", stand.name)
     monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
     rest = stand.all - {stand.cpu}
     free, elsewhere = stand.bystander(), stand.bystander(rest)
+    assert cpus.kept_free() == set()
     node, _ = stand.node()
-    assert exclusive.left_behind() == set()  # it lives
+    # Nodes that start meanwhile may use the CPU all the same.
+    assert cpus.kept_free() == {stand.cpu} and cpus.left_behind() == set()
     (process,) = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
     os.kill(int(process), signal.SIGKILL)
     node.kill()
-    assert comes_true(lambda: exclusive.left_behind() == {stand.cpu})
+    assert comes_true(lambda: cpus.left_behind() == {stand.cpu}) and cpus.kept_free() == set()
     assert os.sched_getaffinity(free) == rest and stand.queues.read_text().strip() != "ff"
 
     node, said = stand.node()
     assert said.startswith("kept 0 threads")
-    assert exclusive.left_behind() == set()
+    assert cpus.left_behind() == set()
     node.kill()
     assert stand.back(free, stand.all)
     assert comes_true(lambda: stand.queues.read_text().strip() == "ff")
     assert os.sched_getaffinity(elsewhere) == rest
     assert comes_true(lambda: not list(stand.notes.iterdir()))
-    assert exclusive.left_behind() == set()
+    assert cpus.left_behind() == set()
 
 
 def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypatch):
     monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
-    note = cpu_guard.Note({stand.cpu})
-    note.write([4, 2], "ff")
-    assert note.read() == ({2, 4}, "ff") and exclusive.left_behind() == {stand.cpu}
-    file = next(stand.notes.iterdir())
-    assert file.stat().st_mode & 0o777 == 0o600
+    note = stand.notes / cpu_guard.note_name(os.getuid(), stand.cpu)
+    cpu_guard.write_note(note, [4, 2], "ff")
+    assert cpu_guard.read_note(note) == ({2, 4}, "ff") and cpus.left_behind() == {stand.cpu}
+    assert note.stat().st_mode & 0o777 == 0o600
     for text in ("", "[]", '["a", "b"]', "7"):
-        file.write_text(text)
-        assert note.read() is None
-    file.rename(file.with_name(file.name.replace(f"_{stand.cpu}.", "_9999.")))
+        note.write_text(text)
+        assert cpu_guard.read_note(note) is None
+    note.rename(note.with_name(note.name.replace(f"_{stand.cpu}.", "_9999.")))
     (stand.notes / cpu_guard.note_name(os.getuid(), "x")).touch()
-    assert exclusive.left_behind() == set()
-    note.write([], "ff")
+    assert cpus.left_behind() == set()
+    cpu_guard.write_note(note, [], "ff")
     boot = stand.notes / "boot"
     boot.write_text("another\n")
     monkeypatch.setattr(cpu_guard, "_BOOT", boot)
-    assert exclusive.left_behind() == set()
+    assert cpus.left_behind() == set()
 
 
-def test_the_nodes_that_start_meanwhile_may_use_the_cpu_all_the_same(stand, monkeypatch):
-    monkeypatch.setattr(exclusive, "_NAME", stand.name)
-    assert exclusive.kept_free() == set()
-    node, _ = stand.node()
-    assert exclusive.kept_free() == {stand.cpu}
-    node.kill()
-    assert comes_true(lambda: exclusive.kept_free() == set())
-
-
-def test_a_second_node_is_refused_the_same_cpu_and_all_cpus_are_too_many(stand):
+def test_a_cpu_of_another_node_all_cpus_and_the_last_without_a_loop_are_refused(stand):
     assert "there is no other CPU" in stand.node(stand.all)[1]
-    stand.node()
-    assert "another node keeps them free for itself" in stand.node()[1]
-
-
-def test_other_programs_keep_a_cpu_that_no_loop_has(stand):
     others = [claim(f"{stand.loops}{cpu}/graph/1") for cpu in stand.all - {stand.cpu}]
     assert "each other CPU has the loop of another graph" in stand.node()[1]
     for one in others:
         one.close()
     assert stand.node()[1].startswith("kept")
+    assert "another node keeps them free for itself" in stand.node()[1]
 
 
 def test_the_node_that_is_started_again_takes_over_from_the_killed_one(stand):
@@ -211,20 +199,104 @@ def test_guards_of_several_graphs_give_back_their_own_cpus_in_any_order(tmp_path
     before = {}
     for cpu in (3, 2):
         before[cpu] = cpu_guard._queues()
-        cpu_guard._keep_queues_off({cpu})
+        cpu_guard._set_queues({cpu})
     assert mask.read_text() == "3"
-    cpu_guard._give_queues_back({3}, before[3])
+    cpu_guard._set_queues({3}, before[3])
     assert mask.read_text() == "b"
-    cpu_guard._give_queues_back({2}, before[2])
+    cpu_guard._set_queues({2}, before[2])
     assert mask.read_text() == "f"
 
 
-def test_a_node_says_what_it_did_or_why_not(monkeypatch):
-    told = []
+def test_a_node_reports_what_it_did_or_why_not(monkeypatch):
+    reports = []
     monkeypatch.setattr(realtime, "keep_others_off", lambda cpus: f"kept off {sorted(cpus)}")
-    assert realtime.apply(RealtimeParameters(exclusive=True), told.append) == []
-    assert told == [f"kept off {sorted(os.sched_getaffinity(0))}"]
+    assert realtime.apply(RealtimeParameters(exclusive=True), reports.append) == []
+    assert reports == [f"kept off {sorted(os.sched_getaffinity(0))}"]
     monkeypatch.undo()
     # Without CPUs of its own it has all of them.
-    (refusal,) = realtime.apply(RealtimeParameters(exclusive=True), told.append)
+    (refusal,) = realtime.apply(RealtimeParameters(exclusive=True), reports.append)
     assert "there is no other CPU" in refusal and "realtime.cpus" in refusal
+
+
+@pytest.fixture
+def own_names(monkeypatch):
+    monkeypatch.setattr(cpus, "_LOOPS", f"test_loops/{os.getpid()}/")
+    monkeypatch.setattr(cpus, "_CHOICE", f"test_choice/{os.getpid()}")
+    monkeypatch.setattr(cpus, "_held", [])
+    monkeypatch.setattr(cpus, "_TURN_S", 0.1)
+    yield
+    for held in cpus._held:
+        held.close()
+
+
+def other(cpu, graph, process=1):
+    """A process of another graph with its loop on this CPU."""
+    return claim(f"{cpus._LOOPS}{cpu}/{graph}/{process}")
+
+
+@pytest.mark.usefixtures("own_names")
+def test_graphs_take_different_cpus_from_the_last_one_down():
+    assert [loop_cpu(graph, CPUS) for graph in ("0/a", "0/b", "1/a")] == [3, 2, 1]
+    assert loop_cpus() == {1, 2, 3}
+
+
+@pytest.mark.usefixtures("own_names")
+def test_all_processes_of_a_graph_have_the_same_cpu_for_as_long_as_one_of_them_lives():
+    first = loop_cpu("a", CPUS)
+    # That process asks again, and another one of the graph comes while a second graph has begun.
+    mark = claimed(cpus._LOOPS)[0].split("/")[1]
+    assert other(first, mark, process=2) is not None
+    assert loop_cpu("b", CPUS) == 2
+    assert loop_cpu("a", CPUS) == first
+    cpus._held.pop(0).close()
+    assert loop_cpu("a", CPUS) == first
+
+
+@pytest.mark.usefixtures("own_names")
+def test_where_each_cpu_has_a_loop_a_graph_takes_the_permitted_one_with_the_fewest():
+    loops = [other(0, "a"), other(0, "b"), other(1, "c"), other(1, "c", 2), other(1, "d"), other(2, "e"), other(3, "f")]
+    assert loop_cpu("g", CPUS) == 3
+    loops[-1].close()
+    assert loop_cpu("h", CPUS) in (2, 3)
+    assert loop_cpu("i", {0}) == 0
+
+
+@pytest.mark.usefixtures("own_names")
+def test_a_process_that_chooses_for_ever_is_not_waited_for():
+    with claim(cpus._CHOICE), pytest.raises(OSError, match="choosing"):
+        loop_cpu("a", CPUS)
+    assert loop_cpu("a", CPUS) == 3
+
+
+@pytest.mark.usefixtures("own_names")
+def test_work_that_takes_long_leaves_the_cpus_of_loops_and_comes_back():
+    permitted = os.sched_getaffinity(0)
+    if len(permitted) < 2:
+        pytest.skip("one CPU has nothing to share out")
+    loop_cpu("a", permitted)
+    with pytest.raises(ValueError), at_normal_priority():
+        assert os.sched_getaffinity(0) == permitted - loop_cpus()
+        assert os.sched_getscheduler(0) == os.SCHED_OTHER
+        raise ValueError
+    assert os.sched_getaffinity(0) == permitted
+
+
+@pytest.mark.parametrize(
+    ("own", "loops", "used", "then"),
+    [
+        ({0}, {1}, True, {0, 1}),
+        ({0, 1}, {1}, False, {0}),
+        # Another loop may be at work on its CPU.
+        ({0}, {0, 1}, True, {0}),
+        # A thread that has no other CPU keeps it.
+        ({1}, {1}, False, {1}),
+    ],
+)
+def test_a_client_may_compute_on_the_cpu_of_a_loop_at_rest(monkeypatch, own, loops, used, then):
+    monkeypatch.setattr(cpus, "kept_free", lambda: {1})
+    monkeypatch.setattr(cpus, "loop_cpus", lambda: loops)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: own)
+    taken = [own]
+    monkeypatch.setattr(os, "sched_setaffinity", lambda pid, wanted: taken.append(wanted))
+    cpus.use_kept_free(used)
+    assert taken[-1] == then

@@ -1,21 +1,26 @@
-"""Durations in bins of constant relative width: recording one costs 0.25 µs and no memory.
+"""What a process measures of its own delays: durations of its cycles, samples that did not arrive, waits for a CPU.
 
-The bins are those of a floating-point number with four bits of mantissa: 16 for each doubling of the duration, so a
-percentile is accurate to 6 %. Counts of several histograms can be added, so the percentiles of a long time follow from
-the histograms of its seconds; percentiles themselves cannot be added.
+Durations are counted in the bins of a floating-point number with four bits of mantissa: 16 for each doubling, so a
+percentile is accurate to 6 %, and recording one costs 0.25 µs and no memory. Counts of several histograms can be added,
+so the percentiles of a long time follow from the histograms of its seconds; percentiles themselves cannot be added.
 """
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
 
 _SUB_BITS = 4
 _EXACT = 2 << _SUB_BITS
 """Shorter durations have a bin for each ns."""
 _LARGEST_NS = (1 << 40) - 1
 """18 minutes; longer durations count as this one."""
+_RESTART_NS = 10_000_000_000
 _BINS = ((40 - _SUB_BITS - 1) << _SUB_BITS) + _EXACT
 
 
@@ -97,3 +102,70 @@ class Histogram:
         self._counts[:] = [0] * _BINS
         self._largest_ns = 0
         return taken
+
+
+class StampGaps:
+    """Watches the stamps of a stream whose samples lie on a grid; the grid's period is the smallest step seen so far.
+
+    A step backwards, or one longer than ten seconds, is a restart of the source and no loss.
+
+    Attributes:
+        lost: samples of the grid between two stamps seen that did not arrive.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._last_ns = -(2**63)
+        self._period_ns = _RESTART_NS
+
+    def see(self, stamp_ns: int) -> None:
+        """Take the stamp of the next sample; a repeated sample changes nothing."""
+        step = stamp_ns - self._last_ns
+        if step == self._period_ns:
+            self._last_ns = stamp_ns
+            return
+        if step == 0:
+            return
+        self._last_ns = stamp_ns
+        if 0 < step < self._period_ns:
+            self._period_ns = step
+        elif 0 < step < _RESTART_NS:
+            self.lost += round(step / self._period_ns) - 1
+
+
+class CpuWait:
+    """The longest time for which a thread of this process was ready to run but got no CPU, between two looks.
+
+    Linux's scheduler counts it for each thread (the second number in ``/proc/PID/task/TID/schedstat``), without the
+    time that a hypervisor takes from the whole machine. Short waits between two looks add up: look often to distinguish
+    one long wait from many short ones. A system without these counts reports no wait.
+    """
+
+    def __init__(self, threads: Path = Path("/proc/self/task")) -> None:
+        self._threads = threads
+        self._files: dict[str, BinaryIO] = {}
+        self._waited_ns: dict[str, int] = {}
+        self._longest_ns = 0
+
+    def look(self) -> None:
+        """Read how long each thread has waited since the last look."""
+        for thread, file in list(self._files.items()):
+            try:
+                waited_ns = int(os.pread(file.fileno(), 100, 0).split()[1])
+            except (OSError, IndexError, ValueError):
+                # The thread has ended.
+                self._files.pop(thread).close()
+                self._waited_ns.pop(thread, None)
+                continue
+            self._longest_ns = max(self._longest_ns, waited_ns - self._waited_ns.get(thread, waited_ns))
+            self._waited_ns[thread] = waited_ns
+
+    def take_us(self) -> float:
+        """The longest wait since the last call, in µs; threads started since then are included from now on."""
+        with suppress(OSError):
+            for thread in set(os.listdir(self._threads)) - set(self._files):
+                with suppress(OSError):
+                    self._files[thread] = (self._threads / thread / "schedstat").open("rb")
+        self.look()
+        longest_ns, self._longest_ns = self._longest_ns, 0
+        return longest_ns * 1e-3

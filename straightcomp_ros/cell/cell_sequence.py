@@ -1,0 +1,409 @@
+"""The sequencer of the stage's cycle: PackML's state machine, the work of its states, and the stage's movements.
+
+The cell node and the OPC UA gateway run it. The work of a state is the generator of :class:`StateWork` with its name,
+e.g. `_starting`. Each tick advances it once. It returns when the work is done, and raises if it cannot be done.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
+
+from straightcomp_ros.cell.observation import Observation
+from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
+from straightcomp_ros.model.motion import MotionParameters, Waypoint, cycles, trapezoid
+
+MOST_STROKES = 1_000_000
+AMPLIFIER_OFF = "the amplifier went off"
+_BEGINNING = (Command.RESET, Command.START)
+_WITHOUT_AMPLIFIER = (State.STOPPED, State.ABORTING, State.ABORTED, State.CLEARING)
+_WITH_AMPLIFIER = (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING)
+_AT_WORK = (State.STARTING, *_WITH_AMPLIFIER, State.COMPLETING, State.STOPPING, State.ABORTING)
+_ASK_AGAIN_S = 0.5
+_RECEIVED_S = 0.3
+_SETTLE_S = 1.5
+"""A node that has just started needs about one more second to allocate and connect, and loses messages meanwhile."""
+_HOME_S = 1.0
+"""Time for the reference to fade to the middle or back to the map, and for the platform to follow."""
+_OFF_WITHIN_S = 2.0
+"""A driver that has not switched off within this time has failed; its machine's own watchdog has switched off."""
+_REPORTED_WITHIN_S = 1.5
+"""Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
+_ARRIVE_WITHIN_S = 5.0
+_ARRIVED_M = 10e-6
+_ARRIVED_SHARE = 0.9995
+"""Fraction of a movement's time: in lockstep the last sample may come before the end of the motion."""
+_NS = 1e9
+Answer = Callable[[str], None]
+"""Called with the reason for a refusal; an empty text means success."""
+
+
+class Machine(Protocol):
+    """What the sequence requests from the graph. No call waits; the next observations show the effect."""
+
+    refusal: str  # why the last switch_on was refused; empty before the answer, and after success
+    obstacle: str  # why the stage cannot be moved; empty if it can
+
+    def activate(self) -> None: ...
+    def switch_on(self) -> None: ...
+    def switch_off(self) -> None: ...
+    def reset_faults(self) -> None: ...
+    def move(self, waypoints: Sequence[Waypoint]) -> None: ...
+    def reload_map(self, then: Answer) -> None: ...
+    def center(self, middle: bool, then: Answer) -> None: ...
+
+
+class WorkFailed(Exception):
+    """The work of a state cannot be done; the message gives the reason."""
+
+
+class StageMovements:
+    """The movements of the stage in a cycle, each stroke forward and back by ``motion``.
+
+    With ``as_one`` all strokes are one trajectory, timed by the driver; otherwise the stage gets one movement after the
+    other, so that the cycle can be held and stopped between them.
+    """
+
+    strokes: int  # requested
+    strokes_done: int
+
+    def __init__(self, motion: MotionParameters, as_one: bool) -> None:
+        self._motion, self.as_one = motion, as_one
+        self._begin_ns = self._duration_ns = 0
+        self._goal = self._latest = 0.0
+        self.begin(0)
+
+    def begin(self, strokes: int) -> None:
+        """Begin another cycle."""
+        self.strokes, self.strokes_done, self._number = strokes, 0, 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Stop following the current movement."""
+        self._under_way = False
+
+    def next(self, seen: Observation, now: float) -> Sequence[Waypoint]:
+        """Waypoints of the next movement, which begins at ``now`` (clock, s)."""
+        waypoints = cycles(self._motion, self.strokes) if self.as_one else self._one(seen.x)
+        self._duration_ns, self._goal, _ = waypoints[-1]
+        self._begin_ns, self._latest = seen.stamp_ns, now + self._duration_ns / _NS + _ARRIVE_WITHIN_S
+        self._under_way = True
+        return waypoints
+
+    def progress(self, seen: Observation) -> float:
+        """Fraction of the movement's time elapsed at the newest sample; 0 without a movement."""
+        if not self._under_way:
+            return 0.0
+        # In lockstep there is no sample before the movement.
+        return (seen.stamp_ns - (self._begin_ns or seen.first_ns)) / max(self._duration_ns, 1)
+
+    def arrived(self, seen: Observation, now: float) -> bool:
+        """Whether no movement is running; counts one that has just ended.
+
+        WorkFailed: the stage stands elsewhere 5 s after the end of the movement.
+        """
+        there = self.as_one or (seen.still and abs(seen.x - self._goal) < _ARRIVED_M)
+        if self._under_way and there and self.progress(seen) > _ARRIVED_SHARE:
+            self.forget()
+            self._number += 1
+            self.strokes_done = self.strokes if self.as_one else self._number // 2
+        elif self._under_way and seen.still and now > self._latest and not self.as_one:
+            self.forget()
+            raise WorkFailed(f"the stage did not arrive at {self._goal:.6f} m; it stands at {seen.x:.6f} m")
+        return not self._under_way
+
+    def _one(self, here: float) -> list[Waypoint]:
+        """A rest and a move from ``here`` (m), forward and back in turn; only the rest if the stage is at its goal."""
+        rest = self._motion.pause if self._number else self._motion.settle
+        goal = self._motion.start + (0.0 if self._number % 2 else self._motion.stroke)
+        points = [Waypoint(0, here, 0.0), Waypoint(round(rest * _NS), here, 0.0)]
+        return [*points, *trapezoid(points[-1], goal, self._motion.speed, self._motion.acceleration)]
+
+
+class StateWork:
+    """What the states do, on ``machine``; other arguments as of the sequence."""
+
+    def __init__(
+        self, machine: Machine, motion: MotionParameters, start_timeout: float, now: float, *, as_one: bool, home: bool
+    ) -> None:
+        self._machine, self._start_timeout, self._home = machine, start_timeout, home
+        # A single trajectory contains its own rest at the end.
+        self._settled, self._settle = as_one, 0.0 if as_one else motion.settle
+        self.movements = StageMovements(motion, as_one)
+        """Since the last Start."""
+        self.centred = False
+        """The reference is in the middle of the travel, or was requested to go there."""
+        self.seen, self.now, self.since = Observation(), now, now
+        """The graph as of this tick, the tick's time, and that of the state's beginning, s."""
+        self._asked, self.recovering = -math.inf, False
+
+    def of(self, state: State, since: float) -> Iterator[None]:
+        """The work of a state that begins at ``since``; without an end for one that waits for a command."""
+        self.since, self._asked, self.recovering = since, -math.inf, False
+        work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
+        return work
+
+    def recover(self, work: Iterator[None]) -> Iterator[None]:
+        """Clear the fault and switch on again, then go on with the interrupted ``work``."""
+        self.recovering = True
+        yield from self._clearing(0.0)
+        yield from self._switching_on()
+        self.recovering = False
+        yield from work
+
+    def _resetting(self) -> Iterator[None]:
+        ready_since = self.now
+        while True:
+            obstacle = self.seen.obstacle or self._machine.obstacle
+            if self.seen.occupied:
+                raise WorkFailed(self.seen.occupied)
+            if self.seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
+                raise WorkFailed(self.seen.contradiction)
+            if obstacle:
+                ready_since = self.now
+                if self._overdue(self._start_timeout):
+                    raise WorkFailed(f"not ready: {obstacle}")
+                # First receive whether another client uses the machine.
+                if self.seen.missing and self._overdue(_RECEIVED_S) and self._due():
+                    self._machine.activate()
+            elif self._due():
+                # Another client may have left the reference in the middle. Retried if refused during another change.
+                self._machine.center(False, self._back_on_the_map)
+            if self.now - ready_since >= _SETTLE_S:
+                return
+            yield
+
+    def _back_on_the_map(self, refusal: str) -> None:
+        self.centred = self.centred and bool(refusal)
+
+    def _starting(self) -> Iterator[None]:
+        yield from self._switching_on()
+        # In lockstep no time passes before the motion, so the platform cannot be homed.
+        for middle in (True, False) if self._home and self.seen.stamp_ns else ():
+            answers: list[str] = []
+            self._machine.center(middle, answers.append)
+            asked = self.now
+            while not answers or self.now - asked < _HOME_S:
+                if any(answers) or self.now - asked > self._start_timeout:
+                    raise WorkFailed(f"homing: {'; '.join(answers) or 'the feedforward does not answer'}")
+                yield
+
+    def _execute(self) -> Iterator[None]:
+        moves = self.movements
+        while True:
+            if moves.strokes and self._arrived():
+                if moves.strokes_done >= moves.strokes:
+                    return
+                self._machine.move(moves.next(self.seen, self.now))
+            yield
+
+    def _arrived(self) -> bool:
+        return self.movements.arrived(self.seen, self.now)
+
+    def _holding(self) -> Iterator[None]:
+        while not (self._arrived() and self.seen.still):
+            yield
+
+    def _completing(self) -> Iterator[None]:
+        # The stage's last movement has ended; another client may still be moving the stage.
+        while not (self._arrived() and (self._settled or self.seen.still) and self._overdue(self._settle)):
+            yield
+        yield from self._switching_off()
+
+    def _stopping(self) -> Iterator[None]:
+        # Without samples the end of the movement cannot be seen.
+        while self.seen.fresh and not self._arrived():
+            yield
+        yield from self._switching_off()
+
+    def _aborting(self) -> Iterator[None]:
+        # The stage keeps its trajectory and comes to rest at the end of its movement.
+        self.movements.forget()
+        for _ in self._switching_off():
+            if self._overdue(_OFF_WITHIN_S):
+                return
+            yield
+
+    def _clearing(self, least: float = _REPORTED_WITHIN_S) -> Iterator[None]:
+        yield from self._asking(
+            self._machine.reset_faults,
+            lambda: not self.seen.faults and self._overdue(least),
+            lambda: f"the fault remains: {self.seen.fault}",
+        )
+
+    def _switching_on(self) -> Iterator[None]:
+        yield from self._asking(
+            self._machine.switch_on,
+            lambda: self.seen.amplifier_on,
+            lambda: f"the driver refuses to enable: {self._machine.refusal or 'no answer'}",
+        )
+
+    def _switching_off(self) -> Iterator[None]:
+        while self.seen.amplifier_on:
+            if self._due():
+                self._machine.switch_off()
+            yield
+
+    def _asking(self, ask: Callable[[], None], done: Callable[[], bool], why: Callable[[], str]) -> Iterator[None]:
+        """Repeat a request until it is done; fails after the start timeout with the text of ``why``."""
+        end, self._asked = self.now + self._start_timeout, -math.inf
+        while not done():
+            if self.now > end:
+                raise WorkFailed(why())
+            if self._due():
+                ask()
+            yield
+
+    def _due(self) -> bool:
+        """Whether to send the request (again) now."""
+        if due := self.now - self._asked >= _ASK_AGAIN_S:
+            self._asked = self.now
+        return due
+
+    def _overdue(self, seconds: float) -> bool:
+        return self.now - self.since > seconds
+
+
+class CellSequence:
+    """State machine of the cell.
+
+    Args:
+        machine: carries out the requests.
+        motion: of each stroke.
+        start_timeout: longest time in Resetting, Starting, Clearing, or a step of a recovery, s.
+        clock: monotonic time, s.
+        as_one: all strokes are one trajectory; see :class:`StageMovements`.
+        home: before the first stroke, move the platform to the middle of its travel, then back to the map.
+        recoveries: how often to switch the amplifier on again after it went off in Execute.
+    """
+
+    state: State
+    message: str  # reason for the state, or for the refusal of the last command
+    recovered: int  # number of times that the amplifier was switched on again
+
+    work_of_states: type[StateWork] = StateWork
+
+    def __init__(
+        self,
+        machine: Machine,
+        motion: MotionParameters,
+        start_timeout: float,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        as_one: bool = False,
+        home: bool = False,
+        recoveries: int = 0,
+    ) -> None:
+        self._machine, self._clock, self._recoveries = machine, clock, recoveries
+        self._works = self.work_of_states(machine, motion, start_timeout, clock(), as_one=as_one, home=home)
+        self.movements = self._works.movements
+        """Of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop."""
+        self.recovered, self._named = 0, False
+        self._enter(State.STOPPED, "")
+
+    @property
+    def centred(self) -> bool:
+        """Whether the reference is in the middle of the travel, or was requested to go there."""
+        return self._works.centred
+
+    @property
+    def at_work(self) -> bool:
+        """Whether the sequence may have the amplifier on."""
+        return self.state in _AT_WORK
+
+    @property
+    def progress(self) -> float:
+        """Elapsed fraction of the current movement's time; 0 without a movement."""
+        return self.movements.progress(self._works.seen)
+
+    def command(self, command: Command, strokes: int = 0) -> str:
+        """Execute a command, with the number of ``strokes`` for Start; returns the reason for a refusal, or ``""``."""
+        reason = refusal(command, self.state)
+        if not reason and command in _BEGINNING:
+            reason = self._works.seen.occupied
+        to_be_run = {Command.START: strokes, Command.UNHOLD: self.movements.strokes}.get(command, 0)
+        if not reason and not 0 <= to_be_run <= MOST_STROKES:
+            reason = f"strokes {strokes} is out of range; allowed: 0 to {MOST_STROKES}"
+        elif not reason and self.centred and to_be_run:
+            reason = f"{name(command)} is not accepted while the reference is in the middle; call Center(false) first"
+        if reason:
+            self.message = reason
+            return reason
+        if command is Command.START:
+            self.movements.begin(strokes)
+        self._enter(ACCEPTED[command][self.state], f"command {name(command)}")
+        return ""
+
+    def order(self, order: Order, middle: bool, then: Answer) -> None:
+        """Request another reference: with Center that of the ``middle`` of the travel (True) or of the map (False).
+
+        ``then`` is called with the reason for a refusal, or an empty text, now or when the node has answered.
+        """
+        reason = refusal(order, self.state)
+        if not reason and order is Order.CENTER and middle and self.state is State.EXECUTE and self.movements.strokes:
+            reason = "Center(true) is not accepted while strokes are run; accepted after Hold, or with 0 strokes"
+        if reason:
+            self.message = reason
+            then(reason)
+            return
+        state, before = self.state, self.centred
+
+        def answered(refusal: str) -> None:
+            if order is Order.CENTER:
+                self._works.centred = before if refusal else middle
+            if self.state is state:
+                self.message = refusal or f"command {order.value}"
+            then(refusal)
+
+        if order is Order.RELOAD_MAP:
+            self._machine.reload_map(answered)
+        else:
+            # No stroke may begin before the answer.
+            self._works.centred = before or middle
+            self._machine.center(middle, answered)
+
+    def tick(self, seen: Observation) -> None:
+        """Continue with the graph as ``seen`` now."""
+        self._works.now, self._works.seen = self._clock(), seen
+        missing = seen.absence if seen.missing else ""
+        # A machine whose controller has died cannot be switched on again.
+        trouble = missing if self._works.recovering else self._trouble(seen)
+        if missing and self.state in (State.ABORTING, State.ABORTED) and not self._named:
+            # A fault is seen at once; that a node has died, which may be its cause, only when its heartbeats stop.
+            self._named = True
+            self.message = self.message if missing in self.message else f"{self.message}; {missing}"
+        if trouble and self._recoverable(seen):
+            self.recovered += 1
+            self._work = self._works.recover(self._work)
+        elif trouble:
+            self._enter(State.ABORTING, trouble)
+        try:
+            next(self._work)
+        except StopIteration:
+            if self.state in DONE:
+                self._enter(DONE[self.state], self.message)
+        except WorkFailed as failure:
+            self._enter(FAILED[self.state], str(failure))
+
+    def _enter(self, state: State, message: str) -> None:
+        self.state, self.message = state, message
+        self._named = state is State.ABORTED and self._named
+        self._work = self._works.of(state, self._clock())
+        if state is State.ABORTING:
+            self._machine.switch_off()
+
+    def _trouble(self, seen: Observation) -> str:
+        # In Stopped another client may use the graph: its faults are only shown as alarms.
+        if self.state in _WITHOUT_AMPLIFIER:
+            return ""
+        if seen.occupied and self.state in (State.IDLE, State.COMPLETE):
+            return seen.occupied
+        if seen.fault or self.state in (State.RESETTING, State.STOPPING, State.COMPLETE):
+            return seen.fault
+        off = self.state in _WITH_AMPLIFIER and not seen.amplifier_on
+        return seen.absence or (AMPLIFIER_OFF if off else "")
+
+    def _recoverable(self, seen: Observation) -> bool:
+        """Whether the trouble is that the amplifier is off, and it may be switched on again."""
+        allowed = self.state is State.EXECUTE and self.recovered < self._recoveries
+        return allowed and not seen.absence and not seen.amplifier_on

@@ -1,0 +1,309 @@
+"""Checks of the computer: software, real-time scheduling, clock, CAN, room for a run.
+
+What a check reads (files, limits, clocks) are its arguments, so that tests can give it other computers.
+"""
+
+import gzip
+import importlib
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from straightcomp_ros.doctor import Finding, judged
+from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description
+from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.timing.cpus import left_behind
+
+_OLDEST, _NEWEST = (3, 10), (3, 13)
+_DISTRIBUTION = "jazzy"
+_LAST_FREE_DOMAIN = 101
+_ASK_ROS = """
+import json, sys
+import rclpy.utilities
+import lifecycle_msgs.srv, sensor_msgs.msg, trajectory_msgs.msg, diagnostic_msgs.msg, std_srvs.srv
+json.dump({"rclpy": rclpy.__file__, "rmw": rclpy.utilities.get_rmw_implementation_identifier()}, sys.stdout)
+"""
+_MIB, _GIB = 1 << 20, 1 << 30
+_LOCKED = 512 * _MIB
+"""A node with NumPy, numba and Fast DDS maps some 300 MiB."""
+_CAP_IPC_LOCK = 14
+_NEEDED, _COMFORTABLE = _GIB, 10 * _GIB
+"""A run at 2 kHz writes 0.54 MB/s: 10 GiB are five and a half hours."""
+_PRIORITY = 40
+"""What docs/realtime.md recommends: above all normal processes, below the kernel's interrupt threads."""
+_CORES = 4
+_LIMITS = "/etc/security/limits.d/realtime.conf"
+_SLOW_CLOCKS = ("hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit")
+_SLEEP_S, _SLEEPS = 0.5e-3, 200
+_LATE_S = 1e-3
+_ARPHRD_CAN = "280"
+_OUR_INTERFACE = "straightcomp_hub"
+
+
+def python(version: tuple[int, int] | None = None) -> Finding:
+    """Whether this Python is one that the package runs on."""
+    found = version or (sys.version_info.major, sys.version_info.minor)
+    remedy = "Use Python 3.10 to 3.13, e.g. make PYTHON=python3.12."
+    return judged("python", _OLDEST <= found <= _NEWEST, "Python {}.{}".format(*found), remedy, "fail")
+
+
+def package_files() -> Finding:
+    """Whether the parameter file and the synthetic survey are found."""
+    try:
+        folder = share_path("config/straightcomp.yaml").parent
+        share_path("config/survey_synthetic.csv")
+    except FileNotFoundError as error:
+        return Finding("package files", "fail", str(error), "Install the package again: make setup, or colcon build.")
+    return Finding("package files", "ok", str(folder))
+
+
+def ros(command: Sequence[str] = (sys.executable, "-c", _ASK_ROS), timeout: float = 60.0) -> list[Finding]:
+    """rclpy, the message packages and the middleware, in a process of their own: a broken one may crash it."""
+    remedy = f"Source /opt/ros/{_DISTRIBUTION}/setup.bash, or install ROS 2's wheels with make setup."
+    if "RMW_IMPLEMENTATION" in os.environ:
+        remedy += f" RMW_IMPLEMENTATION asks for {os.environ['RMW_IMPLEMENTATION']}: install it, or unset the variable."
+    try:
+        asked = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return [Finding("rclpy", "fail", f"cannot be asked: {error}", remedy)]
+    if asked.returncode != 0:
+        last = (asked.stderr.strip().splitlines() or [f"ended with exit code {asked.returncode}"])[-1]
+        return [Finding("rclpy", "fail", last, remedy)]
+    answer = json.loads(asked.stdout)
+    remedy = "Set RMW_IMPLEMENTATION to rmw_fastrtps_cpp or rmw_cyclonedds_cpp: no other one has been tried."
+    rmw = judged("middleware", answer["rmw"] in MIDDLEWARES, description(answer["rmw"], os.environ), remedy)
+    return [Finding("rclpy", "ok", answer["rclpy"]), rmw]
+
+
+def distribution(environment: Mapping[str, str] = os.environ) -> Finding:
+    """Which ROS 2 is sourced, if any."""
+    name = environment.get("ROS_DISTRO")
+    if name is None:
+        return Finding("distribution", "ok", "none sourced: the wheels of the virtual environment are used")
+    remedy = f"Source /opt/ros/{_DISTRIBUTION}/setup.bash in a new shell."
+    return judged("distribution", name == _DISTRIBUTION, name, remedy)
+
+
+def discovery(environment: Mapping[str, str] = os.environ) -> Finding:
+    """Whether the graph keeps to this machine, and whether its domain's ports are free."""
+    reach = environment.get(RANGE_VARIABLE, "SUBNET (ROS 2's default)")
+    domain = environment.get("ROS_DOMAIN_ID", "0")
+    detail = f"discovery range {reach}, domain {domain}"
+    if not domain.isdigit() or int(domain) > _LAST_FREE_DOMAIN:
+        remedy = f"Set ROS_DOMAIN_ID to 0 to {_LAST_FREE_DOMAIN}: the ports of others are given out by Linux itself."
+        return Finding("discovery", "warn", detail, remedy)
+    remedy = f"Set {RANGE_VARIABLE}=LOCALHOST unless other machines shall take part in the graph."
+    return judged("discovery", reach in ("LOCALHOST", "OFF"), detail, remedy)
+
+
+def locked_memory(limit: int | None = None, status: Path = Path("/proc/self/status")) -> Finding:
+    """Whether a node may lock its memory (realtime.lock_memory)."""
+    allowed = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] if limit is None else limit
+    capabilities = re.search(r"^CapEff:\s*(\w+)", status.read_text(), re.MULTILINE)
+    if capabilities and int(capabilities[1], 16) >> _CAP_IPC_LOCK & 1:
+        return Finding("memlock", "ok", "any amount (CAP_IPC_LOCK)")
+    if allowed == resource.RLIM_INFINITY:
+        return Finding("memlock", "ok", "unlimited")
+    remedy = f"Give this user 'memlock unlimited' in {_LIMITS} and log in again."
+    return judged("memlock", allowed >= _LOCKED, f"{allowed / _MIB:.1f} MiB", remedy)
+
+
+def priority(ask: Callable[[], None] | None = None) -> Finding:
+    """Whether a thread may have SCHED_FIFO; tried in a thread that ends at once."""
+    refused: list[OSError] = []
+
+    def attempt() -> None:
+        try:
+            (ask or (lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))))()
+        except OSError as error:
+            refused.append(error)
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    detail = f"SCHED_FIFO {_PRIORITY}: {refused[0].strerror if refused else 'permitted'}"
+    remedy = f"Give this user 'rtprio 98' in {_LIMITS} and log in again; in a container use --cap-add SYS_NICE."
+    return judged("real-time priority", not refused, detail, remedy)
+
+
+def throttling(file: Path = Path("/proc/sys/kernel/sched_rt_runtime_us")) -> Finding:
+    """Whether a node that spins at real-time priority leaves time to log in and stop it."""
+    runtime = _read(file) or "unknown"
+    remedy = "Switch it on again: sudo sysctl kernel.sched_rt_runtime_us=950000."
+    detail = "off" if runtime == "-1" else f"{runtime} µs of each period"
+    return judged("real-time throttling", runtime != "-1", detail, remedy)
+
+
+def wake_up_latency(file: Path = Path("/dev/cpu_dma_latency")) -> Finding:
+    """Whether a node may keep the CPUs from deep sleep (realtime.keep_awake)."""
+    if not file.exists():
+        remedy = "Choose a kernel with CPU idle governors, or ignore this."
+        return Finding("CPU wake-up", "warn", f"{file} is not there", remedy)
+    can = os.access(file, os.W_OK)
+    remedy = 'Add the udev rule KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660" and join that group.'
+    return judged("CPU wake-up", can, f"{file} {'can' if can else 'cannot'} be written", remedy)
+
+
+def kernel(file: Path = Path("/sys/kernel/realtime")) -> Finding:
+    """Whether this is a PREEMPT_RT kernel."""
+    real_time = _read(file) == "1"
+    remedy = "Install a PREEMPT_RT kernel (Debian: linux-image-rt-amd64) on a machine that is to run for hours."
+    return judged("kernel", real_time, f"{os.uname().release}, {'' if real_time else 'no '}PREEMPT_RT", remedy)
+
+
+def preemption(
+    folder: Path = Path("/"), release: str | None = None, command_line: Path = Path("/proc/cmdline")
+) -> Finding:
+    """Whether a real-time thread may interrupt the kernel's own work for other programs.
+
+    ``folder`` holds proc/config.gz or boot/config-RELEASE; ``release`` None is the running kernel's.
+    """
+    name = "kernel preemption"
+    compressed, plain = folder / "proc/config.gz", folder / f"boot/config-{release or os.uname().release}"
+    text = gzip.decompress(compressed.read_bytes()).decode() if compressed.is_file() else _read(plain)
+    if not text:
+        return Finding(name, "warn", "this kernel does not show its configuration", "Boot with preempt=full.")
+    options = set(re.findall(r"^CONFIG_PREEMPT_?(\w*)=y$", text, re.MULTILINE))
+    if "RT" in options:
+        return Finding(name, "ok", "PREEMPT_RT")
+    model = next((each.lower() for each in ("LAZY", "VOLUNTARY", "NONE") if each in options), "full")
+    if "DYNAMIC" in options:
+        chosen = re.findall(r"\bpreempt=(\w+)", _read(command_line))
+        model = chosen[-1] if chosen else model
+    if model == "full":
+        return Finding(name, "ok", model)
+    detail = f"{model}: a program that writes to the disk can keep the loop from its CPU for tens of ms"
+    remedy = "Boot with preempt=full." if "DYNAMIC" in options else "Install a kernel with full preemption."
+    return Finding(name, "warn", detail, remedy)
+
+
+def cores(count: int | None = None, lost: Collection[int] | None = None) -> Finding:
+    """Whether there is a CPU for each node that must not wait, and for other programs too."""
+    usable = len(os.sched_getaffinity(0)) if count is None else count
+    lost = left_behind() if lost is None else lost
+    if lost:
+        cpus = ", ".join(map(str, sorted(lost)))
+        detail = f"{usable}; other programs are kept off CPU {cpus} by a driver that was killed with all its processes"
+        remedy = "Run straightcomp demo once more as the same user: when it ends, all programs may use all CPUs again."
+        return Finding("cores", "warn", detail, remedy)
+    remedy = f"Use {_CORES} or more: driver, feedforward and controller want one each."
+    return judged("cores", usable >= _CORES, f"{usable}", remedy)
+
+
+def governor(folder: Path = Path("/sys/devices/system/cpu")) -> Finding:
+    """Whether the CPUs keep their speed."""
+    found = {_read(file) for file in folder.glob("cpu[0-9]*/cpufreq/scaling_governor")}
+    detail = ", ".join(sorted(found)) or "none: the frequency is not ours to set"
+    remedy = "Run sudo cpupower frequency-set --governor performance."
+    return judged("frequency governor", found <= {"performance"}, detail, remedy)
+
+
+def clock(
+    file: Path = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource"), now: float | None = None
+) -> Finding:
+    """Whether the clock is quick to read, and whether the date is one that bags can be found by."""
+    source = _read(file) or "unknown"
+    year = time.gmtime(time.time() if now is None else now).tm_year
+    detail = f"source {source}, resolution {time.get_clock_info('monotonic').resolution * 1e9:g} ns, year {year}"
+    if year < 2024:
+        return Finding("clock", "fail", detail, "Set the date (sudo timedatectl set-ntp true): stamps of bags need it.")
+    remedy = "Boot with clocksource=tsc: reading this one takes a microsecond."
+    return judged("clock", source not in _SLOW_CLOCKS, detail, remedy)
+
+
+def timer(sleep: Callable[[float], None] = time.sleep, clock_now: Callable[[], float] = time.perf_counter) -> Finding:
+    """How late a thread of normal priority wakes up now."""
+    late = []
+    for _ in range(_SLEEPS):
+        start = clock_now()
+        sleep(_SLEEP_S)
+        late.append(clock_now() - start - _SLEEP_S)
+    p99, worst = float(np.percentile(late, 99.0)), max(late)
+    detail = f"late by {p99 * 1e6:.0f} µs (p99), {worst * 1e6:.0f} µs at most, of {_SLEEPS}"
+    return judged(
+        "timer", p99 <= _LATE_S, detail, "End other programs, or set realtime.priority as docs/realtime.md says."
+    )
+
+
+def can_interfaces(folder: Path = Path("/sys/class/net")) -> Finding:
+    """The kernel's SocketCAN interfaces and whether they are up."""
+    states = {
+        device.name: _read(device / "operstate")
+        for device in sorted(folder.glob("*"))
+        if _read(device / "type") == _ARPHRD_CAN
+    }
+    if not states:
+        remedy = "Plug the adapter in and run ip link; without one, straightcomp can hub is a bus between processes."
+        return Finding("CAN interfaces", "warn", "none in the kernel", remedy)
+    down = [name for name, state in states.items() if state == "down"]
+    remedy = f"Run sudo ip link set {''.join(down[:1])} up type can bitrate 1000000."
+    return judged("CAN interfaces", not down, ", ".join(f"{name} {state}" for name, state in states.items()), remedy)
+
+
+def python_can() -> Finding:
+    """The interfaces of python-can, ours among them."""
+    try:
+        known = importlib.import_module("can.interfaces").BACKENDS
+    except ImportError as error:
+        return Finding("python-can", "fail", str(error), "Install it: python3 -m pip install 'python-can>=4.2'.")
+    ours = _OUR_INTERFACE in known
+    detail = f"{len(known)} interfaces, {_OUR_INTERFACE} {'among them' if ours else 'not among them'}"
+    remedy = "Install this package, so that its entry points are registered: make setup, or colcon build."
+    return judged("python-can", ours, detail, remedy)
+
+
+def disk(folder: Path) -> Finding:
+    """Free space where bags would be written."""
+    if not os.access(folder, os.W_OK):
+        return Finding("disk", "fail", f"{folder} cannot be written", "Change to a folder that this user may write in.")
+    space = os.statvfs(folder)
+    free = space.f_bavail * space.f_frsize
+    remedy = "Remove old bags, or record to another disk (the logger's parameter output)."
+    detail = f"{free / _GIB:.1f} GiB free in {folder}"
+    return judged("disk", free >= _COMFORTABLE, detail, remedy, "fail" if free < _NEEDED else "warn")
+
+
+def _read(file: Path) -> str:
+    """The text of a file of the kernel; empty if there is none."""
+    return file.read_text().strip() if file.is_file() else ""
+
+
+CHECKS: Mapping[str, Callable[[], Finding | list[Finding]]] = {
+    "python": python,
+    "package files": package_files,
+    "rclpy": ros,
+    "distribution": distribution,
+    "discovery": discovery,
+    "memlock": locked_memory,
+    "real-time priority": priority,
+    "real-time throttling": throttling,
+    "CPU wake-up": wake_up_latency,
+    "kernel": kernel,
+    "kernel preemption": preemption,
+    "cores": cores,
+    "frequency governor": governor,
+    "clock": clock,
+    "timer": timer,
+    "CAN interfaces": can_interfaces,
+    "python-can": python_can,
+    "disk": lambda: disk(Path.cwd()),
+}
+
+
+def examine(checks: Mapping[str, Callable[[], Finding | list[Finding]]] = CHECKS) -> Iterator[Finding]:
+    """Run the checks; one that the system does not permit is a warning, and the others still run."""
+    for name, check in checks.items():
+        try:
+            found = check()
+        except (OSError, AttributeError, ValueError) as error:
+            found = Finding(name, "warn", f"cannot be looked at: {error}", "Look at it by hand.")
+        yield from found if isinstance(found, list) else [found]

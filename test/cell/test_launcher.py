@@ -1,0 +1,51 @@
+"""Where the launcher finds the executables, and what becomes of the processes it starts."""
+
+import sys
+import sysconfig
+
+import pytest
+
+from straightcomp_ros.cell.launcher import Graph, LaunchError, executable_command
+
+
+def script(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("#!/bin/sh\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+@pytest.fixture
+def sourced(tmp_path, monkeypatch):
+    """A sourced installation with a driver, behind a prefix without this package."""
+    prefix = tmp_path / "install"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'jazzy'}:{prefix}")
+    script(prefix / "share/ament_index/resource_index/packages/straightcomp_ros")
+    return script(prefix / "lib/straightcomp_ros/driver_node")
+
+
+def test_a_sourced_installation_has_the_executables_and_a_missing_one_is_named_with_the_remedy(sourced):
+    assert executable_command("driver_node") == [sourced]
+    with pytest.raises(LaunchError, match=r"'controller_node' is missing in .*/lib/straightcomp_ros; .*colcon build"):
+        executable_command("controller_node")
+
+
+def test_a_checkout_runs_its_own_modules_and_the_scripts_of_its_environment(tmp_path, monkeypatch):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
+    assert executable_command("driver_node") == [sys.executable, "-m", "straightcomp_ros.nodes.driver_node"]
+    with pytest.raises(LaunchError, match=r"'other_node' is missing in .*; remedy: make setup"):
+        executable_command("other_node")
+    other = script(tmp_path / "other_node")
+    assert executable_command("other_node") == [other]
+
+
+def test_a_program_that_ends_is_reported_with_its_last_line_and_the_others_are_interrupted(tmp_path):
+    with Graph(tmp_path) as graph:
+        graph.start_program("short", [sys.executable, "-c", "print('first'); print('last'); raise SystemExit(3)"])
+        graph.start_program("cell", ["sleep", "60"], read_output=True)
+        graph._processes["short"].wait()
+        with pytest.raises(LaunchError, match="node 'short' ended with exit code 3: last"):
+            graph.check(["cell", "short"])
+        assert graph.exit_code("cell") is None
+        assert graph.stop(["cell"]) == {"cell": -2}

@@ -1,0 +1,60 @@
+"""What an observer of the graph finds in its streams, and what stands in the way of a cycle."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from straightcomp_ros.cell.observation import Observation, StrokeErrors
+
+MS = 1_000_000
+
+
+def run(strokes, positions, error):
+    for number, x in enumerate(positions):
+        strokes.add_position(number * 4 * MS, x)
+        strokes.add_error(error(number))
+
+
+def test_the_error_of_a_movement_is_known_when_it_ends_and_rest_does_not_count():
+    strokes = StrokeErrors()
+    still, moving = 100, 250
+    positions = [0.0] * still + [0.0002 * k for k in range(moving)] + [0.0002 * moving] * still
+    inside = range(still + 50, still + moving - 50)
+    run(strokes, positions, lambda k: (1e-6 if k % 2 else -2e-6) if k in inside else (9e-6 if k < still else 0.0))
+    assert strokes.finished == 1 and strokes.still
+    assert strokes.last_pp == pytest.approx(3e-6)
+
+
+def test_noise_of_the_encoder_is_no_movement():
+    strokes = StrokeErrors()
+    run(strokes, [1e-7 * (k % 3) for k in range(500)], lambda k: 1.0)
+    assert strokes.still and strokes.finished == 0 and math.isnan(strokes.last_pp)
+
+
+def test_a_source_that_starts_anew_is_no_movement():
+    strokes = StrokeErrors()
+    for x in (0.5, 0.1):
+        run(strokes, [x] * 50, lambda k: 0.0)
+    assert strokes.still and strokes.finished == 0
+
+
+WELL = Observation(nodes={"driver": "plain", "logger": "active"}, fresh=True, descriptions={"driver": "a", "cell": "a"})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, ""),
+        ({"nodes": {"driver": "absent"}}, "driver (absent)"),
+        ({"nodes": {"driver": "inactive"}}, "driver (inactive)"),
+        ({"fresh": False}, "no samples"),
+        ({"still": False}, "moves"),
+        ({"unrecorded": ("/encoder",)}, "/encoder"),
+        ({"descriptions": {"driver": "a 12", "controller": "a 34"}}, "differ (controller a 34, driver a 12)"),
+        ({"faults": {"driver": "coil"}}, "driver: coil"),
+    ],
+)
+def test_what_is_in_the_way_of_a_cycle_is_named(changes, words):
+    obstacle = replace(WELL, **changes).obstacle
+    assert words in obstacle and bool(obstacle) is bool(changes)

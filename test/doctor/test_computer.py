@@ -1,0 +1,207 @@
+"""Each check of `straightcomp doctor` on made computers: what it calls ok, warn and fail, and what it advises."""
+
+import gzip
+import json
+import os
+import resource
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from straightcomp_ros.cli.main import main
+from straightcomp_ros.doctor import Finding, computer
+from straightcomp_ros.parameters.share import share_path
+
+MIB = 1 << 20
+LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(capsys):
+    code = main(["doctor", "--json"])
+    answer = json.loads(capsys.readouterr().out)
+    names = [check["name"] for check in answer["checks"]]
+    assert set(computer.CHECKS) - {"rclpy"} <= set(names)
+    assert answer["ok"] + answer["warn"] + answer["fail"] == len(names)
+    assert code == (1 if answer["fail"] else 0)
+    for check in answer["checks"]:
+        assert (check["remedy"] == "") == (check["state"] == "ok"), check
+        assert check["remedy"] == "" or check["remedy"].endswith("."), check
+
+
+def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(monkeypatch, capsys):
+    monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(()))
+    main(["doctor", "--json", "--stage", str(share_path("config/board_motorola.yaml"))])
+    details = [check["detail"] for check in json.loads(capsys.readouterr().out)["checks"]]
+    assert any(text.startswith("there is no heartbeat") for text in details)
+    assert main(["doctor", "--stage", "nowhere.yaml"]) == 2
+    assert "nowhere.yaml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("states", "code"), [(["ok", "warn"], 0), (["fail", "ok"], 1)])
+def test_only_a_failure_makes_the_exit_code_other_than_zero(monkeypatch, capsys, states, code):
+    found = [Finding("a", state, "seen", "Do it.") for state in states]
+    monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(found))
+    assert main(["doctor"]) == code
+    printed = capsys.readouterr().out
+    assert f"{states[0]}  a: seen" in printed and "Do it." in printed
+
+
+def test_a_check_that_the_system_does_not_permit_is_a_warning_and_the_next_one_runs():
+    found = list(computer.examine({"a": refused, "b": lambda: Finding("b", "ok", "")}))
+    assert [(one.name, one.state) for one in found] == [("a", "warn"), ("b", "ok")]
+
+
+def refused():
+    raise PermissionError(1, "Operation not permitted")
+
+
+@pytest.mark.parametrize(
+    ("program", "states", "word"),
+    [
+        ('print(\'{"rclpy": "here", "rmw": "rmw_fastrtps_cpp"}\')', ["ok", "ok"], "here"),
+        ('print(\'{"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"}\')', ["ok", "ok"], "here"),
+        ('print(\'{"rclpy": "here", "rmw": "rmw_of_tomorrow"}\')', ["ok", "warn"], "here"),
+        ("import no_such_rclpy", ["fail"], "no_such_rclpy"),
+        ("import os; os.abort()", ["fail"], "exit code -6"),
+        ("import time; time.sleep(600)", ["fail"], "timed out"),
+    ],
+)
+def test_a_missing_or_broken_rclpy_fails_with_its_last_words(program, states, word):
+    found = computer.ros((sys.executable, "-c", program), timeout=0.5 if "sleep" in program else 600.0)
+    assert [one.state for one in found] == states and word in found[0].detail
+
+
+def test_another_middleware_is_named_with_what_differs_and_with_its_remedy_where_it_is_missing(monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", "file:///mine.xml")
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    answer = json.dumps({"rclpy": "here", "rmw": "rmw_cyclonedds_cpp"})
+    rmw = computer.ros((sys.executable, "-c", f"print('{answer}')"), timeout=600.0)[1]
+    assert rmw.detail.startswith("rmw_cyclonedds_cpp, profile: CYCLONEDDS_URI; it does not say when a message arrived")
+    (found,) = computer.ros((sys.executable, "-c", "import sys; sys.exit(102)"), timeout=600.0)
+    assert found.state == "fail" and "asks for rmw_cyclonedds_cpp" in found.remedy
+
+
+def locked(limit, capabilities):
+    return {"status": f"CapEff:\t{capabilities}\n"}, lambda at: computer.locked_memory(limit, at / "status")
+
+
+def of_file(check, text=None):
+    return {"file": text} if text is not None else {}, lambda at: check(at / "file")
+
+
+def clock(text, now):
+    return {"file": text}, lambda at: computer.clock(at / "file", now)
+
+
+def governors(*names):
+    files = {f"cpu{number}/cpufreq/scaling_governor": f"{name}\n" for number, name in enumerate(names)}
+    return files, computer.governor
+
+
+def can(**files):
+    return {name.replace("_", "/"): text for name, text in files.items()}, computer.can_interfaces
+
+
+def given(check, *arguments):
+    return {}, lambda _: check(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("made", "state", "words"),
+    [
+        (given(computer.python, (3, 9)), "fail", "3.10 to 3.13"),
+        (given(computer.python, (3, 10)), "ok", "3.10"),
+        (given(computer.python, (3, 13)), "ok", "3.13"),
+        (given(computer.python, (3, 14)), "fail", "3.14"),
+        (given(computer.distribution, {"ROS_DISTRO": "humble"}), "warn", "jazzy/setup.bash"),
+        (given(computer.distribution, {"ROS_DISTRO": "jazzy"}), "ok", "jazzy"),
+        (given(computer.distribution, {}), "ok", "none sourced"),
+        (given(computer.discovery, LOCAL), "ok", "domain 0"),
+        (given(computer.discovery, {}), "warn", "LOCALHOST"),
+        (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "102"}), "warn", "0 to 101"),
+        (given(computer.discovery, {**LOCAL, "ROS_DOMAIN_ID": "x"}), "warn", "0 to 101"),
+        (locked(8 * MIB, "0"), "warn", "memlock unlimited"),
+        (locked(8 * MIB, "4000"), "ok", "CAP_IPC_LOCK"),
+        (locked(resource.RLIM_INFINITY, "0"), "ok", "unlimited"),
+        (locked(1024 * MIB, "0"), "ok", "1024.0 MiB"),
+        (given(computer.priority, refused), "warn", "rtprio"),
+        (given(computer.priority, lambda: None), "ok", "permitted"),
+        (of_file(computer.throttling, "-1\n"), "warn", "sysctl"),
+        (of_file(computer.throttling, "950000\n"), "ok", "950000"),
+        (of_file(computer.kernel, "1\n"), "ok", "PREEMPT_RT"),
+        (of_file(computer.kernel), "warn", "no PREEMPT_RT"),
+        (of_file(computer.wake_up_latency), "warn", "is not there"),
+        (of_file(computer.wake_up_latency, ""), "ok", "can be written"),
+        (given(computer.cores, 2, ()), "warn", "4 or more"),
+        (given(computer.cores, 4, ()), "ok", "4"),
+        (given(computer.cores, 4, {1}), "warn", "kept off CPU 1"),
+        (governors(), "ok", "none"),
+        (governors("performance"), "ok", "performance"),
+        (governors("performance", "powersave"), "warn", "cpupower"),
+        (clock("tsc\n", 1.8e9), "ok", "tsc"),
+        (clock("hpet\n", 1.8e9), "warn", "clocksource=tsc"),
+        (clock("tsc\n", 0.0), "fail", "year 1970"),
+        (can(eth0_type="1\n"), "warn", "none in the kernel"),
+        (can(can0_type="280\n", can0_operstate="up\n"), "ok", "can0 up"),
+        (can(can0_type="280\n", can0_operstate="down\n"), "warn", "ip link set can0 up"),
+    ],
+)
+def test_a_check_judges_a_made_computer(tmp_path, made, state, words):
+    files, check = made
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    found = check(tmp_path)
+    assert found.state == state and words in f"{found.detail} {found.remedy}"
+
+
+@pytest.mark.parametrize(
+    ("configuration", "command_line", "state", "detail"),
+    [
+        ("CONFIG_PREEMPT_NONE=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "quiet", "warn", "none: "),
+        ("CONFIG_PREEMPT_NONE=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "preempt=none preempt=full quiet", "ok", "full"),
+        ("CONFIG_PREEMPT=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "preempt=voluntary", "warn", "voluntary: "),
+        ("CONFIG_PREEMPT=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "", "ok", "full"),
+        ("CONFIG_PREEMPT_VOLUNTARY=y\n", "preempt=full", "warn", "voluntary: "),
+        ("CONFIG_PREEMPT_RT=y\n# CONFIG_PREEMPT_NONE is not set\n", "", "ok", "PREEMPT_RT"),
+    ],
+)
+def test_a_kernel_that_finishes_its_own_work_first_is_reported(tmp_path, configuration, command_line, state, detail):
+    booted, plain, compressed = (tmp_path / name for name in ("cmdline", "boot/config-7.0", "proc/config.gz"))
+    booted.write_text(command_line)
+    plain.parent.mkdir()
+    plain.write_text(configuration)
+    assert computer.preemption(tmp_path, "6.0", booted).detail == "this kernel does not show its configuration"
+    found = computer.preemption(tmp_path, "7.0", booted)
+    assert found.state == state and found.detail.startswith(detail)
+    plain.unlink()
+    compressed.parent.mkdir()
+    compressed.write_bytes(gzip.compress(configuration.encode()))
+    assert computer.preemption(tmp_path, "7.0", booted) == found
+
+
+@pytest.mark.parametrize(("late", "state"), [(50e-6, "ok"), (5e-3, "warn")])
+def test_a_late_timer_is_a_warning(late, state):
+    passed = [0.0]
+
+    def sleep(duration):
+        passed[0] += duration + late
+
+    assert computer.timer(sleep, lambda: passed[0]).state == state
+
+
+def test_python_can_without_our_interface_is_a_warning(monkeypatch):
+    import can.interfaces
+
+    assert computer.python_can().state == "ok"
+    monkeypatch.setattr(can.interfaces, "BACKENDS", {})
+    assert computer.python_can().state == "warn"
+    monkeypatch.setitem(sys.modules, "can.interfaces", None)
+    assert computer.python_can().state == "fail"
+
+
+@pytest.mark.parametrize(("size", "state"), [(1 << 36, "ok"), (1 << 32, "warn"), (1 << 20, "fail")])
+def test_a_full_disk(monkeypatch, tmp_path, size, state):
+    monkeypatch.setattr(os, "statvfs", lambda _: SimpleNamespace(f_bavail=size // 4096, f_frsize=4096))
+    assert computer.disk(tmp_path).state == state

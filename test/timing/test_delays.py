@@ -1,0 +1,168 @@
+"""Durations in a histogram, samples that did not arrive, and waits for a CPU."""
+
+import math
+import os
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from straightcomp_ros.timing.delays import NOTHING, CpuWait, Distribution, Histogram, StampGaps
+
+PERIOD = 500_000
+
+
+def recorded(values):
+    histogram = Histogram()
+    for value in values:
+        histogram.record(value)
+    return histogram.take()
+
+
+@given(st.lists(st.integers(0, 2**39), min_size=1, max_size=300), st.sampled_from([50.0, 90.0, 99.0, 99.9, 100.0]))
+def test_a_percentile_lies_within_six_percent_of_the_sorted_values(values, percent):
+    rank = max(math.ceil(percent / 100.0 * len(values)), 1)
+    exact = sorted(values)[rank - 1]
+    found = recorded(values).percentiles_us([percent])[0] * 1e3
+    assert abs(found - exact) <= exact / 16 + 1
+
+
+@given(st.lists(st.integers(-5, 2**45), max_size=50), st.lists(st.integers(0, 2**30), max_size=50))
+def test_a_sum_of_histograms_is_the_histogram_of_all_and_survives_its_text(first, second):
+    both = recorded(first) + Distribution.from_text(recorded(second).to_text())
+    together = recorded(first + second)
+    assert both == together and sum(both.counts.values()) == len(first) + len(second)
+
+
+def test_taking_starts_anew_and_nothing_has_no_percentile():
+    histogram = Histogram()
+    histogram.record(1000)
+    assert sum(histogram.take().counts.values()) == 1
+    assert histogram.take() == NOTHING and math.isnan(NOTHING.largest_us)
+    for percents in ([], [50.0], [50.0, 90.0, 100.0]):
+        assert len(recorded([3, 5]).percentiles_us(percents)) == len(percents)
+        assert [math.isnan(found) for found in NOTHING.percentiles_us(percents)] == [True] * len(percents)
+
+
+def test_a_duration_below_32_ns_is_known_exactly():
+    for duration in range(32):
+        assert dict(recorded([duration]).counts) == {duration: 1}
+    assert dict(recorded([-7]).counts) == {0: 1}
+
+
+def test_what_is_longer_than_the_longest_bin_counts_as_18_minutes():
+    longest = recorded([2**40 - 1])
+    assert recorded([2**41]) == longest
+    assert longest.largest_us == pytest.approx(2**40 * 1e-3)
+    assert Distribution.from_text(longest.to_text()) == longest
+
+
+@pytest.mark.parametrize("text", ["", "x", "5 9999:1", "5 592:1", "5 -1:1", "5 1:0", "5 3"])
+def test_a_text_that_is_no_histogram_is_refused(text):
+    with pytest.raises(ValueError):
+        Distribution.from_text(text)
+
+
+@given(st.integers(1, 10**7), st.sets(st.integers(3, 200), max_size=60), st.integers(0, 10**18))
+def test_every_sample_that_is_left_out_is_counted_once(period, left_out, start):
+    gaps = StampGaps()
+    for k in range(202):
+        if k not in left_out:
+            gaps.see(start + k * period)
+            gaps.see(start + k * period)
+    assert gaps.lost == len(left_out)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "lost"),
+    [
+        ([0, 1, 3], 1),
+        ([start + k * PERIOD for start in (10**18, 5 * 10**17, 2 * 10**18) for k in range(10)], 0),
+        ([0, PERIOD, 2 * PERIOD, PERIOD + 10**10], 19_998),
+        ([0, PERIOD, 2 * PERIOD, 2 * PERIOD + 10**10], 0),
+    ],
+    ids=["from the first stamp on", "a source that starts anew", "below ten seconds", "a longer silence is a restart"],
+)
+def test_samples_lost_within_ten_seconds_are_counted(stamps, lost):
+    gaps = StampGaps()
+    for stamp in stamps:
+        gaps.see(stamp)
+    assert gaps.lost == lost
+
+
+class Scheduler:
+    """A folder as /proc/PID/task, with what the scheduler counts for each thread."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.waited_ns = {}
+
+    def wait(self, thread, ns):
+        self.waited_ns[thread] = self.waited_ns.get(thread, 0) + ns
+        (self.folder / thread).mkdir(exist_ok=True)
+        # The scheduler writes no new file: who has it open reads the new numbers.
+        file = self.folder / thread / "schedstat"
+        with open(file, "r+" if file.exists() else "w") as output:
+            output.write(f"123456789 {self.waited_ns[thread]} 42\n")
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    scheduler = Scheduler(tmp_path)
+    scheduler.wait("11", 5_000_000_000)
+    scheduler.wait("12", 1_000_000_000)
+    return scheduler
+
+
+@pytest.fixture
+def cpu_wait(scheduler):
+    cpu_wait = CpuWait(scheduler.folder)
+    assert cpu_wait.take_us() == 0.0
+    yield cpu_wait
+    for file in cpu_wait._files.values():
+        file.close()
+
+
+def test_the_longest_wait_of_any_thread_from_look_to_look_counts(scheduler, cpu_wait):
+    scheduler.wait("11", 3_000_000)
+    cpu_wait.look()
+    scheduler.wait("12", 180_000_000)
+    cpu_wait.look()
+    scheduler.wait("11", 7_000_000)
+    assert cpu_wait.take_us() == pytest.approx(180_000.0)
+    assert cpu_wait.take_us() == 0.0
+
+
+def test_what_a_thread_waited_before_it_was_first_seen_and_one_that_has_ended_do_not_count(scheduler, cpu_wait):
+    scheduler.wait("13", 900_000_000)
+    (scheduler.folder / "11" / "schedstat").write_text("")
+    scheduler.wait("12", 4_000_000)
+    assert cpu_wait.take_us() == pytest.approx(4_000.0)
+    scheduler.wait("13", 2_000_000)
+    assert cpu_wait.take_us() == pytest.approx(2_000.0)
+
+
+def test_a_system_without_these_counts_has_no_waits(tmp_path):
+    assert CpuWait(tmp_path / "absent").take_us() == 0.0
+
+
+def test_linux_counts_a_process_that_others_keep_from_its_cpu():
+    """Two threads that both want one CPU wait for each other."""
+    cpu = min(os.sched_getaffinity(0))
+    code = (
+        "import hashlib, os, sys, threading\n"
+        "from straightcomp_ros.timing.delays import CpuWait\n"
+        f"os.sched_setaffinity(0, {{{cpu}}})\n"
+        "data = bytes(1 << 20)\n"
+        "waited = CpuWait()\n"
+        # A digest of much data is made without the interpreter's lock.
+        "threads = [threading.Thread(target=lambda: [hashlib.sha256(data) for _ in range(200)]) for _ in range(2)]\n"
+        "[thread.start() for thread in threads]\n"
+        "waited.take_us()\n"
+        "[thread.join(0.05) or waited.look() for thread in threads]\n"
+        "print(waited.take_us())\n"
+    )
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert float(printed.stdout) > 0.0

@@ -1,0 +1,201 @@
+"""The level of a node's diagnostics, its missed periods, and what its reports add up to."""
+
+import itertools
+import math
+import random
+
+import numpy as np
+import pytest
+
+from straightcomp_ros.timing.delays import NOTHING, Histogram
+from straightcomp_ros.timing.node_timing import (
+    CPU_WAIT,
+    NORMAL,
+    REFUSED,
+    SCHEDULING,
+    HeldUp,
+    Level,
+    Levels,
+    MissedPeriods,
+    Report,
+    amplifier_on,
+    blamed,
+    held_up,
+    summarise,
+    written,
+)
+
+
+def levels_of(*reports):
+    """The level of each report of (new samples, newly lost, new overruns, ms newly stalled, error)."""
+    levels = Levels()
+    counters = (itertools.accumulate(counts) for counts in zip(*(report[:4] for report in reports), strict=True))
+    errors = [report[4] for report in reports]
+    return [levels.next(*report)[0] for report in zip(*counters, errors, strict=True)]
+
+
+CLEAN, LOSSY, BROKEN = (2000, 0, 0, 0, False), (2000, 1, 0, 0, False), (2000, 0, 0, 0, True)
+
+
+def test_one_lost_sample_is_a_warning_until_five_reports_were_clean():
+    assert levels_of(CLEAN, LOSSY, *[CLEAN] * 6) == [Level.OK, *[Level.WARN] * 5, Level.OK, Level.OK]
+
+
+def test_a_loss_that_repeats_starts_the_five_clean_reports_anew():
+    assert levels_of(LOSSY, *[CLEAN] * 3, LOSSY, *[CLEAN] * 5)[4:] == [Level.WARN] * 5 + [Level.OK]
+
+
+def test_an_error_lasts_as_long_as_it_does_and_leaves_a_warning():
+    assert levels_of(BROKEN, BROKEN, *[CLEAN] * 5) == [Level.ERROR] * 2 + [Level.WARN] * 4 + [Level.OK]
+
+
+def test_the_words_give_what_is_new_since_the_last_report_and_a_loss_before_late_cycles():
+    levels = Levels()
+    reports = [
+        ((2000, 3, 2000, 0, False), "3 samples lost"),
+        ((4000, 5, 2000, 0, False), "2 samples lost"),
+        ((6000, 5, 2100, 0, False), "100 overruns"),
+        ((8000, 5, 2250, 0, False), "150 overruns"),
+        ((10_000, 5, 2250, 0, False), "running again"),
+        ((12_000, 5, 2250, 11, False), "the host held the loop up for 11 ms"),
+    ]
+    for counters, words in reports:
+        assert levels.next(*counters)[1].startswith(words)
+    assert levels.next(14_000, 9, 4250, 0, True) == (Level.ERROR, "")
+
+
+@pytest.mark.parametrize(
+    ("report", "level"),
+    [
+        ((2000, 0, 20, 0, False), Level.OK),
+        ((2000, 0, 21, 0, False), Level.WARN),
+        # A node without new samples that missed a cycle is late.
+        ((0, 0, 1, 0, False), Level.WARN),
+        ((2000, 0, 0, 10, False), Level.OK),
+        ((2000, 0, 0, 11, False), Level.WARN),
+    ],
+)
+def test_overruns_of_one_percent_and_ten_milliseconds_of_stalls_are_allowed(report, level):
+    assert levels_of(CLEAN, report, report)[1:] == [level] * 2
+
+
+@pytest.mark.parametrize("rate", [500, 2000, 8000])
+def test_short_gaps_are_overruns_and_long_ones_stalls_at_every_rate(rate):
+    missed = MissedPeriods(10**9 // rate)
+    below, beyond = rate // 500 - 1, rate // 500
+    missed.count(below)
+    missed.count(0)
+    assert missed.report() == {"overruns": below, "stalls": 0, "stalled_ms": 0}
+    missed.count(beyond)
+    missed.count(10 * beyond)
+    assert missed.report() == {"overruns": below, "stalls": 2, "stalled_ms": 22}
+
+
+def reports_of(seconds):
+    histogram = Histogram()
+    source = random.Random(1)
+    reports, values = [], []
+    for second in range(seconds):
+        values.append([source.randrange(10**6) for _ in range(2000)])
+        for value in values[-1]:
+            histogram.record(value)
+        counters = {"samples": 2000 * second, "overruns": second, "lost_samples": 3 * second}
+        texts = {**counters, **written("timer_error", histogram.take())}
+        reports.append(Report(second * 10**9, {key: str(text) for key, text in texts.items()}))
+    return reports, values
+
+
+def test_a_summary_has_the_percentiles_and_counts_of_its_window_alone():
+    reports, values = reports_of(10)
+    summary = summarise(reports, 2 * 10**9, 7 * 10**9)
+    inside = np.concatenate(values[3:8])
+    assert summary.rate_hz == pytest.approx(2000.0) and summary.overruns == 5 and summary.lost_samples == 15
+    assert sum(summary.timer_error.counts.values()) == len(inside)
+    assert summary.timer_error.largest_us == inside.max() * 1e-3
+    assert summary.timer_error.percentiles_us([99])[0] == pytest.approx(np.percentile(inside, 99) * 1e-3, rel=0.06)
+    assert summary.latency is NOTHING
+
+
+def test_a_window_holds_the_reports_at_both_of_its_ends():
+    reports, _ = reports_of(5)
+    assert summarise(reports, 10**9, 3 * 10**9).overruns == 2
+    assert summarise(reports, 10**9 + 1, 3 * 10**9).overruns == 1
+    assert summarise(reports, 10**9, 3 * 10**9 - 1).overruns == 1
+
+
+def test_what_a_first_report_does_not_count_yet_began_at_zero():
+    (first, *_, last), _ = reports_of(4)
+    del first.values["overruns"]
+    assert summarise([first, last]).overruns == 3
+
+
+def test_who_was_held_up_before_the_window_was_not_held_up_in_it():
+    reports, _ = reports_of(4)
+    for report, waited in zip(reports, ("900", "20", "50", "10"), strict=True):
+        report.values[CPU_WAIT] = report.values["timer_error_max_us"] = waited
+    assert summarise(reports).held_up.no_cpu_us == 50.0
+
+
+def test_neither_one_report_nor_two_of_the_same_time_have_a_rate():
+    (report,), _ = reports_of(1)
+    assert math.isnan(summarise([report]).rate_hz) and math.isnan(summarise([report, report]).rate_hz)
+
+
+def test_a_driver_counts_from_the_first_report_with_its_amplifier_on_to_the_last():
+    driver = [Report(time, {"amplifier": state}) for time, state in ((1, "off"), (2, "on"), (3, "on"), (4, "off"))]
+    assert amplifier_on(driver) == (2, 3)
+    begin, end = amplifier_on(driver[:1])
+    assert begin <= 0 and end > 2 * 10**18
+
+
+def test_a_summary_is_shown_in_hertz_and_microseconds():
+    reports, values = reports_of(3)
+    shown = summarise(reports).to_display()
+    assert (shown["rate_hz"], shown["overruns"], shown["lost_samples"]) == (2000.0, 2, 6)
+    assert max(shown["timer_error_us"].values()) == pytest.approx(max(values[1] + values[2]) * 1e-3)
+
+
+@pytest.mark.parametrize("value", ["n/a", "", "-1", "nan", "1e400", "9" * 5000, "²", "1:2:3 x"])
+def test_a_value_that_another_program_wrote_counts_as_absent_and_ends_no_summary(value):
+    names = ("samples", "overruns", "stalls", "lost_samples", "timer_error_max_us", "timer_error_histogram", CPU_WAIT)
+    wrong = dict.fromkeys(names, value)
+    summary = summarise([Report(0, wrong), Report(10**9, {**wrong, "overruns": "3"}), Report(2 * 10**9, wrong)])
+    assert (summary.overruns, summary.lost_samples, summary.rate_hz) == (0, 0, 0.0)
+    assert summary.timer_error == NOTHING and summary.held_up == HeldUp()
+
+
+@pytest.mark.parametrize(
+    ("nodes", "words"),
+    [
+        (
+            {"driver": HeldUp(1e3, 2e3, REFUSED), "controller": HeldUp(180e3, 200e3, REFUSED)},
+            "the controller got no CPU for 180 ms; real-time priority is not permitted; remedy: straightcomp doctor",
+        ),
+        (
+            {"driver": HeldUp(7e3, 8e3, NORMAL), "controller": HeldUp(180e3, 200e3, NORMAL)},
+            "the controller got no CPU for 180 ms, the driver got no CPU for 7 ms; real-time priority was not "
+            "requested; remedy: the parameter realtime.priority",
+        ),
+        # Other programs do not hold up a node of real-time priority.
+        (
+            {"driver": HeldUp(200e3, 300e3, "FIFO 40"), "controller": HeldUp(100.0, 20e3, "FIFO 40")},
+            "the driver was late by 300 ms, and no other program had its CPU: the kernel, the disk or the hypervisor "
+            "held it up; remedy: straightcomp doctor",
+        ),
+        ({"driver": HeldUp(3e3, 4e3, NORMAL), "controller": HeldUp()}, ""),
+        ({}, ""),
+    ],
+)
+def test_what_delayed_the_nodes_for_long_is_named_with_the_remedy(nodes, words):
+    assert blamed(nodes) == words
+
+
+def report(wait_us, late_us, scheduling=NORMAL):
+    return {CPU_WAIT: str(wait_us), "timer_error_max_us": str(late_us), SCHEDULING: scheduling}
+
+
+def test_a_node_got_no_cpu_for_as_long_as_both_its_lateness_and_the_scheduler_say():
+    reports = [report(7000, 8000.0), report(40_000, 900.0), report(9000, 60_000.0, "FIFO 40"), {}]
+    assert held_up(reports) == HeldUp(7000.0, 60_000.0, "FIFO 40")
+    assert held_up([report(7000, "nan")]) == held_up([report("nan", "nan")]) == HeldUp(0.0, 0.0, NORMAL)
+    assert held_up([{}]) == held_up([]) == HeldUp()
