@@ -25,10 +25,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.control.learned_table import LearnedTable
-from straightcomp_ros.control.learning_file import read_tables, write_tables
+from straightcomp_ros.control.learned_table import LearnedTable, read_tables, write_tables
 from straightcomp_ros.parameters.declaration import ParameterError, parameter
-from straightcomp_ros.straightness.stage_tracking import restarted, updated
+from straightcomp_ros.straightness.feedforward import restarted, updated
 
 Reference = Sequence[float]
 Job = Callable[[], None]

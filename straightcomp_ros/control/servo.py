@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from straightcomp_ros.control.injection import Injection
+from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.learning import Learning
 

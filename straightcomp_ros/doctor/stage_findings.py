@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from straightcomp_ros.control.laws import ControlParameters
-from straightcomp_ros.control.least_margins import missing_margin
+from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.doctor.consequences import Consequences, consequences
 from straightcomp_ros.doctor.finding import Finding
 from straightcomp_ros.stage.description import StageParameters

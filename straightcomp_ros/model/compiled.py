@@ -12,8 +12,8 @@ from straightcomp_ros.parameters.share import private_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_FOLDERS = ("model", "control", "straightness", "hardware", "identification", "offline/sweep")
-"""Folders of this package with functions that may be compiled."""
+_FOLDERS = ("model", "control", "straightness", "hardware", "offline", "tuning")
+"""Folders of this package with functions that may be compiled, here or deeper."""
 _marked: list[Callable[..., Any]] = []
 """Functions marked by :func:`compilable` that are not yet registered with numba."""
 
@@ -23,7 +23,7 @@ def cache_directory() -> Path:
     """Folder for the machine code of these sources, which no other user can write to."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
-    for source in sorted(source for folder in _FOLDERS for source in package.glob(f"{folder}/*.py")):
+    for source in sorted(source for folder in _FOLDERS for source in package.glob(f"{folder}/**/*.py")):
         digest.update(source.read_bytes())
     folder = private_folder() / f"numba-{digest.hexdigest()[:16]}"
     folder.mkdir(exist_ok=True)

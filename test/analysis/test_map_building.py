@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from straightcomp_ros.straightness.survey_runs import disagreement, repeatability, spikes
 
 from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
 from straightcomp_ros.analysis.survey_series import Sensor, Series, _course, recognise, series_of_bag
@@ -15,8 +16,6 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.outliers import disagreement, spikes
-from straightcomp_ros.straightness.repeatability import repeatability
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey
 
 CHOICES = Choices(step=10e-3, limit=6.0, level=False)

@@ -4,8 +4,8 @@ import random
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.friction_size import Lags, LagWeights, SizeGains, fit_at_start, fitted, lagged
 from straightcomp_ros.control.observer import observer_gains
+from straightcomp_ros.control.smc_observer import Lags, LagWeights, SizeGains, fit_at_start, fitted, lagged
 
 PERIOD, BANDWIDTH, THIRD = 5e-4, 199.0, 1.28
 POLE = math.exp(-2.0 * math.pi * BANDWIDTH * PERIOD)

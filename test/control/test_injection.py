@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.injection import Injection
+from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.servo import Servo
 

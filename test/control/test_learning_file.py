@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.control.learned_table import LearnedTable
-from straightcomp_ros.control.learning_file import LearningFileError, read_tables, write_tables
+from straightcomp_ros.control.learned_table import LearnedTable, LearningFileError, read_tables, write_tables
 
 SPACING = 0.25e-3
 

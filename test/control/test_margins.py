@@ -13,7 +13,7 @@ from straightcomp_ros.control.margins import (
     phase_margin,
     sampled_plant,
 )
-from straightcomp_ros.control.surface_design import SlidingDesign, closed_loop_poles
+from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters

@@ -5,7 +5,7 @@ import pytest
 
 from straightcomp_ros.control.observer import Estimate, corrected, interval, observer_gains, predicted
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current
-from straightcomp_ros.model.lugre import LuGreParameters
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 
 ACTUATOR = ActuatorParameters().constants()

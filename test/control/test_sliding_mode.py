@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
-from straightcomp_ros.control.sliding_mode import switching_function
-from straightcomp_ros.control.surface_design import SlidingDesign, state_matrices
+from straightcomp_ros.control.sliding_mode import SlidingDesign, state_matrices, switching_function
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.stage.description import StageParameters
 

@@ -1,7 +1,7 @@
 import pytest
 
 from straightcomp_ros.control.laws import ControlParameters
-from straightcomp_ros.control.surface_design import SlidingDesign, closed_loop_poles, reaching_bound
+from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles, reaching_bound
 from straightcomp_ros.model.actuator import stiffness_errors
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.contract import ENCODER, STREAMS
-from straightcomp_ros.messages.batch import pack_batch, unpack_batch
-from straightcomp_ros.messages.cdr import LayoutMismatch
+from straightcomp_ros.messages.cdr import LayoutMismatch, pack_batch, unpack_batch
 
 SIZE = 12
 TIMES = st.integers(0, 2**63 - 1)

@@ -4,13 +4,7 @@ import math
 
 import numpy as np
 
-from straightcomp_ros.model.extended_friction import (
-    BLOCK,
-    extended_force,
-    lugre_now,
-    step_friction,
-)
-from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS
+from straightcomp_ros.model.friction import BLOCK, MOST_BLOCKS, extended_force, lugre_now, step_friction
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters

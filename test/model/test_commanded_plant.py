@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.model.commanded_plant import BIAS, COMMAND, READING, Hold, advance_to_sample, commanded_plant
 from straightcomp_ros.model.converters import EncoderParameters
-from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
+from straightcomp_ros.model.plant import (
+    BIAS,
+    COMMAND,
+    READING,
+    Hold,
+    PlantParameters,
+    PlantState,
+    advance,
+    advance_to_sample,
+    as_array,
+    commanded_plant,
+)
 
 PERIOD = 500_000
 HOLD = Hold(after_ns=625_000, weight=0.1, kept=0.6, braking=0.5, stiffness=7000.0)

@@ -9,7 +9,7 @@ import pytest
 from straightcomp_ros.model.plant import advance
 
 
-@pytest.mark.parametrize("module", ["configuration.node_parameters", "runtime.managed", "control.laws"])
+@pytest.mark.parametrize("module", ["parameters.node_parameters", "runtime.managed", "control.laws"])
 def test_to_read_parameters_imports_neither_numba_nor_scipy(module):
     code = f"import sys, straightcomp_ros.{module}; print(sorted({{'numba', 'llvmlite', 'scipy'}} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)

@@ -9,18 +9,32 @@ from contact import CHANGES, KINDS, SLIP, UNDAMPED, Contact, plant_with, run, sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.commanded_plant import BIAS, Hold, advance_to_sample, commanded_plant
-from straightcomp_ros.model.extended_friction import (
+from straightcomp_ros.model.friction import (
     AGE,
     BLOCK,
     KIND,
+    MOST_BLOCKS,
     PLAIN,
     SLIPPING,
     TIME,
+    LuGreParameters,
+    MaxwellSlipParameters,
+    block_after,
+    bristle_after,
+    friction_force,
+    stribeck_force,
 )
-from straightcomp_ros.model.lugre import LuGreParameters, bristle_after, friction_force, stribeck_force
-from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS, MaxwellSlipParameters, block_after
-from straightcomp_ros.model.plant import Plant, PlantParameters, PlantState, advance, as_array
+from straightcomp_ros.model.plant import (
+    BIAS,
+    Hold,
+    Plant,
+    PlantParameters,
+    PlantState,
+    advance,
+    advance_to_sample,
+    as_array,
+    commanded_plant,
+)
 from straightcomp_ros.parameters.declaration import ParameterError
 
 

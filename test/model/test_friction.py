@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.lugre import LuGreParameters, bristle_after, friction_force, stribeck_force
+from straightcomp_ros.model.friction import LuGreParameters, bristle_after, friction_force, stribeck_force
 from straightcomp_ros.parameters.declaration import ParameterError
 
 PARAMETERS = LuGreParameters()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from contact import SLIP, UNDAMPED, Contact, run
 
-from straightcomp_ros.model.friction_changes import age_after, band_factor, band_value, rest_factor
+from straightcomp_ros.model.friction import age_after, band_factor, band_value, rest_factor
 from straightcomp_ros.model.plant import PlantState
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current
-from straightcomp_ros.model.lugre import LuGreParameters
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.plant import (
     SUBSTEP_NS,
     Plant,

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
-from straightcomp_ros.straightness.outliers import FLOOR, disagreement, spikes
+from straightcomp_ros.straightness.survey_runs import FLOOR, disagreement, spikes
 
 LIMIT = 6.0
 N = 100

@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from straightcomp_ros.straightness.survey_runs import FLOOR, disagreement, repeatability, spikes
 
 from straightcomp_ros.straightness.feedforward import blended, weight
-from straightcomp_ros.straightness.outliers import FLOOR, disagreement, spikes
-from straightcomp_ros.straightness.repeatability import repeatability
 from straightcomp_ros.straightness.survey import Run, Survey
 
 X = np.arange(4) * 0.01

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map, survey_check
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError
-from straightcomp_ros.straightness.survey_check import survey_check
 
 NOISE = 0.02e-6
 SHIPPED = load_map()

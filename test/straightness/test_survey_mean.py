@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from straightcomp_ros.straightness.survey_runs import Directed, Repeatability, on_common_grid, repeatability
 
-from straightcomp_ros.straightness.common_grid import on_common_grid
-from straightcomp_ros.straightness.repeatability import Directed, Repeatability, repeatability
 from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
 
 X = np.linspace(0.0, 1.0, 101)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.straightness.stage_tracking import restarted, updated
+from straightcomp_ros.straightness.feedforward import restarted, updated
 
 T = 5e-4
 

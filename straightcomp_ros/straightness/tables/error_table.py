@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
-from straightcomp_ros.straightness.survey_columns import DEVIATION, X
+from straightcomp_ros.straightness.survey import DEVIATION, Direction, Run, Survey, SurveyError, X
 
 UNITS = {"mm": 1e3, "inch": 1.0 / 0.0254, "m": 1.0, "um": 1e6}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""
