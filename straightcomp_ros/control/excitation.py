@@ -33,7 +33,7 @@ _TRANSIENT_S = 0.5
 """However short the period: the loop's transient does not follow it. With the default period a lead of 0.3 s, 0.5 s or
 1 s makes no difference to the response or its spread."""
 _HIGHEST_SHARE = 0.4
-"""Highest line, relative to the sampling rate: above, the samples tell too little of the motion between them."""
+"""Highest line, relative to the sampling rate: above, the samples show too little of the motion between them."""
 _MOST = 3.0
 """Largest factor of the signal at low frequencies."""
 _CROSSOVER = 0.5

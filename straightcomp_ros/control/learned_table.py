@@ -125,13 +125,9 @@ class LearnedTable:
     ) -> None:
         """Compare a pass with the best one, and update the table if it was not worse.
 
-        Args:
-            x, error: (n,) of its samples, m; the error is r − y.
-            weight: (n,) of the correction, as applied.
-            wanted: ``wanted(gain)`` is the correction for the next pass, (n,) m at the samples.
-            speed: (n,) of the stage, m/s.
-            gain: of the learning, before ``caution``.
-            limit: largest coefficient, m.
+        Of its samples, (n,): ``x`` and ``error``, r − y, in m, ``weight`` of the correction as applied, ``speed`` of
+        the stage in m/s; ``wanted(gain)`` is the correction for the next pass at these, m. ``gain`` is that of the
+        learning before ``caution``, ``limit`` the largest coefficient in m.
         """
         self._cover(x)
         node = np.floor(x / self.spacing + 0.5).astype(np.intp) - self.first
@@ -217,13 +213,10 @@ def _sums(visits: NDArray[np.intp], square: Array, other: Array) -> tuple[float,
 
 
 def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> None:
-    """Write the best tables, replacing ``path`` in one step: an interruption leaves the old file. Writes no empty file.
+    """Write the best tables of the law named ``law``, forward at True and backward at False, of the same spacing.
 
-    ``law`` is the name of the law that was corrected; ``tables`` has forward at True, backward at False, of the same
-    spacing.
-
-    Raises:
-        OSError: it cannot be written.
+    The file is replaced in one step: an interruption leaves the old one. No empty file is written. OSError if it cannot
+    be.
     """
     spacing = tables[True].spacing
     filled = [table for table in tables.values() if table.best.size]
@@ -253,8 +246,7 @@ def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> N
 def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> None:
     """Read what :func:`write_tables` wrote into ``tables``, for the law named ``law``.
 
-    Raises:
-        LearningFileError: the file cannot be read, was learned with another law or spacing, or is damaged.
+    LearningFileError if it cannot be read, was learned with another law or spacing, or is damaged.
     """
     file = f"learning file {path}"
     try:

@@ -9,7 +9,7 @@ the current is as predicted and carries no information: how much more or less fo
 and without. How far off the amplifier's gain may be is another matter, because there the current contradicts the model.
 
 Friction has no frequency response. While the platform slides to and fro with a velocity that is much like Gaussian
-noise, it acts on the small parts of the motion as a damping, its statistical linearisation E[v F(v)] / E[v²]
+noise, it acts on the small components of the motion as a damping, its statistical linearisation E[v F(v)] / E[v²]
 (A. Gelb and W. Vander Velde, Multiple-Input Describing Functions, 1968, chapter 7). That damping falls with velocity:
 responses are comparable only between motions of the same velocity. At rest the bristles would instead act as a spring
 of σ0, for motions that are far smaller than F_C/σ0, which is usually less than a count or two of the encoder.

@@ -157,14 +157,8 @@ def _layout(type_name: str, fields: Sequence[str | int | tuple[str, ...]], place
 
 
 def read_by_names(layout: Layout, message: Any) -> tuple[int, list[float]]:
-    """Read a deserialised message (of rclpy or rosbags) with the layout's joints in any order.
-
-    Returns:
-        Stamp in ns, and the numbers in the order of ``layout.columns``.
-
-    Raises:
-        LayoutMismatch: a joint, an array or a point is missing; the message names it.
-    """
+    """Stamp in ns and numbers in the order of ``layout.columns`` of a deserialised message (of rclpy or rosbags) with
+    the layout's joints in any order; LayoutMismatch names a joint, an array or a point that is missing."""
     stamp = message.header.stamp
     if layout.type_name == "sensor_msgs/msg/JointState":
         names, arrays = list(message.name), message
@@ -212,21 +206,13 @@ def header_stamp_ns(data: bytes) -> int:
 
 def pack_batch(messages: Sequence[tuple[int, bytes]]) -> bytes:
     """Serialise a batch of messages: when each was made, in ns since the epoch, and its serialised bytes."""
-    parts = [b""]
-    for made_ns, data in messages:
-        parts.append(_MADE.pack(made_ns))
-        parts.append(data)
-    size = sum(map(len, parts))
-    parts[0] = _BATCH_HEAD.pack(ENCAPSULATION, 0, 0, size)
-    return b"".join(parts)
+    body = b"".join([piece for made_ns, data in messages for piece in (_MADE.pack(made_ns), data)])
+    return _BATCH_HEAD.pack(ENCAPSULATION, 0, 0, len(body)) + body
 
 
 def unpack_batch(batch: bytes, size: int) -> list[tuple[int, bytes]]:
-    """The messages of a serialised batch, as given to :func:`pack_batch`; ``size`` is the size of one message in bytes.
-
-    Raises:
-        LayoutMismatch: the bytes are not a batch of such messages.
-    """
+    """The messages of a serialised batch, as given to :func:`pack_batch`; LayoutMismatch if it is no batch of messages
+    of ``size`` bytes each."""
     step = _MADE.size + size
     if len(batch) < _BATCH_HEAD.size:
         raise LayoutMismatch(f"{BATCH_TYPE}: {len(batch)} bytes, {_BATCH_HEAD.size} expected at least")

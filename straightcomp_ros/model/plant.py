@@ -231,12 +231,9 @@ _AFTER_NS, _WEIGHT, _KEPT, _BRAKING, _STIFFNESS, _STEP, _HALF_CODES, _RESOLUTION
 class Hold(NamedTuple):
     """How the board holds the platform when commands are late.
 
-    Attributes:
-        after_ns: time since a command took effect from which it does.
-        weight: share of each command in the mean.
-        kept: share of an impulse that friction leaves after a sample.
-        braking: share of what is left that the board takes back in a sample.
-        stiffness: control current per displacement, A/m.
+    From ``after_ns`` after a command took effect it does; ``weight`` is the share of each command in the mean, ``kept``
+    the share of an impulse that friction leaves after a sample, ``braking`` that of it which the board takes back in a
+    sample, ``stiffness`` control current per displacement, A/m.
     """
 
     after_ns: int

@@ -80,9 +80,7 @@ def restarted(x: float) -> Tracked:
 @compilable
 def updated(bandwidth: float, last: Tracked, dt: float, x: float) -> Tracked:
     """The estimates after the sample ``x`` in m, ``dt`` in s after the last one; dt may differ from sample to sample.
-
-    ``bandwidth`` in Hz is that of the three equal poles.
-    """
+    ``bandwidth`` in Hz is that of the three equal poles."""
     theta = math.exp(-2.0 * math.pi * bandwidth * dt)
     fade = 1.0 - theta
     alpha = 1.0 - theta * theta * theta
@@ -140,10 +138,7 @@ def blended(old: Rates, new: Rates, fade: Rates) -> Rates:
 class Feedforward:
     """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers.
 
-    Args:
-        straightness: the map.
-        parameters: of the tracking.
-        highest_speed: that the stage cannot reach, m/s.
+    ``highest_speed`` in m/s is what the stage cannot reach.
     """
 
     def __init__(
@@ -153,18 +148,14 @@ class Feedforward:
         highest_speed: float = MotionParameters().highest_speed,
     ) -> None:
         self._reference: Lookup = straightness.reference
-        self._left: Lookup | None = None
-        self._left_ns = 0
-        self._bandwidth = parameters.bandwidth
-        self._restart_gap_ns = parameters.restart_gap_ns
-        self._max_speed = highest_speed
+        self._left_ns, self._max_speed = 0, highest_speed
+        self._bandwidth, self._restart_gap_ns = parameters.bandwidth, parameters.restart_gap_ns
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
-        self._stamp_ns = _NEVER
-        self._left = None
-        self._x = 0.0
+        self._stamp_ns, self._x = _NEVER, 0.0
+        self._left: Lookup | None = None
         self._tracked = restarted(0.0)
         self._last = (0.0, 0.0, 0.0)
 

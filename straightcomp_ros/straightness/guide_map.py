@@ -1,7 +1,7 @@
 """The map of the guide: where the platform must be for each slider position, r(x) = const − δ(x); and its check.
 
-No encoder on the slider tells how straight the guide is. An independent measurement does, of the platform against a
-straightedge or a laser, at some places and at least twice, so that its runs tell its own uncertainty. Its line is
+No encoder on the slider measures how straight the guide is. An independent measurement does, of the platform against a
+straightedge or a laser, at some places and at least twice, so that its runs show its own uncertainty. Its line is
 another one than the survey's: the least squares line of their difference is removed, so that a slope is not checked.
 """
 
@@ -24,7 +24,7 @@ from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_gr
 T = TypeVar("T", float, NDArray[np.float64])
 
 LEAST_POINTS, WIDEST_GAP = 6, 0.5
-"""Of a check: fewer points hardly tell a guide from its line; m between neighbours."""
+"""Of a check: with fewer points a guide is hardly distinguished from its line; m between neighbours."""
 _CONFIDENCE = 0.999
 _OPPOSITE = -0.9
 
@@ -121,11 +121,7 @@ class StraightnessMap:
 
 
 def load_map(parameters: MapParameters = MapParameters()) -> StraightnessMap:
-    """Read the survey that ``parameters`` name and build its map.
-
-    Raises:
-        SurveyError: the file is not found or refused.
-    """
+    """Read the survey that ``parameters`` name and build its map; SurveyError if it is not found or refused."""
     survey = read_survey(find_survey(parameters.file), min_points=parameters.min_points, max_gap=parameters.max_gap)
     return StraightnessMap(survey, parameters)
 
@@ -144,8 +140,8 @@ def find_survey(name: str) -> Path:
     if not path.is_absolute():
         with suppress(FileNotFoundError):
             return share_path(name)
-    beside = "" if path.is_absolute() else f" in the working directory {Path.cwd()}, nor among the package's own files"
-    raise SurveyError(f"survey {name}: there is no such file{beside}")
+    where = "" if path.is_absolute() else f" in the working directory {Path.cwd()}, nor among the package's own files"
+    raise SurveyError(f"survey {name}: there is no such file{where}")
 
 
 class Runout(NamedTuple):
@@ -170,9 +166,7 @@ def runout(value: float, slope: float, curvature: float, length: float) -> Runou
     Value, slope and curvature are continuous at both ends. Of the quintics with these end conditions it is the one
     without a fifth-degree term, because the held value is free: it is where the guide's slope leads.
 
-    Args:
-        value, slope, curvature: at the end, in m, m/m and 1/m, with respect to t.
-        length: m, > 0.
+    ``value``, ``slope`` and ``curvature`` are those at the end, in m, m/m and 1/m, with respect to t.
     """
     coefficients = (
         value,
@@ -201,14 +195,14 @@ def _polynomial(x: T, origin: T, c0: T, c1: T, c2: T, c3: T, c4: T) -> tuple[T, 
 
 @dataclass(frozen=True)
 class SurveyCheck:
-    """How a map agrees with a check; lengths in m, all beside the least squares line of their difference.
+    """How a map agrees with a check; lengths in m, after removal of the least squares line of their difference.
 
     Attributes:
         points, runs: of the check, within the map's span.
         span: first and last x of them.
         difference: RMS of check less map.
         allowed: what it may be by the uncertainty of both, with a confidence of 99.9 %.
-        guide: RMS of the map itself at these points, beside a line of its own.
+        guide: RMS of the map itself at these points, after removal of its own line.
         opposite: whether the check is much like the map with its sign turned over.
     """
 
@@ -237,7 +231,7 @@ def survey_check(straightness: StraightnessMap, check: Survey, noise: float) -> 
 
     if len(check.runs) < 2:
         raise SurveyError(
-            f"check survey {check.source}: has one run; allowed: >= 2, since their differences tell its uncertainty"
+            f"check survey {check.source}: has one run; allowed: >= 2, since their differences give its uncertainty"
         )
     x, values = on_common_grid(check, LEAST_POINTS, WIDEST_GAP)
     inside = (x >= straightness.span[0]) & (x <= straightness.span[1])

@@ -8,7 +8,7 @@
 The column's name ends with the unit: x in m, mm or um, deviation in m, mm, um or nm. The names and separators of
 instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or tabs between the
 cells, and then decimal commas; lines before the header, and Excel's ``sep=``. ``run`` and ``direction`` may be left
-out: then the trend of x tells the direction, and where x turns back another run begins. Rows with the same run and
+out: then the trend of x gives the direction, and where x turns back another run begins. Rows with the same run and
 direction belong to one run, so that a cycle may count forward and backward as one. Other columns are ignored.
 """
 
@@ -41,10 +41,9 @@ def numbered_lines(
     path: Path, comment: str = "(?!)", encodings: Sequence[str] = ("utf-8",)
 ) -> Iterator[tuple[int, str]]:
     """Number and text of the lines of a text file without comments, which the pattern ``comment`` matches, and without
-    the lines that are then blank. The first of the ``encodings`` that fits is taken, or what a byte order mark says.
+    the lines that are then blank; SurveyError if it cannot be read, or has none of the ``encodings``.
 
-    Raises:
-        SurveyError: the file cannot be read, or has none of the encodings.
+    The first of these that fits is taken, or what a byte order mark says.
     """
     try:
         content = path.read_bytes()
@@ -68,11 +67,7 @@ def numbered_lines(
 
 
 def number(where: str, name: str, cell: str) -> float:
-    """``cell`` as a finite number; ``where`` begins the message, ``name`` says what the cell is.
-
-    Raises:
-        SurveyError: it is none.
-    """
+    """``cell`` as a finite number, or SurveyError; ``where`` begins the message, ``name`` says what the cell is."""
     try:
         value = float(cell)
     except ValueError:
@@ -143,11 +138,8 @@ class Quantity:
         return {f"{self.name}_{unit}": unit for unit in self.per_metre}
 
     def check_extent(self, where: str, extent: float, unit: str = "m") -> None:
-        """Refuse a run whose ``extent`` in m, given in ``unit``, is not that of a guide; ``where`` begins the message.
-
-        Raises:
-            SurveyError: with the unit that would fit, if one does.
-        """
+        """Raise SurveyError for a run whose ``extent`` in m, given in ``unit``, is not that of a guide, with the unit
+        that would fit, if one does; ``where`` begins the message."""
         if self.smallest <= extent <= self.largest:
             return
         fitting = [
@@ -166,21 +158,16 @@ X = Quantity("x", {"m": 1.0, "mm": 1e3, "um": 1e6}, smallest=0.01, largest=20.0)
 DEVIATION = Quantity("deviation", {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9}, smallest=1e-8, largest=5e-3)
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(NamedTuple):
     """The column of ``quantity`` in ``unit``, and its index in a row."""
 
     quantity: Quantity
     unit: str
-    index: int
+    column: int
 
     def metres(self, where: str, row: Sequence[str]) -> float:
-        """The cell of ``row`` in m; ``where`` begins the message.
-
-        Raises:
-            SurveyError: the cell is no finite number.
-        """
-        value = number(where, f"{self.quantity.name}_{self.unit}", row[self.index].strip())
+        """The cell of ``row`` in m, or SurveyError if it is no finite number; ``where`` begins the message."""
+        value = number(where, f"{self.quantity.name}_{self.unit}", row[self.column].strip())
         return value / self.quantity.per_metre[self.unit]  # a decimal number stays the nearest float
 
 
@@ -227,7 +214,7 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
     try:
         x, deviation = (_find_column(where, header, name) for name in (X, DEVIATION))
     except SurveyError as error:
-        # This module is part of what the formats are made of.
+        # Not at the top of the file: the formats import this module.
         from straightcomp_ros.straightness.tables.formats import recognised
 
         kind = recognised(path)
@@ -244,7 +231,7 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
                 f"survey {path}, line {line}: {len(row)} cells, the header has {len(header)} "
                 "(is there a decimal comma?)"
             )
-    numbers = [x.index, deviation.index, *(at for at, name in enumerate(header) if name == "time_s")]
+    numbers = [x.column, deviation.column, *(at for at, name in enumerate(header) if name == "time_s")]
     if delimiter != ",":
         _use_points(path, rows, numbers)
     return Table(header, x, deviation, rows)
@@ -280,32 +267,29 @@ def _cells(text: str, delimiter: str, own: Mapping[str, str]) -> list[str]:
 
 def _use_points(path: Path, rows: Sequence[tuple[int, list[str]]], columns: Sequence[int]) -> None:
     """Make points of decimal commas, and leave the marks out that separate thousands."""
-    cells = [row[column].strip() for _, row in rows for column in columns]
-    decimal = {mark for mark in ".," if any(mark in cell and not _GROUPED.fullmatch(cell) for cell in cells)}
-    both = [
-        (line, row[column]) for line, row in rows for column in columns if "." in row[column] and "," in row[column]
-    ]
+    cells = [(line, row, column, row[column].strip()) for line, row in rows for column in columns]
+    texts = [cell for *_, cell in cells]
+    decimal = {mark for mark in ".," if any(mark in cell and not _GROUPED.fullmatch(cell) for cell in texts)}
+    both = [cell for cell in texts if "." in cell and "," in cell]
     if both:
-        decimal = {max(".,", key=cell.rfind) for _, cell in both}
-    marks = {mark for mark in ".," if any(mark in cell for cell in cells)}
+        decimal = {max(".,", key=cell.rfind) for cell in both}
+    marks = {mark for mark in ".," if any(mark in cell for cell in texts)}
     if len(marks) == 2 and len(decimal) != 1:
-        line = next(line for line, row in rows for column in columns if "," in row[column])
+        line = next(line for line, *_, cell in cells if "," in cell)
         raise SurveyError(
             f"survey {path}, line {line}: the numbers have points and commas, and either may be the decimal mark; "
             "allowed: one decimal mark, and thousands without any"
         )
     point = decimal.pop() if len(marks) == 2 else "".join(marks)
-    for line, row in rows:
-        for column in columns:
-            cell = row[column].strip()
-            whole, mark, fraction = cell.partition(point) if point else (cell, "", "")
-            other = "," if point == "." else "."
-            if other in cell and (other in fraction or not _GROUPED.fullmatch(whole)):
-                raise SurveyError(
-                    f"survey {path}, line {line}: {cell!r}; allowed: a number with {point!r} as the decimal mark, as "
-                    "in other lines"
-                )
-            row[column] = whole.replace(other, "") + ("." + fraction if mark else "")
+    other = "," if point == "." else "."
+    for line, row, column, cell in cells:
+        whole, mark, fraction = cell.partition(point) if point else (cell, "", "")
+        if other in cell and (other in fraction or not _GROUPED.fullmatch(whole)):
+            raise SurveyError(
+                f"survey {path}, line {line}: {cell!r}; allowed: a number with {point!r} as the decimal mark, as "
+                "in other lines"
+            )
+        row[column] = whole.replace(other, "") + ("." + fraction if mark else "")
 
 
 def _normalised(cell: str) -> str:
@@ -422,14 +406,9 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
 def orient(where: str, name: str, direction: Direction | None, points: Sequence[tuple[int, float, float]]) -> Run:
     """A run from its points in the order of the file; ``where`` begins the messages.
 
-    A backward run may be listed as it was driven or sorted by x. A forward run with falling x contradicts itself and is
-    refused. Without ``direction``, the trend of x tells it.
-
-    Args:
-        points: at least two of (line number, x in m, deviation in m).
-
-    Raises:
-        SurveyError: x does not go one way, or contradicts ``direction``.
+    ``points`` are at least two of (line number, x in m, deviation in m). A backward run may be listed as it was driven
+    or sorted by x. A forward run with falling x contradicts itself and is refused, as is an x that does not go one way:
+    SurveyError. Without ``direction``, the trend of x gives it.
     """
     lines, x, deviation = zip(*points, strict=True)
     steps = np.diff(x)
@@ -453,11 +432,7 @@ def orient(where: str, name: str, direction: Direction | None, points: Sequence[
 
 
 def check_gaps(where: str, run: Run, max_gap: float) -> None:
-    """Refuse a run with neighbouring points farther apart than ``max_gap`` in m.
-
-    Raises:
-        SurveyError: with the position of the widest gap.
-    """
+    """Raise SurveyError for a run with neighbouring points farther apart than ``max_gap`` in m."""
     steps = np.diff(run.x)
     widest = int(np.argmax(steps))
     # A nanometre of grace: 0.05 m steps read from decimal text differ in the last bit.

@@ -62,16 +62,8 @@ def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Arr
     Runs with other x are interpolated by a cubic spline through their points (linear interpolation would cut 0.02 µm
     off a wave of 150 mm and 1 µm at 10 mm spacing); at a run's own points the spline is the measured value.
 
-    Args:
-        survey: the runs.
-        min_points: fewest points that the grid may have.
-        max_gap: how far the ends of the runs may differ, in m.
-
-    Returns:
-        x (n,) in m, values (runs, n) in m in the survey's order of runs.
-
-    Raises:
-        SurveyError: no run, ends too different, or too few common points.
+    Returns x (n,) in m, and values (runs, n) in m in the survey's order of runs; SurveyError for no run, ends that
+    differ by more than ``max_gap`` in m, or fewer than ``min_points`` common points.
     """
     if not survey.runs:
         raise SurveyError(f"survey {survey.source}: has no run; allowed: at least one")
@@ -177,8 +169,7 @@ class Repeatability:
 
 
 def repeatability(survey: Survey, x: Array, values: Array) -> Repeatability:
-    """The figures of a survey at ``x`` (n,) in m, with ``values`` (runs, n) in m, both of
-    :func:`straightcomp_ros.straightness.survey_runs.on_common_grid`."""
+    """The figures of a survey at ``x`` (n,) in m, with ``values`` (runs, n) in m, both of :func:`on_common_grid`."""
 
     def directed(direction: str) -> Directed | None:
         chosen = values[[run.direction == direction for run in survey.runs]]
@@ -190,7 +181,7 @@ def repeatability(survey: Survey, x: Array, values: Array) -> Repeatability:
 
 
 def spikes(residual: Array, limit: float) -> NDArray[np.bool_]:
-    """Which samples of a run are outliers; ``residual`` (n,) in m is the difference from its smooth course."""
+    """Which samples of a run are outliers; ``residual`` (n,) in m is the difference from the smoothed run."""
     distance = np.abs(residual - np.median(residual))
     return np.asarray(distance > max(limit * _GAUSSIAN * float(np.median(distance)), FLOOR))
 

@@ -33,11 +33,7 @@ WRITTEN = {name: one.write for name, one in FORMATS.items() if one.write is not 
 
 
 def format_of(path: Path, name: str | None) -> Format:
-    """The format ``name``, or without a name the one with the file's ending.
-
-    Raises:
-        SurveyError: the ending is of none.
-    """
+    """The format ``name``, or without a name the one with the file's ending; SurveyError if that is of none."""
     if name is not None:
         return FORMATS[name]
     for one in FORMATS.values():
