@@ -9,7 +9,7 @@ from straightcomp_ros.control import sliding_mode, smc_observer
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
 from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_bound
-from straightcomp_ros.control.smc_observer import LagWeights, SizeGains
+from straightcomp_ros.control.smc_observer import LagWeights, RestGains, SizeGains
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.stage.description import StageParameters
 
@@ -139,7 +139,8 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
         design.misfit * stage.friction.coulomb / loop.mass,
         stage.friction.constants(),
         size,
-        smc_observer.rest_gains(band, design.rest_speed, design.rest_wait, period),
+        # The mean is over a quarter of the wait: it must forget the approach.
+        RestGains(band, design.rest_speed, design.rest_wait, 1.0 - math.exp(-4.0 * period / design.rest_wait)),
         loop,
     )
     first_size = min(design.first_size, design.largest_size)

@@ -184,9 +184,3 @@ def current_for(g: Loop, y: float, acceleration: float) -> float:
 def limited(g: Loop, current: float) -> float:
     """The current within the limit, A. The observer is given the limited command: nothing can wind up."""
     return max(-g.current_limit, min(g.current_limit, current))
-
-
-@compilable
-def next_prior(g: Loop, action: Estimate, command: float) -> Estimate:
-    """The next sample as predicted, with ``command`` A acting from the moment of action on."""
-    return predicted(g.actuator, g.mass, g.after_action, action, command)

@@ -58,7 +58,7 @@ from straightcomp_ros.control.observer import (
     current_for,
     limited,
     moment_of_action,
-    next_prior,
+    predicted,
     with_measured_current,
 )
 from straightcomp_ros.model.compiled import compilable
@@ -197,13 +197,6 @@ def start(size: float, y: float) -> State:
     return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0))
 
 
-def rest_gains(band: float, speed: float, wait: float, period: float) -> RestGains:
-    """Constants at rest, as of :class:`RestGains`."""
-    # The mean is over a quarter of the wait: it must forget the approach.
-    weight = 1.0 - math.exp(-4.0 * period / wait)
-    return RestGains(band, speed, wait, weight)
-
-
 @compilable
 def step(
     g: Gains, state: State, y: float, r: float, r_dot: float, r_ddot: float, current: float
@@ -211,8 +204,9 @@ def step(
     """One sample; see the module."""
     s = _stiffness(g, state.fit.misfit_square)
     observed = corrected(s.observer, with_measured_current(g.loop, state.prior, current), y)
-    friction = _known_friction(g, s, state, observed, r, r_dot)
-    now = Estimate(observed.y, observed.velocity, friction.disturbance, observed.current)
+    bristle, unit, fit = _known_friction(g, s, state, observed, r, r_dot)
+    others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
+    now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
     at = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
     sigma = at.rate_error + s.surface * at.position_error
     holding = r_ddot - s.surface * at.rate_error - at.action.disturbance
@@ -220,10 +214,10 @@ def step(
     asked = current_for(g.loop, at.action.y, holding - s.reaching * sigma)
     asked, rest = _held(g, state.rest, asked, y, r, r_dot)
     answer = limited(g.loop, asked)
-    after = next_prior(g.loop, at.action, answer)
-    prior = Estimate(after.y, after.velocity, friction.others, after.current)
+    after = predicted(g.loop.actuator, g.loop.mass, g.loop.after_action, at.action, answer)
+    prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
-    return State(prior, answer, friction.bristle, friction.fit, rest), command
+    return State(prior, answer, bristle, fit, rest), command
 
 
 @compilable
@@ -245,23 +239,14 @@ def _between(one: float, other: float, share: float) -> float:
     return one + share * (other - one)
 
 
-class _Friction(NamedTuple):
-    """z in m, the fit, the disturbance without friction, and with it, m/s²."""
-
-    bristle: float
-    fit: Fit
-    others: float
-    disturbance: float
-
-
 @compilable
-def _known_friction(g: Gains, s: Stiffness, state: State, observed: Estimate, r: float, r_dot: float) -> _Friction:
-    """Friction from this sample to the next, and what it leaves of the observer's disturbance."""
+def _known_friction(
+    g: Gains, s: Stiffness, state: State, observed: Estimate, r: float, r_dot: float
+) -> tuple[float, float, Fit]:
+    """Friction from this sample to the next: z in m, F̄ in m/s², and the fit."""
     velocity = r_dot + g.share * (observed.velocity - r_dot)
     bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
-    fit = fitted(g.size, s.lags, state.fit, r, r_dot, unit, observed.disturbance)
-    others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
-    return _Friction(bristle, fit, others, others + fit.size * unit)
+    return bristle, unit, fitted(g.size, s.lags, state.fit, r, r_dot, unit, observed.disturbance)
 
 
 @compilable
