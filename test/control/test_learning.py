@@ -89,10 +89,6 @@ def test_the_weight_falls_from_one_to_zero_with_the_distance_from_the_learned_sp
         assert slower == pytest.approx(faster)
 
 
-def test_a_node_whose_speed_is_unknown_is_corrected_at_any_speed():
-    assert restored(np.full(12, 1e-6), speed=0.0).at(0.0, 5.0)[0] == 1.0
-
-
 def test_what_is_wanted_is_learned_within_the_limit_and_counted():
     found = table()
     one_pass(found, 1e-6, wanted=0.4e-6)
@@ -171,13 +167,6 @@ def test_nodes_passed_at_another_speed_start_anew_and_the_others_stay():
     assert found.at(0.01, 0.2)[0] == 0.0
 
 
-def test_nodes_whose_speed_is_unknown_are_judged_at_any_speed():
-    found = restored(np.full(120, 0.4e-6), first=-10, speed=0.0)
-    # A hundred times worse than the best, and worse than without a correction.
-    one_pass(found, 1e-6, wanted=0.1e-6)
-    assert found.updates == 0 and found.coefficients.size == 0
-
-
 def test_a_pass_over_another_stretch_makes_the_table_longer_and_keeps_what_it_knows():
     found = table()
     one_pass(found, 1e-6, wanted=0.4e-6, x=np.linspace(0.03, 0.05, 201))
@@ -205,16 +194,6 @@ def test_only_samples_with_weight_count_and_nodes_between_them_are_interpolated(
     assert nothing.updates == 0 and not nothing.tried
 
 
-def test_a_pass_is_judged_only_where_both_it_and_the_best_one_went():
-    found = table()
-    one_pass(found, 1e-6, wanted=0.4e-6, x=np.linspace(0.0, 0.05, 501))
-    x = np.linspace(0.0, 0.1, 1001)
-    # Worse where nothing was known, better where the best pass was.
-    error = np.where(x < 0.05, 0.5e-6, 9e-6)
-    found.learn(x, error, np.ones(x.size), lambda _: np.full(x.size, 0.6e-6), np.full(x.size, 0.2), 1.0, 1e-6)
-    assert found.updates == 2 and inside(found) == pytest.approx([0.6e-6] * 4)
-
-
 def test_a_short_pass_is_judged_by_what_it_went_over():
     found = table()
     one_pass(found, 1e-6, wanted=0.4e-6)
@@ -223,13 +202,6 @@ def test_a_short_pass_is_judged_by_what_it_went_over():
     assert inside(found, (0.005, 0.01)) == [0.0, 0.0] and found.caution == 0.5 and found.updates == 1
     one_pass(found, 0.5e-6, wanted=0.3e-6, x=half)
     assert inside(found, (0.005, 0.01)) == pytest.approx([0.3e-6] * 2) and found.updates == 2
-
-
-def test_a_restored_table_is_the_best_and_has_been_learned_long_ago():
-    found = restored(np.full(12, 1e-6))
-    assert np.array_equal(found.best, found.coefficients) and not found.tried
-    assert found.caution == 1.0 and found.updates > 10
-    assert math.isclose(found.at(0.0, 0.2)[1], 1e-6)
 
 
 FILE_SPACING = 0.25e-3
@@ -271,11 +243,6 @@ def test_a_file_gives_back_what_was_written(file):
     second = file.with_name("second.csv")
     write_tables(second, "smc", again)
     assert second.read_text() == file.read_text()
-
-
-def test_tables_in_which_nothing_was_learned_leave_no_file(tmp_path):
-    write_tables(tmp_path / "none.csv", "smc", tables())
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -510,9 +477,9 @@ def cycles_of(values: dict, learn: bool) -> list[Metrics]:
     return [evaluate(simulation.run(), simulation.map) for _ in range(12)]
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 @pytest.mark.parametrize("law, seed, gained", [("smc_observer", 4, 1.0), ("smc", 3, 0.97), ("linear", 5, 0.7)])
-def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning(law, seed, gained):
+def test_no_machine_within_the_uncertainty_is_worse_off_than_without_learning(law, seed, gained):
     ratios = []
     for trial in range(4):
         machine = draw(StageParameters(), streams(seed, trial).machine)
@@ -535,3 +502,8 @@ def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning
         assert np.mean(learned[1:]) < 1.04 * np.mean(bare), machine
         ratios.append(np.mean(learned[-2:]) / np.mean(bare))
     assert np.mean(ratios) < gained
+
+
+def test_tables_in_which_nothing_was_learned_leave_no_file(tmp_path):
+    write_tables(tmp_path / "none.csv", "smc", tables())
+    assert not list(tmp_path.iterdir())

@@ -102,9 +102,6 @@ def test_the_mean_of_an_interval_is_the_integral_of_the_coils_decay():
     assert interval(RATE, 0.0) == (0.0, 1.0, 1.0)
 
 
-ACTUATOR = StageParameters().actuator.constants()
-
-
 def nominal(delay_samples=0.5):
     return nominal_loop(StageParameters(), delay_samples=delay_samples)
 
@@ -122,7 +119,7 @@ def test_the_two_parts_of_a_period_are_divided_at_the_delay(delay):
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 0.9])
-def test_the_share_of_a_current_step_is_its_mean_over_the_period_beside_its_end(delay):
+def test_the_share_of_a_current_step_is_its_mean_over_the_period_relative_to_its_end(delay):
     rate, acting = 2.0 * math.pi * 500.0, (1.0 - delay) * PERIOD
     steps = 20_000
     risen = [1.0 - math.exp(-rate * acting * (k + 0.5) / steps) for k in range(steps)]

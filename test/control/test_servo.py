@@ -64,7 +64,7 @@ def test_after_a_long_gap_or_a_clock_step_backward_the_law_starts_anew(next_ns):
     assert same(loop.step(next_ns, 0.0, 0.0, HELD), fresh.step(0, 0.0, 0.0, HELD))
 
 
-def test_in_open_loop_the_command_is_zero_and_the_error_is_told():
+def test_in_open_loop_the_command_is_zero_and_the_error_is_reported():
     loop = Servo(make_law(ControlParameters(law=OPEN_LOOP), StageParameters()))
     assert not loop.running
     answer = loop.step(T, 3e-6, 0.1, HELD)

@@ -58,13 +58,6 @@ def test_a_step_is_equation_9(y0, y1, r):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_at_rest_on_the_reference_only_the_negative_stiffness_is_held(law):
-    servo = make_law(ControlParameters(law=law), STAGE)
-    servo.reset(0.0)
-    assert servo.step(0.0, 0.0, 0.0, 0.0).current == 0.0
-
-
-@pytest.mark.parametrize("law", LAWS)
 def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
     for r in (1e-6, -1e-6):
         servo = make_law(ControlParameters(law=law), STAGE)

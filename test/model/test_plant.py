@@ -153,15 +153,6 @@ def test_the_reported_forces_are_those_of_the_state():
     assert (later.velocity - state.velocity) / 1e-6 == pytest.approx(acceleration, rel=0.02)
 
 
-def test_splitting_a_stretch_of_time_at_a_substep_changes_nothing():
-    whole, parts = np.array(PlantState(bias=1.0)), np.array(PlantState(bias=1.0))
-    constants = as_array(STICKY.constants())
-    advance(constants, whole, 1.0, 0.03, 20 * SUBSTEP_NS)
-    for _ in range(2):
-        advance(constants, parts, 1.0, 0.03, 5 * SUBSTEP_NS, 0.03, 5 * SUBSTEP_NS)
-    np.testing.assert_allclose(parts, whole, rtol=1e-12)
-
-
 def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
     odd = PlantParameters(
         platform=PlatformParameters(mass=1.5, stop=1e-3),

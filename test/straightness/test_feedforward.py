@@ -245,9 +245,6 @@ def test_the_command_does_not_step_further_during_a_change_of_map_than_without_o
     assert changed_error < plain_error + 0.3e-6
 
 
-T = 5e-4
-
-
 @given(
     position=st.floats(-2.0, 2.0),
     velocity=st.floats(-1.0, 1.0),

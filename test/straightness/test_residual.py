@@ -22,7 +22,7 @@ def test_a_line_is_straight(residual) -> None:  # type: ignore[no-untyped-def]
     np.testing.assert_allclose(residual(X, 3e-6 - 2e-6 * X), 0.0, atol=1e-20)
 
 
-def test_a_cubic_leaves_its_legendre_part_beside_the_least_squares_line() -> None:
+def test_a_cubic_leaves_its_legendre_polynomial_about_the_least_squares_line() -> None:
     # ∫ x·x³ / ∫ x² = 3/5: the residual is x³ − 3x/5.
     np.testing.assert_allclose(least_squares_residual(X, X**3), X**3 - 0.6 * X, atol=2e-3)
     weights = np.ones_like(X)
@@ -30,7 +30,7 @@ def test_a_cubic_leaves_its_legendre_part_beside_the_least_squares_line() -> Non
     np.testing.assert_allclose(least_squares_residual(X, X**3, weights), X**3 - 0.6 * X, atol=1e-6)
 
 
-def test_a_bow_is_as_high_beside_either_line() -> None:
+def test_a_bow_is_as_high_about_either_line() -> None:
     assert peak_to_peak(least_squares_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
     assert peak_to_peak(end_point_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
 

@@ -75,12 +75,6 @@ def test_an_example_is_read_in_metres_as_the_deviation(
     assert (table.backward is not None) == (name == "linuxcnc")
 
 
-def test_a_table_in_inches_is_read_in_metres(tmp_path: Path) -> None:
-    table = _read(tmp_path, "linuxcnc", EXAMPLES["linuxcnc"], Conventions("inch"))
-    np.testing.assert_allclose(table.x, [0.0, 0.254, 0.508], rtol=1e-12)
-    np.testing.assert_allclose(table.forward, np.array([0.0, 4.0, -2.0]) * 25.4e-6, rtol=1e-9, atol=1e-15)
-
-
 def test_linuxcnc_trims_are_the_negative_of_the_deviation(tmp_path: Path) -> None:
     """LinuxCNC: trim = nominal - position, so both types of the file say the same."""
     trims = _read(tmp_path, "linuxcnc", "0 0 0\n10 -0.004 -0.006\n20 0.002 0\n")
@@ -171,12 +165,6 @@ def test_too_many_points_for_a_controller_are_refused() -> None:
     for name, most in (("linuxcnc", "256"), ("crosscomp", "1001")):
         with pytest.raises(SurveyError, match=most):
             FORMATS[name].write(table, MM)
-
-
-def test_an_unknown_ending_is_refused_with_those_that_are_known() -> None:
-    with pytest.raises(SurveyError, match=r"\.cal \(aerotech\)"):
-        format_of(Path("table.xyz"), None)
-    assert format_of(Path("table.xyz"), "etalon") is FORMATS["etalon"]
 
 
 X = np.arange(24) * 10.0  # mm
@@ -430,3 +418,9 @@ def test_a_refusal_is_one_sentence(
     assert printed.count("\n") == 1
     for word in words:
         assert word in printed
+
+
+def test_a_table_in_inches_is_read_in_metres(tmp_path: Path) -> None:
+    table = _read(tmp_path, "linuxcnc", EXAMPLES["linuxcnc"], Conventions("inch"))
+    np.testing.assert_allclose(table.x, [0.0, 0.254, 0.508], rtol=1e-12)
+    np.testing.assert_allclose(table.forward, np.array([0.0, 4.0, -2.0]) * 25.4e-6, rtol=1e-9, atol=1e-15)
