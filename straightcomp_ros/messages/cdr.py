@@ -192,7 +192,7 @@ def joint_state(
 def joint_trajectory_point(joint: str, *, position: str, velocity: str, acceleration: str) -> Layout:
     """Layout of a trajectory_msgs/JointTrajectory with one joint and one point, with these columns, at time_from_start
     0."""
-    fields = ["", 1, joint, 1, (position,), (velocity,), (acceleration,), (), 0, 0]
+    fields: list[str | int | tuple[str, ...]] = ["", 1, joint, 1, (position,), (velocity,), (acceleration,), (), 0, 0]
     places = [(array, joint) for array in ("positions", "velocities", "accelerations")]
     return _layout("trajectory_msgs/msg/JointTrajectory", fields, places)
 

@@ -131,6 +131,7 @@ class Trajectory:
         if velocities[-1] != 0.0:
             raise ValueError(f"stage trajectory ends at {velocities[-1]} m/s; it must end at rest")
         self._times: list[int] = times.tolist()
+        self._points: list[tuple[int, float, float]]
         self._points = list(zip(self._times, positions.tolist(), velocities.tolist(), strict=True))
 
     @property

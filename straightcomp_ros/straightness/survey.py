@@ -158,16 +158,17 @@ X = Quantity("x", {"m": 1.0, "mm": 1e3, "um": 1e6}, smallest=0.01, largest=20.0)
 DEVIATION = Quantity("deviation", {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9}, smallest=1e-8, largest=5e-3)
 
 
-class Column(NamedTuple):
+@dataclass(frozen=True)
+class Column:
     """The column of ``quantity`` in ``unit``, and its index in a row."""
 
     quantity: Quantity
     unit: str
-    column: int
+    index: int
 
     def metres(self, where: str, row: Sequence[str]) -> float:
         """The cell of ``row`` in m, or SurveyError if it is no finite number; ``where`` begins the message."""
-        value = number(where, f"{self.quantity.name}_{self.unit}", row[self.column].strip())
+        value = number(where, f"{self.quantity.name}_{self.unit}", row[self.index].strip())
         return value / self.quantity.per_metre[self.unit]  # a decimal number stays the nearest float
 
 
@@ -231,7 +232,7 @@ def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
                 f"survey {path}, line {line}: {len(row)} cells, the header has {len(header)} "
                 "(is there a decimal comma?)"
             )
-    numbers = [x.column, deviation.column, *(at for at, name in enumerate(header) if name == "time_s")]
+    numbers = [x.index, deviation.index, *(at for at, name in enumerate(header) if name == "time_s")]
     if delimiter != ",":
         _use_points(path, rows, numbers)
     return Table(header, x, deviation, rows)
