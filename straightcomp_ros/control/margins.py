@@ -283,6 +283,11 @@ def friction_damping(friction: LuGreParameters, speed: float) -> float:
     return friction.viscous + math.sqrt(2.0 / math.pi) * sliding / speed
 
 
+def plant_response(stage: StageParameters, frequencies: Matrix, damping: float) -> Complex:
+    """From command to reading, m/A: the plant of ``stage`` with ``damping`` in N·s/m at ``frequencies`` in Hz."""
+    return _response(_described_plant(stage, damping), _points(stage, frequencies))[:, 0, 0]
+
+
 def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping: float = 0.0) -> LoopResponse:
     """Plant and loop of ``law``, whose own friction model is left out, on ``stage``, at ``frequencies`` (lines,) in Hz.
 
@@ -292,10 +297,17 @@ def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping
     Raises:
         ValueError: the law has no linearisation at rest.
     """
-    z = np.asarray(np.exp(2j * math.pi * frequencies * stage.period))
-    plant = sampled_plant(stage, stage.drive.delay * stage.period, damping)
-    loop = _open_loop(plant, linearised(law, with_current=True), z)
-    return LoopResponse(_response(plant, z)[:, 0, 0], loop, 1.0 / (1.0 + loop))
+    controller = linearised(law, with_current=True)
+    loop = _open_loop(_described_plant(stage, damping), controller, _points(stage, frequencies))
+    return LoopResponse(plant_response(stage, frequencies, damping), loop, 1.0 / (1.0 + loop))
+
+
+def _described_plant(stage: StageParameters, damping: float) -> StateSpace:
+    return sampled_plant(stage, stage.drive.delay * stage.period, damping)
+
+
+def _points(stage: StageParameters, frequencies: Matrix) -> Complex:
+    return np.asarray(np.exp(2j * math.pi * frequencies * stage.period))
 
 
 def missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
