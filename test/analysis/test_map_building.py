@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from straightcomp_ros.straightness.survey_runs import disagreement, repeatability, spikes
 
 from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
 from straightcomp_ros.analysis.survey_series import Sensor, Series, _course, recognise, series_of_bag
@@ -17,6 +16,7 @@ from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey
+from straightcomp_ros.straightness.survey_runs import disagreement, repeatability, spikes
 
 CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 SAMPLE = Path(__file__).resolve().parents[2] / "bags" / "survey"
