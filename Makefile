@@ -67,7 +67,7 @@ CORE_FILES := straightcomp_ros/contract.py straightcomp_ros/parameters/declarati
 comma_separated = $(subst $(space),$(comma),$(strip $(1)))
 # What sums, solves and fits the most.
 PROCESSOR_DEPENDENT := model straightness $(addprefix analysis/test_,assessment.py figures_of_strokes.py metrics.py survey_series.py) \
-  trials/test_measuring.py control/test_observer.py control/test_surface_design.py
+  bench/test_graph_bench.py control/test_observer.py control/test_sliding_mode.py
 nightly: setup
 	@mkdir -p .coverage_data
 	.venv/bin/python -m coverage erase
@@ -88,7 +88,7 @@ nightly: setup
 
 # No live graph, no build, no whole strokes: what a change of an equation, a format or a parameter needs while one works.
 QUICK := model control straightness timing doctor packaging/test_gates.py messages settings
-LONGER := control/test_learning.py control/test_learning_file.py control/test_observer_laws.py
+LONGER := control/test_learning.py control/test_smc_observer.py
 quick: setup
 	@exec .venv/bin/python -m pytest $(QUICK:%=test/%) $(LONGER:%=--ignore=test/%) $(ARGS)
 

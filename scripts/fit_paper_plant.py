@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.margins import loop_margins
-from straightcomp_ros.control.surface_design import SlidingDesign, reaching_bound
+from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_bound
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters

@@ -16,7 +16,7 @@ from straightcomp_ros.fleet.history.row_columns import columns_of
 from straightcomp_ros.fleet.history.store import BAGS, STROKES
 from straightcomp_ros.fleet.history.stroke_row import StrokeRow
 from straightcomp_ros.hardware.can import emulator_frames, shipped_wire
-from straightcomp_ros.messages.batch import BATCH_TYPE
+from straightcomp_ros.messages.cdr import BATCH_TYPE
 from straightcomp_ros.parameters.declaration import Declaration, declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE
@@ -55,7 +55,7 @@ def reference() -> str:
         numbers = ", ".join(f"`{name}`" for name in stream.layout.columns)
         lines.append(f"| `{stream.topic}` | {stream.layout.type_name} | {numbers} | {stream.description} |")
     for stream in contract.STREAMS:
-        text = f"The messages of `{stream.topic}` in batches; see `straightcomp_ros/messages/batch.py`."
+        text = f"The messages of `{stream.topic}` in batches; see `straightcomp_ros/messages/cdr.py`."
         lines.append(f"| `{stream.batch_topic}` | {BATCH_TYPE} | | {text} |")
     for constant, text in _texts_below_constants(contract).items():
         found = SLOW_TOPIC.fullmatch(text)

@@ -39,7 +39,7 @@ ENCODER = Stream(
 )
 REFERENCE = Stream(
     "reference",
-    joint_trajectory_point(PLATFORM, position=["r"], velocity=["r_dot"], acceleration=["r_ddot"]),
+    joint_trajectory_point(PLATFORM, position="r", velocity="r_dot", acceleration="r_ddot"),
     "Where the platform must be for the sample's x: r in m, its rate in m/s, its acceleration in m/s².",
 )
 COMMAND = Stream(
@@ -80,7 +80,7 @@ TRUTH = Stream(
 ALWAYS_PUBLISHED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE, DRIVER_STATE)
 """Streams that every graph publishes."""
 STREAMS = (*ALWAYS_PUBLISHED, TRUTH)
-"""Each is also published in batches, for subscribers that can wait; see :mod:`straightcomp_ros.messages.batch`."""
+"""Each is also published in batches, for subscribers that can wait; see :mod:`straightcomp_ros.messages.cdr`."""
 
 DISPLACEMENT = Stream(
     "displacement",

@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.survey_series import Passage, Series, recognise
 from straightcomp_ros.bags.origin import origin
-from straightcomp_ros.straightness.common_grid import on_common_grid
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
-from straightcomp_ros.straightness.outliers import disagreement
-from straightcomp_ros.straightness.repeatability import Repeatability, repeatability
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
-from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, check_gaps, write_survey
-from straightcomp_ros.straightness.survey_columns import DEVIATION, X
+from straightcomp_ros.straightness.survey import DEVIATION, Run, Survey, SurveyError, X, check_gaps, write_survey
+from straightcomp_ros.straightness.survey_runs import Repeatability, disagreement, on_common_grid, repeatability
 
 
 @dataclass(frozen=True)

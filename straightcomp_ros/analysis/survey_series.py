@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.record import MetricsError, Stroke, group_means, motion_of
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
-from straightcomp_ros.straightness.outliers import spikes
-from straightcomp_ros.straightness.survey import Run
-from straightcomp_ros.straightness.survey_columns import DEVIATION, read_table
-from straightcomp_ros.straightness.text import SurveyError, number
+from straightcomp_ros.straightness.survey import DEVIATION, Run, SurveyError, number, read_table
+from straightcomp_ros.straightness.survey_runs import spikes
 
 TIME_COLUMN = "time_s"
 """A CSV file with this column is a recording over time; without it, a list of the points of runs."""

@@ -30,7 +30,7 @@ def fail_unless_in_order(verdict: Verdict) -> None:
 def warn_of_missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
     """Say on standard error which margin the law lacks on ``stage``; return the sentence, None if it lacks none."""
     # Only here: it imports scipy, which takes longer than what most verbs do.
-    from straightcomp_ros.control.least_margins import missing_margin
+    from straightcomp_ros.control.margins import missing_margin
 
     missing = missing_margin(control, stage)
     if missing is not None:

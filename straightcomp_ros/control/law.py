@@ -62,9 +62,7 @@ class Law:
         step: Callable[..., tuple[Any, Command]],
         compiled: bool = False,
     ) -> None:
-        self.gains = gains
-        self.start = start
-        self.function = step
+        self.gains, self.start, self.function = gains, start, step
         self._run = _flat_step(step, gains.__class__, start(0.0).__class__).dispatcher if compiled else None
         self._gains = np.array(flat(gains))
         self._answer = np.zeros(len(Command._fields))
@@ -91,12 +89,7 @@ class Law:
     def answer_from(self, state: Sequence[float], y: float, current: float = math.nan) -> tuple[list[float], Command]:
         """The next state and the command for one sample with the reference at rest at zero.
 
-        The law's own state stays as it is.
-
-        Args:
-            state: all numbers of a state, in order, as of :func:`flat`.
-            y: encoder reading in m.
-            current: measured control current of the coils, A; NaN where none is measured.
+        ``state`` has all numbers of a state, in order, as of :func:`flat`. The law's own state stays as it is.
         """
         if self._run is None:
             before = _rebuilt(self.start(0.0), iter(state))

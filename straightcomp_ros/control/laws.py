@@ -3,12 +3,13 @@
 import math
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
-from straightcomp_ros.control import open_loop, sliding_mode, smc_observer
-from straightcomp_ros.control.friction_size import LagWeights, SizeGains
-from straightcomp_ros.control.law import Law
+from straightcomp_ros.control import sliding_mode, smc_observer
+from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.observer import nominal_loop, observer_gains
-from straightcomp_ros.control.surface_design import SlidingDesign, reaching_bound
+from straightcomp_ros.control.sliding_mode import SlidingDesign, reaching_bound
+from straightcomp_ros.control.smc_observer import LagWeights, RestGains, SizeGains
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.stage.description import StageParameters
 
@@ -86,6 +87,21 @@ class ControlParameters:
             )
 
 
+class _Nothing(NamedTuple):
+    """Gains and state of the open loop: none."""
+
+
+def _at_rest(y: float) -> _Nothing:
+    return _Nothing()
+
+
+def _open_loop(
+    gains: _Nothing, state: _Nothing, y: float, r: float, r_dot: float, r_ddot: float, current: float
+) -> tuple[_Nothing, Command]:
+    """No law: the current is zero, and only an excitation moves the platform."""
+    return state, Command(0.0, r - y, math.nan, 0.0, 0.0, math.nan, math.nan)
+
+
 def prepare_all() -> None:
     """Compile the steps of all laws, or read their machine code, so that :func:`make_law` takes no time later."""
     for name in LAWS:
@@ -95,16 +111,11 @@ def prepare_all() -> None:
 def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
     """The law that the parameters name, for a stage."""
     if parameters.law == OPEN_LOOP:
-        return Law(open_loop.Gains(), open_loop.start, open_loop.step)
+        return Law(_Nothing(), _at_rest, _open_loop)
     if parameters.law in ("linear", "smc"):
-        switching = parameters.law == "smc"
-        design = parameters.smc
-        numbers = sliding_mode.gains(
-            design,
-            stage,
-            switching=switching,
-            feedforward=switching and design.feedforward,
-        )
+        design, switching = parameters.smc, parameters.law == "smc"
+        feedforward = switching and design.feedforward
+        numbers = sliding_mode.gains(design, stage, switching=switching, feedforward=feedforward)
         return Law(numbers, sliding_mode.start, sliding_mode.step, compiled=True)
     return _smc_observer(parameters.smc_observer, stage)
 
@@ -128,7 +139,8 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters) -> Law:
         design.misfit * stage.friction.coulomb / loop.mass,
         stage.friction.constants(),
         size,
-        smc_observer.rest_gains(band, design.rest_speed, design.rest_wait, period),
+        # The mean is over a quarter of the wait: it must forget the approach.
+        RestGains(band, design.rest_speed, design.rest_wait, 1.0 - math.exp(-4.0 * period / design.rest_wait)),
         loop,
     )
     first_size = min(design.first_size, design.largest_size)
@@ -151,12 +163,6 @@ def stiffened(control: ControlParameters) -> ControlParameters:
     """The law as it is when its friction model explains too little: 'smc_observer' stiffest, others as they are."""
     if control.law != "smc_observer":
         return control
-    design, factor = control.smc_observer, control.smc_observer.stiffening
-    stiff = replace(
-        design,
-        bandwidth=factor * design.bandwidth,
-        surface=factor * design.surface,
-        reaching=factor * design.reaching,
-        stiffening=1.0,
-    )
-    return replace(control, smc_observer=stiff)
+    design = control.smc_observer
+    stiffer = {name: design.stiffening * getattr(design, name) for name in ("bandwidth", "surface", "reaching")}
+    return replace(control, smc_observer=replace(design, **stiffer, stiffening=1.0))

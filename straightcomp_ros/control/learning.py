@@ -25,10 +25,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.control.learned_table import LearnedTable
-from straightcomp_ros.control.learning_file import read_tables, write_tables
+from straightcomp_ros.control.learned_table import LearnedTable, read_tables, write_tables
 from straightcomp_ros.parameters.declaration import ParameterError, parameter
-from straightcomp_ros.straightness.stage_tracking import restarted, updated
+from straightcomp_ros.straightness.feedforward import restarted, updated
 
 Reference = Sequence[float]
 Job = Callable[[], None]
@@ -73,18 +72,13 @@ class LearningParameters:
 class Learning:
     """Corrects the references of a stream of samples, and learns whenever a pass ends.
 
-    Args:
-        parameters: how to learn.
-        law: the law's name. A law is corrected only by what was learned with it.
-        rate: samples per second.
-        run: runs the update at the end of a pass, some 3 ms of work, at once or soon; one after the other.
-
-    Attributes:
-        tables: the learned corrections: forward at True, backward at False.
+    A law is corrected only by what was learned with the same ``law``, by name. ``run`` runs the update at the end of a
+    pass, some 3 ms of work, at once or soon; one after the other. ``tables`` are the learned corrections: forward at
+    True, backward at False.
 
     Raises:
         LearningFileError: the file is refused.
-        ParameterError: the cut-off is too near to half of the rate.
+        ParameterError: the cut-off is too near to half of the ``rate`` in Hz.
     """
 
     def __init__(
@@ -148,11 +142,7 @@ class Learning:
         )
 
     def save(self) -> None:
-        """Write the file that the parameters name, if they do.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Write the file that the parameters name, if they do; OSError if it cannot be written."""
         if self._parameters.file:
             write_tables(Path(self._parameters.file), self._law, self.tables)
 

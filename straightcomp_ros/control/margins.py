@@ -1,23 +1,36 @@
-"""Stability of a law in the sampled loop: poles, gain range, phase margin, longest delay.
+"""Stability of a law in the sampled loop: poles, gain range, phase margin, longest delay, frequency responses.
 
 The law's own step function, the one that runs, is linearised by central differences about rest at the centre, and
 closed over the sampled nominal plant with its command delay and the amplifier's lag. A law whose slope at rest is
 infinite (sgn, super-twisting) has no linearisation and is refused.
 
 A law may answer to the measured current of the coils too. As long as amplifier and delay are those of its own model,
-the current is as predicted and tells it nothing: how much more or less force it endures is the same with and without.
-How far off the amplifier's gain may be is another matter, because there the current contradicts the model.
+the current is as predicted and carries no information: how much more or less force the loop endures is the same with
+and without. How far off the amplifier's gain may be is another matter, because there the current contradicts the model.
+
+Friction has no frequency response. While the platform slides to and fro with a velocity that is much like Gaussian
+noise, it acts on the small components of the motion as a damping, its statistical linearisation E[v F(v)] / E[v²]
+(A. Gelb and W. Vander Velde, Multiple-Input Describing Functions, 1968, chapter 7). That damping falls with velocity:
+responses are comparable only between motions of the same velocity. At rest the bristles would instead act as a spring
+of σ0, for motions that are far smaller than F_C/σ0, which is usually less than a count or two of the encoder.
+
+The least margins with which the controller uses a law are less than a design demands (`stability_demands.py`): below
+them a small difference between the machine and its description makes the loop unstable. Each limit costs one set of
+eigenvalues, because gains may change while the loop runs; how far the loop is stable is looked for only where a limit
+is missed.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from straightcomp_ros.control.law import Law, flat
+from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law, stiffened
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.stage.description import StageParameters
 
 _STEPS = (1e-9, 1e-12)
@@ -25,7 +38,17 @@ _STEPS = (1e-9, 1e-12)
 leaves the stretch in which the law is linear, as the boundary layer of a fast 'smc'."""
 _LINEAR_WITHIN = 1e-3
 
+LEAST_GAINS = (0.8, 1.25)
+"""Factors of the loop gain between which the law must be stable: 2 dB to each side."""
+_STIFFEST_GAINS = (0.9, 1.1)
+"""The same where the law is at its stiffest, which it leaves again when it has learned the friction."""
+LEAST_PHASE = 5.0
+"""Degrees."""
+_FREQUENCIES = 400
+_HALVINGS = 10
+
 Matrix = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 
 class StateSpace(NamedTuple):
@@ -47,21 +70,37 @@ class Margins(NamedTuple):
         longest_delay: command delay in s up to which it is stable.
     """
 
-    poles: NDArray[np.complex128]
+    poles: Complex
     gain_low: float
     gain_high: float
     phase: float
     longest_delay: float
 
 
+@dataclass(frozen=True, eq=False)
+class LoopResponse:
+    """Responses at some frequencies, (lines,) each.
+
+    Attributes:
+        plant: from command to reading, m/A.
+        open_loop: from command to what the law answers to it, with its sign turned: −1 is the critical point.
+        sensitivity: from a disturbance of the command to the command.
+    """
+
+    plant: Complex
+    open_loop: Complex
+    sensitivity: Complex
+
+
 def sampled_plant(stage: StageParameters, delay: float, damping: float = 0.0) -> StateSpace:
     """From commanded current (A) to position (m) and current of the coils (A): the linear plant (3), sampled.
 
-    Args:
-        stage: whose plant, rate and amplifier are taken.
-        delay: of a command from its sample, s, zero or more.
-        damping: of the platform's motion, N·s/m; friction otherwise is left out.
+    ``delay`` is that of a command from its sample in s, zero or more; ``damping`` that of the platform's motion in
+    N·s/m: friction otherwise is left out.
     """
+    # SciPy takes half of the time that a node needs to start, and most nodes need none of it.
+    from scipy.linalg import expm
+
     actuator, mass, period = stage.actuator, stage.platform.mass, stage.period
     rate = 2.0 * math.pi * stage.drive.bandwidth
     continuous = np.zeros((4, 4))
@@ -93,11 +132,8 @@ def linearised(law: Law, *, with_current: bool = False) -> StateSpace:
     """From reading (m) to commanded current (A): the law about rest at the centre, with the reference at zero.
 
     All numbers of its state are zero there: 'smc_observer' is taken without friction. States that no input reaches, or
-    that do not act on the command, are left out.
-
-    Args:
-        law: the law.
-        with_current: whether the measured current of the coils (A) is a second input. Otherwise none is measured.
+    that do not act on the command, are left out. With ``with_current`` the measured current of the coils (A) is a
+    second input; otherwise none is measured.
 
     Raises:
         ValueError: the law is not linear there.
@@ -143,39 +179,6 @@ def _connected(a: Matrix, c: Matrix) -> NDArray[np.bool_]:
     return seen
 
 
-def loop_margins(
-    law: Law, stage: StageParameters, delay: float | None = None, *, with_current: bool = False
-) -> Margins:
-    """Margins of ``law`` on the plant of ``stage``, with commands ``delay`` s late: by default as described.
-
-    ``with_current`` as of :func:`linearised`: the gain is then the amplifier's, otherwise just as well the force's.
-
-    Raises:
-        ValueError: the law has no linearisation at rest.
-    """
-    controller, period = linearised(law, with_current=with_current), stage.period
-    late = stage.drive.delay * period if delay is None else delay
-
-    def plant(at: float = late) -> StateSpace:
-        return sampled_plant(stage, at)
-
-    def poles(gain: float = 1.0, at: float = late) -> NDArray[np.complex128]:
-        return np.asarray(np.linalg.eigvals(closed_loop(plant(at), controller, gain)), dtype=np.complex128)
-
-    def stable(gain: float = 1.0, at: float = late) -> bool:
-        return spectral_radius(closed_loop(plant(at), controller, gain)) < 1.0
-
-    if not stable():
-        return Margins(poles(), 1.0, 1.0, 0.0, 0.0)
-    return Margins(
-        poles(),
-        last_stable(stable, 1.0, 0.0),
-        last_stable(stable, 1.0, 20.0),
-        phase_margin(plant(), controller, period),
-        last_stable(lambda x: stable(at=x), late, late + 10.0 * period),
-    )
-
-
 def closed_loop(plant: StateSpace, controller: StateSpace, gain: float = 1.0) -> Matrix:
     """A of the closed loop, the plant's states first, with the plant's input times ``gain``.
 
@@ -190,40 +193,176 @@ def spectral_radius(matrix: Matrix) -> float:
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
+class _Loop:
+    """A law, linearised, around the plant of a stage, with commands ``late`` s late: by default as described."""
+
+    def __init__(self, law: Law, stage: StageParameters, *, with_current: bool, late: float | None = None) -> None:
+        self.stage, self.law = stage, linearised(law, with_current=with_current)
+        self.late = stage.drive.delay * stage.period if late is None else late
+        self.plant = sampled_plant(stage, self.late)
+
+    def closed(self, gain: float = 1.0, late: float | None = None) -> Matrix:
+        """A of the closed loop."""
+        return closed_loop(self.plant if late is None else sampled_plant(self.stage, late), self.law, gain)
+
+    def stable(self, gain: float = 1.0) -> bool:
+        return spectral_radius(self.closed(gain)) < 1.0
+
+    def stable_late(self, late: float) -> bool:
+        return spectral_radius(self.closed(late=late)) < 1.0
+
+
+def loop_margins(
+    law: Law, stage: StageParameters, delay: float | None = None, *, with_current: bool = False
+) -> Margins:
+    """Margins of ``law`` on the plant of ``stage``, with commands ``delay`` s late: by default as described.
+
+    ``with_current`` as of :func:`linearised`: the gain is then the amplifier's, otherwise just as well the force's.
+
+    Raises:
+        ValueError: the law has no linearisation at rest.
+    """
+    loop, period = _Loop(law, stage, with_current=with_current, late=delay), stage.period
+    poles = np.asarray(np.linalg.eigvals(loop.closed()), dtype=np.complex128)
+    if not loop.stable():
+        return Margins(poles, 1.0, 1.0, 0.0, 0.0)
+    return Margins(
+        poles,
+        last_stable(loop.stable, 1.0, 0.0),
+        last_stable(loop.stable, 1.0, 20.0),
+        phase_margin(loop.plant, loop.law, period),
+        last_stable(loop.stable_late, loop.late, loop.late + 10.0 * period),
+    )
+
+
 def last_stable(stable: Callable[[float], bool], inside: float, outside: float) -> float:
     """The last stable value on the way from ``inside``, which is stable, to ``outside``."""
     # In small steps first: beyond the border there may be another stable stretch.
     last = inside
     for value in np.linspace(inside, outside, 100)[1:].tolist():
         if not stable(value):
-            outside = value
-            break
+            return _border(stable, last, value, halvings=40)
         last = value
-    else:
-        return outside
-    for _ in range(40):
-        middle = 0.5 * (last + outside)
-        last, outside = (middle, outside) if stable(middle) else (last, middle)
-    return last
+    return outside
+
+
+def _border(stable: Callable[[float], bool], inside: float, outside: float, halvings: int = _HALVINGS) -> float:
+    """Where the loop becomes unstable between ``inside``, which is stable, and ``outside``, which is not."""
+    for _ in range(halvings):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if stable(middle) else (inside, middle)
+    return inside
 
 
 def phase_margin(plant: StateSpace, controller: StateSpace, period: float, frequencies: int = 5_000) -> float:
     """Smallest phase margin over all gain crossovers in degrees, found on a grid of ``frequencies``."""
     grid = np.geomspace(0.1, 0.4999 / period, frequencies)
-    loop = open_loop(plant, controller, np.exp(2j * math.pi * grid * period))
+    loop = _open_loop(plant, controller, np.exp(2j * math.pi * grid * period))
     magnitude = np.abs(loop)
     crossing = np.flatnonzero((magnitude[:-1] - 1.0) * (magnitude[1:] - 1.0) <= 0.0)
     margins = np.abs(np.degrees(np.angle(-loop[crossing])))
     return float(margins.min()) if len(margins) else 180.0
 
 
-def open_loop(plant: StateSpace, controller: StateSpace, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _open_loop(plant: StateSpace, controller: StateSpace, z: Complex) -> Complex:
     """From command to what the controller answers to it, its sign turned, at the points ``z`` (n,): (n,)."""
-    seen = response(plant, z)[:, : controller.b.shape[1]]
-    return -(response(controller, z) @ seen)[:, 0, 0]
+    seen = _response(plant, z)[:, : controller.b.shape[1]]
+    return -(_response(controller, z) @ seen)[:, 0, 0]
 
 
-def response(system: StateSpace, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _response(system: StateSpace, z: Complex) -> Complex:
     """Outputs per input of ``system`` at the points ``z`` (n,) of the z plane, (n, outputs, inputs)."""
     solved = np.linalg.solve(z[:, None, None] * np.eye(len(system.a)) - system.a, system.b)
     return np.asarray(system.c @ solved + system.d)
+
+
+def friction_damping(friction: LuGreParameters, speed: float) -> float:
+    """Damping in N·s/m that friction equals, at an RMS velocity ``speed`` > 0 in m/s that is Gaussian."""
+    stribeck = friction.stribeck_velocity**2 / (friction.stribeck_velocity**2 + 2.0 * speed**2)
+    sliding = friction.coulomb + (friction.static - friction.coulomb) * stribeck
+    return friction.viscous + math.sqrt(2.0 / math.pi) * sliding / speed
+
+
+def plant_response(stage: StageParameters, frequencies: Matrix, damping: float) -> Complex:
+    """From command to reading, m/A: the plant of ``stage`` with ``damping`` in N·s/m at ``frequencies`` in Hz."""
+    return _response(_described_plant(stage, damping), _points(stage, frequencies))[:, 0, 0]
+
+
+def loop_response(law: Law, stage: StageParameters, frequencies: Matrix, damping: float = 0.0) -> LoopResponse:
+    """Plant and loop of ``law``, whose own friction model is left out, on ``stage``, at ``frequencies`` (lines,) in Hz.
+
+    The platform's motion has a ``damping`` in N·s/m. The law also answers to the measured current, on which command and
+    plant act as on the position.
+
+    Raises:
+        ValueError: the law has no linearisation at rest.
+    """
+    controller = linearised(law, with_current=True)
+    loop = _open_loop(_described_plant(stage, damping), controller, _points(stage, frequencies))
+    return LoopResponse(plant_response(stage, frequencies, damping), loop, 1.0 / (1.0 + loop))
+
+
+def _described_plant(stage: StageParameters, damping: float) -> StateSpace:
+    return sampled_plant(stage, stage.drive.delay * stage.period, damping)
+
+
+def _points(stage: StageParameters, frequencies: Matrix) -> Complex:
+    return np.asarray(np.exp(2j * math.pi * frequencies * stage.period))
+
+
+def missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
+    """What the law of ``control`` lacks on ``stage``: a sentence with parameters, value, limit and remedy.
+
+    None if it has the least margins, if it has no linearisation at rest and so no linear margins, or if it is none.
+    """
+    if control.law == OPEN_LOOP:
+        return None
+    try:
+        missed = next(_missed(control, stage), None)
+    except ValueError:
+        return None
+    if missed is None:
+        return None
+    group = "smc_observer" if control.law == "smc_observer" else "smc"
+    return (
+        f"parameters 'control.{group}.*': on stage '{stage.name}' at {stage.rate} Hz with commands "
+        f"{stage.drive.delay:g} samples late, the law '{control.law}' {missed}; "
+        "straightcomp design finds gains for a stage"
+    )
+
+
+def _missed(control: ControlParameters, stage: StageParameters) -> Iterator[str]:
+    """Each limit that the law misses, in words; ValueError if the law has no linearisation at rest."""
+    law, stiff = make_law(control, stage), stiffened(control)
+    loop, measured = _Loop(law, stage, with_current=False), ", with the coils' current measured,"
+    yield from _gains_missed(loop, "", LEAST_GAINS)
+    yield from _gains_missed(_Loop(law, stage, with_current=True), measured, LEAST_GAINS)
+    if stiff is not control:
+        law, where = make_law(stiff, stage), ", at its stiffest"
+        yield from _gains_missed(_Loop(law, stage, with_current=False), f"{where},", _STIFFEST_GAINS)
+        yield from _gains_missed(_Loop(law, stage, with_current=True), where + measured, _STIFFEST_GAINS)
+    period, latest = stage.period, stage.drive.delay * max(1.0, stage.uncertainty.longest_delay)
+
+    def stable_at(samples: float) -> bool:
+        return loop.stable_late(samples * period)
+
+    if not stable_at(latest):
+        longest = _border(stable_at, stage.drive.delay, latest)
+        yield (
+            f"is stable with commands up to {longest:.2f} samples late; allowed: >= {latest:g}, "
+            "stage.drive.delay × stage.uncertainty.longest_delay"
+        )
+    phase = phase_margin(loop.plant, loop.law, period, _FREQUENCIES)
+    if phase < LEAST_PHASE:
+        yield f"has a phase margin of {phase:.1f}°; allowed: >= {LEAST_PHASE:g}°"
+
+
+def _gains_missed(loop: _Loop, where: str, gains: tuple[float, float]) -> Iterator[str]:
+    low, high = gains
+    if not loop.stable():
+        yield f"is{where} unstable; allowed: stable from {low:g} to {high:g} times its loop gain"
+        return
+    for limit, direction, allowed in ((low, "down", "<="), (high, "up", ">=")):
+        if not loop.stable(limit):
+            border = _border(loop.stable, 1.0, limit)
+            yield f"is{where} stable {direction} to {border:.2f} times its loop gain; allowed: {allowed} {limit:g}"

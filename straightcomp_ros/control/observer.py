@@ -83,13 +83,8 @@ class Moment(NamedTuple):
 
 
 def observer_gains(bandwidth: float, third_pole: float, period: float) -> ObserverGains:
-    """Gains that put two poles of the sampled observer at exp(−2π bandwidth period), the third at a power of it.
-
-    Args:
-        bandwidth: Hz.
-        third_pole: the power, i.e. the third pole's bandwidth relative to the other two.
-        period: s.
-    """
+    """Gains that put two poles of the sampled observer at exp(−2π bandwidth period), the third at the power
+    ``third_pole`` of it, its bandwidth relative to the other two; ``bandwidth`` in Hz, ``period`` in s."""
     p = math.exp(-2.0 * math.pi * bandwidth * period)
     q = math.exp(-2.0 * math.pi * bandwidth * third_pole * period)
     # 3 − s₁ − s₂ + 3 s₃ with the elementary symmetric polynomials of the poles.
@@ -104,12 +99,9 @@ def interval(amplifier_rate: float, duration: float) -> Interval:
 
 
 def nominal_loop(stage: StageParameters, *, delay_samples: float, gain_allowance: float = 1.0) -> Loop:
-    """The loop around the stage's plant.
+    """The loop around the stage's plant, with commands ``delay_samples`` periods late, at most 1.
 
-    Args:
-        stage: its description.
-        delay_samples: delay of a command, in periods, at most 1.
-        gain_allowance: factor of the stiffnesses K̄_i and K̄_y. It equals dividing M; the equilibrium does not move.
+    ``gain_allowance`` is a factor of the stiffnesses K̄_i and K̄_y. It equals dividing M; the equilibrium does not move.
     """
     rate, period = 2.0 * math.pi * stage.drive.bandwidth, stage.period
     mass = stage.platform.mass / gain_allowance
@@ -174,14 +166,8 @@ def with_measured_current(g: Loop, prior: Estimate, current: float) -> Estimate:
 
 @compilable
 def moment_of_action(g: Loop, now: Estimate, command: float, r: float, r_dot: float, r_ddot: float) -> Moment:
-    """Estimate and errors at the moment at which the answer to a sample acts.
-
-    Args:
-        g: the loop.
-        now: estimate for the sample.
-        command: current in A that the amplifier is commanded until then.
-        r, r_dot, r_ddot: reference of the sample, m, m/s, m/s².
-    """
+    """Estimate and errors at the moment at which the answer to a sample acts, from those ``now``, the ``command`` in A
+    until then, and the reference of the sample in m, m/s, m/s²."""
     action = predicted(g.actuator, g.mass, g.before_action, now, command)
     target = r + g.delay * (r_dot + 0.5 * g.delay * r_ddot)
     return Moment(action, action.y - target, action.velocity - (r_dot + g.delay * r_ddot))
@@ -198,9 +184,3 @@ def current_for(g: Loop, y: float, acceleration: float) -> float:
 def limited(g: Loop, current: float) -> float:
     """The current within the limit, A. The observer is given the limited command: nothing can wind up."""
     return max(-g.current_limit, min(g.current_limit, current))
-
-
-@compilable
-def next_prior(g: Loop, action: Estimate, command: float) -> Estimate:
-    """The next sample as predicted, with ``command`` A acting from the moment of action on."""
-    return predicted(g.actuator, g.mass, g.after_action, action, command)

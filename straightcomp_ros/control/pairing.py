@@ -1,7 +1,7 @@
 """Gives each sample its reference: that of an earlier sample, extrapolated.
 
 The map is smooth and the stage slow: the reference of a few milliseconds ago and its two rates give the present one to
-a fraction of a nanometre. The feedforward therefore runs beside the loop, and no sample waits for its answer.
+a fraction of a nanometre. The feedforward therefore runs in parallel with the loop, and no sample waits for its answer.
 """
 
 from collections import deque
@@ -34,15 +34,9 @@ class Pairing:
     """Samples with their references, in the order of arrival.
 
     A sample takes the reference of the sample ``lead_ns`` before it, or of the first sample. That depends on the stamps
-    alone, not on the order of arrival: a replay of the same messages gives the same numbers.
-
-    Args:
-        lead_ns: how much older than the sample its reference is, in ns.
-        wait: a sample whose reference is late waits for it (lockstep, replay, simulation), instead of taking the newest
-            available one (real time).
-
-    Attributes:
-        unmatched: samples that were dropped without a reference.
+    alone, not on the order of arrival: a replay of the same messages gives the same numbers. A sample whose reference
+    is late waits for it with ``wait`` (lockstep, replay, simulation); otherwise it takes the newest available one (real
+    time). ``unmatched`` counts the samples that were dropped without a reference.
     """
 
     def __init__(self, lead_ns: int, *, wait: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from straightcomp_ros.control.injection import Injection
+from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.learning import Learning
 
@@ -22,13 +22,8 @@ class Crossfade:
         i = (1 − w) i_old + w i_new,   |Δi| ≤ (1 − w) |Δi_old| + w |Δi_new| + |i_new − i_old| / n
 
     The command changes by no more than the laws' own steps and 1/n of their difference, which is at most twice the
-    limit of the current.
-
-    Args:
-        old: the law to leave, which may be a crossfade itself.
-        new: the law to reach; it starts at the next sample, at rest.
-        samples: n.
-        finished: called at the last of them.
+    limit of the current. The old law may be a crossfade itself; the new one starts at the next sample, at rest.
+    ``finished`` is called at the last of the ``samples`` n.
     """
 
     def __init__(self, old: Law | Crossfade, new: Law, samples: int, finished: Callable[[Crossfade], None]) -> None:
@@ -57,12 +52,8 @@ class Servo:
     """Steps a law once for each sample, in the order of the stamps.
 
     A repeated sample gets the same answer again and changes nothing. While the amplifier is off the law is kept reset,
-    so that nothing is integrated that cannot act.
-
-    Args:
-        law: control law.
-        restart_gap_ns: gap between two samples, in ns, after which the law starts anew.
-        learning: corrects the law's reference by what earlier strokes left; None for none.
+    so that nothing is integrated that cannot act. After a gap of ``restart_gap_ns`` between two samples the law starts
+    anew. ``learning`` corrects the law's reference by what earlier strokes left.
     """
 
     def __init__(self, law: Law, restart_gap_ns: int = 20_000_000, learning: Learning | None = None) -> None:
@@ -97,12 +88,8 @@ class Servo:
     ) -> Command | None:
         """Answer one sample, or None for a sample older than the last one, or with non-finite numbers.
 
-        Args:
-            stamp_ns: the sample's stamp.
-            y: encoder reading, m.
-            coil_current: measured control current, A; NaN while the amplifier is off.
-            reference: r in m, ṙ in m/s and r̈ in m/s² for the same sample.
-            x: the stage's position, m; only learning asks for it.
+        ``y`` is the encoder reading in m, ``coil_current`` the measured control current in A, NaN while the amplifier
+        is off, ``reference`` r in m, ṙ in m/s and r̈ in m/s²; ``x`` in m, of the stage, is for learning alone.
         """
         last = self._stamp_ns
         if last is not None and stamp_ns <= last and last - stamp_ns <= self._restart_gap_ns:

@@ -3,7 +3,7 @@
 What limits a law without a friction model is local instability: while the platform slides near the Stribeck velocity,
 friction falls with speed and acts like a negative stiffness, ten times that of the magnets. Here observer and law know
 the friction F̂ of the LuGre model (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995;
-`model/lugre.py`), driven by a velocity that is mostly the reference's,
+`model/friction.py`), driven by a velocity that is mostly the reference's,
 
     v = ṙ + m (v̂ − ṙ),   ż = v − σ0 |v| z / g(v),
 
@@ -16,12 +16,25 @@ The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at 
 
     a = r̈ − λ (ẏ − ṙ) − κ σ − d + F̂/M.
 
-The size s of F̂ multiplies F_C and F_S, and is fitted while the law runs (`friction_size.py`). It starts low: too much
-friction makes limit cycles of micrometres, too little is harmless. When s changes, d gives what F̂ takes.
+The size s of F̂ multiplies F_C and F_S, and is fitted while the law runs, by recursive least squares with forgetting. It
+starts low: too much friction makes limit cycles of micrometres, too little is harmless. When s changes, d gives what F̂
+takes. The disturbance that the observer estimates, d in m/s², is fitted by
+
+    d = c + b r + s F̄
+
+with the reference r and F̄ = −F̂/(s M). The observer's estimate lags: with the poles p, p and q it follows an
+acceleration u, which acts from one sample to the next, by
+
+    (1 − p)² (1 − q) z (z + 1) / (2 (z − p)² (z − q)) u,
+
+and F̄ passes the same lag before it is compared. c takes what is constant, b an error of the magnets' stiffness; without
+them both would be taken for friction. Normal equations and forgetting as in Åström and Wittenmark, Adaptive Control,
+2nd ed. 1995, ch. 2. Forgetting lets the covariance P grow where nothing excites a direction: nothing is forgotten while
+the trace of P would exceed `_LARGEST_TRACE`, and the fit is paused while the reference rests.
 
 Where the model explains the friction, a slow observer and little gain leave the least error, and the coils are quiet.
-Where it does not, the loop itself has to follow friction. The fit tells: the RMS of what it leaves unexplained moves
-the observer's bandwidth, λ and κ between two sets, the quiet one and one that is stiffer by a factor.
+Where it does not, the loop itself has to follow friction. The RMS of what the fit leaves unexplained moves the
+observer's bandwidth, λ and κ between two sets, the quiet one and one that is stiffer by a factor.
 
 At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around a resting
 reference for a while, the command is held at the mean of the last ones. When the hold ends, the mean difference between
@@ -36,7 +49,6 @@ T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.219/T_d in Hz, λ = 0.614/T_d, κ = 0.4
 import math
 from typing import NamedTuple
 
-from straightcomp_ros.control.friction_size import Fit, LagWeights, SizeGains, fit_at_start, fitted
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.observer import (
     Estimate,
@@ -46,11 +58,73 @@ from straightcomp_ros.control.observer import (
     current_for,
     limited,
     moment_of_action,
-    next_prior,
+    predicted,
     with_measured_current,
 )
 from straightcomp_ros.model.compiled import compilable
-from straightcomp_ros.model.lugre import LuGre, bristle_after, friction_force
+from straightcomp_ros.model.friction import LuGre, bristle_after, friction_force
+
+_FIRST_VARIANCE = 1.0
+"""Of c, b times the travel, and s, in units of the variance of one sample's disturbance."""
+_LARGEST_TRACE = 30.0
+_SMALLEST_SIZE = 0.1
+"""Without friction in the law the fit has nothing to correct: too little is harmless, none would be a dead end."""
+
+
+class SizeGains(NamedTuple):
+    """Constants of the fit.
+
+    Attributes:
+        kept: weight that the past keeps from one sample to the next.
+        smooth, mean: weights of a new value in the smoothed misfit, and in its mean square.
+        travel: m, by which r is scaled.
+        speed: |ṙ| in m/s up to which the fit is paused.
+        largest: bound of s.
+    """
+
+    kept: float
+    smooth: float
+    mean: float
+    travel: float
+    speed: float
+    largest: float
+
+
+class LagWeights(NamedTuple):
+    """Weights of a new value in the lags of the observer's double pole and of its third pole."""
+
+    double: float
+    third: float
+
+
+class Lags(NamedTuple):
+    """The last F̄ and the one before, and their mean behind one, two and three lags, m/s²."""
+
+    last: float
+    before: float
+    first: float
+    second: float
+    third: float
+
+
+class Fit(NamedTuple):
+    """c in m/s², b times the travel in m/s², s, the upper triangle of P, the misfit, and the lags of F̄.
+
+    The misfit is what c + b r + s F̄ leaves of d, smoothed, m/s², and the mean of its square.
+    """
+
+    constant: float
+    slope: float
+    size: float
+    p00: float
+    p01: float
+    p02: float
+    p11: float
+    p12: float
+    p22: float
+    misfit: float
+    misfit_square: float
+    lags: Lags
 
 
 class RestGains(NamedTuple):
@@ -112,16 +186,15 @@ class State(NamedTuple):
     rest: Rest
 
 
+def fit_at_start(size: float) -> Fit:
+    """The fit before the first sample."""
+    p = _FIRST_VARIANCE
+    return Fit(0.0, 0.0, size, p, 0.0, 0.0, p, 0.0, p, 0.0, 0.0, Lags(0.0, 0.0, 0.0, 0.0, 0.0))
+
+
 def start(size: float, y: float) -> State:
     """State at rest at ``y`` in m, with ``size`` of friction."""
     return State(Estimate(y, 0.0, 0.0, 0.0), 0.0, 0.0, fit_at_start(size), Rest(0.0, 0.0, 0.0))
-
-
-def rest_gains(band: float, speed: float, wait: float, period: float) -> RestGains:
-    """Constants at rest, as of :class:`RestGains`."""
-    # The mean is over a quarter of the wait: it must forget the approach.
-    weight = 1.0 - math.exp(-4.0 * period / wait)
-    return RestGains(band, speed, wait, weight)
 
 
 @compilable
@@ -131,8 +204,9 @@ def step(
     """One sample; see the module."""
     s = _stiffness(g, state.fit.misfit_square)
     observed = corrected(s.observer, with_measured_current(g.loop, state.prior, current), y)
-    friction = _known_friction(g, s, state, observed, r, r_dot)
-    now = Estimate(observed.y, observed.velocity, friction.disturbance, observed.current)
+    bristle, unit, fit = _known_friction(g, s, state, observed, r, r_dot)
+    others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
+    now = Estimate(observed.y, observed.velocity, others + fit.size * unit, observed.current)
     at = moment_of_action(g.loop, now, state.command, r, r_dot, r_ddot)
     sigma = at.rate_error + s.surface * at.position_error
     holding = r_ddot - s.surface * at.rate_error - at.action.disturbance
@@ -140,10 +214,10 @@ def step(
     asked = current_for(g.loop, at.action.y, holding - s.reaching * sigma)
     asked, rest = _held(g, state.rest, asked, y, r, r_dot)
     answer = limited(g.loop, asked)
-    after = next_prior(g.loop, at.action, answer)
-    prior = Estimate(after.y, after.velocity, friction.others, after.current)
+    after = predicted(g.loop.actuator, g.loop.mass, g.loop.after_action, at.action, answer)
+    prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
-    return State(prior, answer, friction.bristle, friction.fit, rest), command
+    return State(prior, answer, bristle, fit, rest), command
 
 
 @compilable
@@ -151,16 +225,13 @@ def _stiffness(g: Gains, misfit_square: float) -> Stiffness:
     """Between quiet and stiff, by the mean square of the misfit in (m/s²)²."""
     share = max(0.0, min(1.0, math.sqrt(max(0.0, misfit_square)) / g.misfit - 1.0))
     a, b = g.quiet, g.stiff
-    return Stiffness(
-        _between(a.surface, b.surface, share),
-        _between(a.reaching, b.reaching, share),
-        ObserverGains(
-            _between(a.observer.position, b.observer.position, share),
-            _between(a.observer.velocity, b.observer.velocity, share),
-            _between(a.observer.disturbance, b.observer.disturbance, share),
-        ),
-        LagWeights(_between(a.lags.double, b.lags.double, share), _between(a.lags.third, b.lags.third, share)),
+    observer = ObserverGains(
+        _between(a.observer.position, b.observer.position, share),
+        _between(a.observer.velocity, b.observer.velocity, share),
+        _between(a.observer.disturbance, b.observer.disturbance, share),
     )
+    lags = LagWeights(_between(a.lags.double, b.lags.double, share), _between(a.lags.third, b.lags.third, share))
+    return Stiffness(_between(a.surface, b.surface, share), _between(a.reaching, b.reaching, share), observer, lags)
 
 
 @compilable
@@ -168,23 +239,14 @@ def _between(one: float, other: float, share: float) -> float:
     return one + share * (other - one)
 
 
-class _Friction(NamedTuple):
-    """z in m, the fit, the disturbance without friction, and with it, m/s²."""
-
-    bristle: float
-    fit: Fit
-    others: float
-    disturbance: float
-
-
 @compilable
-def _known_friction(g: Gains, s: Stiffness, state: State, observed: Estimate, r: float, r_dot: float) -> _Friction:
-    """Friction from this sample to the next, and what it leaves of the observer's disturbance."""
+def _known_friction(
+    g: Gains, s: Stiffness, state: State, observed: Estimate, r: float, r_dot: float
+) -> tuple[float, float, Fit]:
+    """Friction from this sample to the next: z in m, F̄ in m/s², and the fit."""
     velocity = r_dot + g.share * (observed.velocity - r_dot)
     bristle, unit = _unit_friction(g, state.fit.size, state.bristle, velocity)
-    fit = fitted(g.size, s.lags, state.fit, r, r_dot, unit, observed.disturbance)
-    others = observed.disturbance - (fit.size - state.fit.size) * fit.lags.third
-    return _Friction(bristle, fit, others, others + fit.size * unit)
+    return bristle, unit, fitted(g.size, s.lags, state.fit, r, r_dot, unit, observed.disturbance)
 
 
 @compilable
@@ -197,6 +259,43 @@ def _unit_friction(g: Gains, size: float, bristle: float, velocity: float) -> tu
     lugre = LuGre(size * coulomb, size * static, stribeck_velocity, stiffness, damping, viscous)
     after = bristle_after(lugre, bristle, velocity, g.loop.period)
     return after, -friction_force(lugre, after, velocity) / (size * g.loop.mass)
+
+
+@compilable
+def lagged(g: LagWeights, lags: Lags, unit: float) -> Lags:
+    """The lags at the next sample; ``unit`` is F̄ until then."""
+    first = lags.first + g.double * (0.5 * (lags.last + lags.before) - lags.first)
+    second = lags.second + g.double * (first - lags.second)
+    return Lags(unit, lags.last, first, second, lags.third + g.third * (second - lags.third))
+
+
+@compilable
+def fitted(g: SizeGains, weights: LagWeights, fit: Fit, r: float, r_dot: float, unit: float, others: float) -> Fit:
+    """The fit after one sample with the reference ``r`` and ``r_dot`` (m, m/s).
+
+    ``unit`` is F̄ from this sample to the next, ``others`` the observer's disturbance without friction, both in m/s²;
+    with s F̄ behind the lags the latter is d.
+    """
+    lags = lagged(weights, fit.lags, unit)
+    if abs(r_dot) <= g.speed:
+        return Fit(*fit[:11], lags)
+    c, b, s, p00, p01, p02, p11, p12, p22 = fit[:9]
+    x, f = r / g.travel, lags.third
+    k0 = p00 + p01 * x + p02 * f
+    k1 = p01 + p11 * x + p12 * f
+    k2 = p02 + p12 * x + p22 * f
+    spread = g.kept + k0 + k1 * x + k2 * f
+    # s F̄ is on both sides of the equation.
+    left = others - c - b * x
+    miss = left / spread
+    misfit = fit.misfit + g.smooth * (left - fit.misfit)
+    square = fit.misfit_square + g.mean * (misfit * misfit - fit.misfit_square)
+    p00, p01, p02 = p00 - k0 * k0 / spread, p01 - k0 * k1 / spread, p02 - k0 * k2 / spread
+    p11, p12, p22 = p11 - k1 * k1 / spread, p12 - k1 * k2 / spread, p22 - k2 * k2 / spread
+    grow = 1.0 / g.kept if p00 + p11 + p22 <= _LARGEST_TRACE * g.kept else 1.0
+    s = max(_SMALLEST_SIZE, min(g.largest, s + k2 * miss))
+    p00, p01, p02, p11, p12, p22 = grow * p00, grow * p01, grow * p02, grow * p11, grow * p12, grow * p22
+    return Fit(c + k0 * miss, b + k1 * miss, s, p00, p01, p02, p11, p12, p22, misfit, square, lags)
 
 
 @compilable

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.least_margins import missing_margin
-from straightcomp_ros.control.margins import Margins, loop_margins
+from straightcomp_ros.control.margins import Margins, loop_margins, missing_margin
 from straightcomp_ros.doctor import Finding, judged
 from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters

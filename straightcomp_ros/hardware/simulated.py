@@ -4,7 +4,7 @@ It models a board with its own sampling clock. Samples lie on an exact grid, whe
 takes effect ``stage.drive.delay`` after the sample that it answers, or on arrival if that is later. (If commands
 acted on arrival, the loop's delay would be as irregular as the host.)
 
-When the next command is late, the board holds the platform by itself (:mod:`straightcomp_ros.model.commanded_plant`)
+When the next command is late, the board holds the platform by itself (:mod:`straightcomp_ros.model.plant`)
 until a command comes or ``command_timeout`` switches the amplifier off.
 """
 
@@ -16,9 +16,8 @@ from functools import partial
 import numpy as np
 
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
-from straightcomp_ros.model.commanded_plant import BIAS, COMMAND, Hold, advance_to_sample, commanded_plant
 from straightcomp_ros.model.motion import Trajectory, Waypoint
-from straightcomp_ros.model.plant import PlantState
+from straightcomp_ros.model.plant import BIAS, COMMAND, Hold, PlantState, advance_to_sample, commanded_plant
 from straightcomp_ros.parameters.declaration import group, parameter
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.stage.description import StageParameters

@@ -4,6 +4,11 @@ ROS 2 serialises a message as CDR (OMG DDS-XTypes 7.4, plain CDR, little endian)
 array lengths, every byte but the stamp and the numbers is constant too. A :class:`Layout` holds those constants and the
 positions of the numbers. Packing then costs about 1 µs, where building and serialising a message object costs 15 µs,
 and the same positions make a NumPy view of a whole bag. A message of another layout is refused, never misread.
+
+Several messages of a stream are also packed into one, a batch; :mod:`straightcomp_ros.runtime.batch_streams` says why.
+A batch is a std_msgs/UInt8MultiArray. Its data are the messages one after the other, each serialised as if published
+alone and preceded by the time at which it was made: int64, ns since the epoch, little endian. All messages of a stream
+have the same size.
 """
 
 import struct
@@ -20,6 +25,10 @@ _HEADER_STAMP = struct.Struct("<iI")
 SHORTEST = len(ENCAPSULATION) + _HEADER_STAMP.size
 """Bytes of a message's encapsulation and stamp."""
 _NOT_A_STAMP = "a stamp with less than 1e9 nanoseconds"
+BATCH_TYPE = "std_msgs/msg/UInt8MultiArray"
+_BATCH_HEAD = struct.Struct("<4sIII")
+"""Encapsulation, number of dimensions, data_offset, number of bytes."""
+_MADE = struct.Struct("<q")
 
 
 class LayoutMismatch(ValueError):
@@ -124,61 +133,32 @@ class Layout:
         return np.dtype(fields)
 
 
-class _Builder:
-    """Lays out CDR fields one after the other; CDR aligns relative to the end of the encapsulation header."""
+def _layout(type_name: str, fields: Sequence[str | int | tuple[str, ...]], places: Sequence[tuple[str, str]]) -> Layout:
+    """The layout of these fields after the stamp: texts, numbers (uint32), and arrays of float64 by their columns.
 
-    def __init__(self) -> None:
-        self._offset = 8  # stamp
-        self._constant = b""
-        self.constants: list[bytes] = []
-        self.runs: list[int] = []
-
-    def _align(self, size: int) -> None:
-        self.raw(bytes(-self._offset % size))
-
-    def raw(self, data: bytes) -> None:
-        self._constant += data
-        self._offset += len(data)
-
-    def uint32(self, value: int) -> None:
-        self._align(4)
-        self.raw(struct.pack("<I", value))
-
-    def string(self, text: str) -> None:
-        encoded = text.encode() + b"\0"
-        self.uint32(len(encoded))
-        self.raw(encoded)
-
-    def strings(self, texts: Sequence[str]) -> None:
-        self.uint32(len(texts))
-        for text in texts:
-            self.string(text)
-
-    def doubles(self, count: int) -> None:
-        self.uint32(count)
-        if count:
-            self._align(8)
-            self.constants.append(self._constant)
-            self.runs.append(count)
-            self._constant = b""
-            self._offset += 8 * count
-
-    def layout(self, type_name: str, columns: Sequence[str], places: Sequence[tuple[str, str]]) -> Layout:
-        if self._constant:
-            self.constants.append(self._constant)
-            self.runs.append(0)
-        return Layout(type_name, tuple(columns), tuple(self.constants), tuple(self.runs), tuple(places))
+    CDR aligns relative to the end of the encapsulation.
+    """
+    offset, constant, constants, runs = 8, b"", list[bytes](), list[int]()
+    for one in fields:
+        text = one.encode() + b"\0" if isinstance(one, str) else b""
+        number = one if isinstance(one, int) else len(text or one)
+        added = bytes(-offset % 4) + struct.pack("<I", number) + text
+        constant, offset = constant + added, offset + len(added)
+        if isinstance(one, tuple) and one:
+            padding = bytes(-offset % 8)
+            constants.append(constant + padding)
+            runs.append(len(one))
+            constant, offset = b"", offset + len(padding) + 8 * len(one)
+    if constant:
+        constants.append(constant)
+        runs.append(0)
+    columns = (column for one in fields if isinstance(one, tuple) for column in one)
+    return Layout(type_name, tuple(columns), tuple(constants), tuple(runs), tuple(places))
 
 
 def read_by_names(layout: Layout, message: Any) -> tuple[int, list[float]]:
-    """Read a deserialised message (of rclpy or rosbags) with the layout's joints in any order.
-
-    Returns:
-        Stamp in ns, and the numbers in the order of ``layout.columns``.
-
-    Raises:
-        LayoutMismatch: a joint, an array or a point is missing; the message names it.
-    """
+    """Stamp in ns and numbers in the order of ``layout.columns`` of a deserialised message (of rclpy or rosbags) with
+    the layout's joints in any order; LayoutMismatch names a joint, an array or a point that is missing."""
     stamp = message.header.stamp
     if layout.type_name == "sensor_msgs/msg/JointState":
         names, arrays = list(message.name), message
@@ -200,42 +180,21 @@ def read_by_names(layout: Layout, message: Any) -> tuple[int, list[float]]:
 def joint_state(
     names: Sequence[str], *, position: Sequence[str] = (), velocity: Sequence[str] = (), effort: Sequence[str] = ()
 ) -> Layout:
-    """Layout of a sensor_msgs/JointState with an empty frame_id.
+    """Layout of a sensor_msgs/JointState of the joints ``names`` with an empty frame_id.
 
-    Args:
-        names: joints.
-        position, velocity, effort: columns of each array, for the first joints of ``names``; () leaves it empty.
+    ``position``, ``velocity`` and ``effort`` are the columns of each array, for the first joints; () leaves it empty.
     """
-    builder = _Builder()
-    builder.string("")
-    builder.strings(names)
-    arrays = {"position": position, "velocity": velocity, "effort": effort}
-    places: list[tuple[str, str]] = []
-    for array, columns in arrays.items():
-        builder.doubles(len(columns))
-        places += [(array, joint) for joint, _ in zip(names, columns, strict=False)]
-    return builder.layout("sensor_msgs/msg/JointState", (*position, *velocity, *effort), places)
+    arrays = {"position": tuple(position), "velocity": tuple(velocity), "effort": tuple(effort)}
+    places = [(array, joint) for array, columns in arrays.items() for joint, _ in zip(names, columns, strict=False)]
+    return _layout("sensor_msgs/msg/JointState", ["", len(names), *names, *arrays.values()], places)
 
 
-def joint_trajectory_point(
-    joint: str, *, position: Sequence[str], velocity: Sequence[str], acceleration: Sequence[str]
-) -> Layout:
-    """Layout of a trajectory_msgs/JointTrajectory with one joint and one point at time_from_start 0.
-
-    Args:
-        joint: the joint.
-        position, velocity, acceleration: the one column of each array.
-    """
-    builder = _Builder()
-    builder.string("")
-    builder.strings([joint])
-    builder.uint32(1)
-    for columns in (position, velocity, acceleration, ()):
-        builder.doubles(len(columns))
-    builder.uint32(0)
-    builder.uint32(0)
+def joint_trajectory_point(joint: str, *, position: str, velocity: str, acceleration: str) -> Layout:
+    """Layout of a trajectory_msgs/JointTrajectory with one joint and one point, with these columns, at time_from_start
+    0."""
+    fields: list[str | int | tuple[str, ...]] = ["", 1, joint, 1, (position,), (velocity,), (acceleration,), (), 0, 0]
     places = [(array, joint) for array in ("positions", "velocities", "accelerations")]
-    return builder.layout("trajectory_msgs/msg/JointTrajectory", (*position, *velocity, *acceleration), places)
+    return _layout("trajectory_msgs/msg/JointTrajectory", fields, places)
 
 
 def header_stamp_ns(data: bytes) -> int:
@@ -243,3 +202,30 @@ def header_stamp_ns(data: bytes) -> int:
     least :data:`SHORTEST`."""
     sec, nanosec = _HEADER_STAMP.unpack_from(data, len(ENCAPSULATION))
     return int(sec * NANOSECONDS + nanosec)
+
+
+def pack_batch(messages: Sequence[tuple[int, bytes]]) -> bytes:
+    """Serialise a batch of messages: when each was made, in ns since the epoch, and its serialised bytes."""
+    body = b"".join([piece for made_ns, data in messages for piece in (_MADE.pack(made_ns), data)])
+    return _BATCH_HEAD.pack(ENCAPSULATION, 0, 0, len(body)) + body
+
+
+def unpack_batch(batch: bytes, size: int) -> list[tuple[int, bytes]]:
+    """The messages of a serialised batch, as given to :func:`pack_batch`; LayoutMismatch if it is no batch of messages
+    of ``size`` bytes each."""
+    step = _MADE.size + size
+    if len(batch) < _BATCH_HEAD.size:
+        raise LayoutMismatch(f"{BATCH_TYPE}: {len(batch)} bytes, {_BATCH_HEAD.size} expected at least")
+    encapsulation, dimensions, offset, length = _BATCH_HEAD.unpack_from(batch)
+    plain = (encapsulation, dimensions, offset) == (ENCAPSULATION, 0, 0)
+    # The middleware may pad a message to a multiple of 4 bytes.
+    padding = len(batch) - _BATCH_HEAD.size - length
+    if not plain or not 0 <= padding < 4:
+        raise LayoutMismatch(f"{BATCH_TYPE}: not a plain array of bytes")
+    if length % step:
+        raise LayoutMismatch(f"{BATCH_TYPE}: {length} bytes are no multiple of {step}, the size of one message")
+    at = range(_BATCH_HEAD.size, _BATCH_HEAD.size + length, step)
+    messages = [(_MADE.unpack_from(batch, k)[0], batch[k + _MADE.size : k + step]) for k in at]
+    if any(made_ns < 0 for made_ns, _ in messages):
+        raise LayoutMismatch(f"{BATCH_TYPE}: a message was made before 1970")
+    return messages

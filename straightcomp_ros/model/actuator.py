@@ -52,12 +52,9 @@ class ActuatorParameters:
 
 @compilable
 def magnetic_force(actuator: Actuator, y: float, bias: float, control: float) -> float:
-    """Force on the platform in N by (2), for the actual bias and control currents.
+    """Force on the platform in N by (2), for the actual currents in A: ``bias`` in both coils, and ``control``, i_c.
 
-    Args:
-        y: position in m, |y| < y0; positive toward the magnet that carries bias + control.
-        bias: bias current in both coils, A (I0 in operation, 0 with the amplifier off).
-        control: control current i_c, A.
+    |y| < y0 in m is positive toward the magnet that carries bias + control.
     """
     near = (bias + control) / (actuator.air_gap - y)
     far = (bias - control) / (actuator.air_gap + y)

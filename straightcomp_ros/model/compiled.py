@@ -12,8 +12,8 @@ from straightcomp_ros.parameters.share import private_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_FOLDERS = ("model", "control", "straightness", "hardware", "identification", "offline/sweep")
-"""Folders of this package with functions that may be compiled."""
+_FOLDERS = ("model", "control", "straightness", "hardware", "offline", "tuning")
+"""Folders of this package with functions that may be compiled, here or deeper."""
 _marked: list[Callable[..., Any]] = []
 """Functions marked by :func:`compilable` that are not yet registered with numba."""
 
@@ -23,7 +23,7 @@ def cache_directory() -> Path:
     """Folder for the machine code of these sources, which no other user can write to."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
-    for source in sorted(source for folder in _FOLDERS for source in package.glob(f"{folder}/*.py")):
+    for source in sorted(source for folder in _FOLDERS for source in package.glob(f"{folder}/**/*.py")):
         digest.update(source.read_bytes())
     folder = private_folder() / f"numba-{digest.hexdigest()[:16]}"
     folder.mkdir(exist_ok=True)
@@ -40,16 +40,12 @@ class Compiled:
     """``numba.njit`` with the machine code cached on disk; IEEE arithmetic, nothing reordered.
 
     The first call imports numba, and not the decorator: most nodes compute nothing, and numba takes 60 MB, as much as
-    all their other imports, and a quarter of the time.
-
-    Args:
-        function: the source.
-        beside_others: whether other threads of Python run meanwhile. A control loop must not let them: it would have to
-            wait until it may go on.
+    all their other imports, and a quarter of the time. With ``release_gil`` other threads of Python run meanwhile. A
+    control loop must not let them: it would have to wait until it may go on.
     """
 
-    def __init__(self, function: Callable[..., Any], beside_others: bool = False) -> None:
-        self._function, self._beside_others = function, beside_others
+    def __init__(self, function: Callable[..., Any], release_gil: bool = False) -> None:
+        self._function, self._release_gil = function, release_gil
         update_wrapper(self, function)
 
     @cached_property
@@ -64,7 +60,7 @@ class Compiled:
         previous = settings.CACHE_DIR
         settings.CACHE_DIR = str(cache_directory())
         try:
-            return numba.njit(cache=True, error_model="numpy", nogil=self._beside_others)(self._function)
+            return numba.njit(cache=True, error_model="numpy", nogil=self._release_gil)(self._function)
         finally:
             settings.CACHE_DIR = previous
 
@@ -87,4 +83,4 @@ def compiled(function: F) -> F:
 
 def compiled_for_threads(function: F) -> F:
     """Decorator: see :class:`Compiled`; several threads may run the function at a time."""
-    return cast(F, Compiled(function, beside_others=True))
+    return cast(F, Compiled(function, release_gil=True))

@@ -91,11 +91,8 @@ def cycles(motion: MotionParameters, count: int) -> list[Waypoint]:
 class Trajectory:
     """Position over time through waypoints; at rest before the first and after the last.
 
-    Attributes:
-        times, positions, velocities: of the waypoints, without repetitions: (n,) each, in ns, m and m/s.
-
-    Raises:
-        ValueError: no waypoints, a number that is not finite, times that do not increase, or no rest at the end.
+    ``times``, ``positions`` and ``velocities`` are those of the waypoints without repetitions, (n,) each, in ns, m and
+    m/s. ValueError for no waypoints, a number that is not finite, times that do not increase, or no rest at the end.
     """
 
     def __init__(self, waypoints: Sequence[Waypoint]) -> None:
@@ -133,10 +130,9 @@ class Trajectory:
             )
         if velocities[-1] != 0.0:
             raise ValueError(f"stage trajectory ends at {velocities[-1]} m/s; it must end at rest")
-        self._points: list[tuple[int, float, float]] = list(
-            zip(times.tolist(), positions.tolist(), velocities.tolist(), strict=True)
-        )
         self._times: list[int] = times.tolist()
+        self._points: list[tuple[int, float, float]]
+        self._points = list(zip(self._times, positions.tolist(), velocities.tolist(), strict=True))
 
     @property
     def waypoints(self) -> Sequence[Waypoint]:

@@ -1,8 +1,13 @@
-"""The platform in Y: M ÿ = f_c − F_friction (1), between mechanical stops, behind the power amplifier.
+"""The platform in Y: M ÿ = f_c − F_friction (1), between mechanical stops, behind the power amplifier and its board.
 
 Fixed substeps by Strang splitting (half a kick, drift, exact bristle step, half a kick): second order, symplectic
 without friction, and never stiff, because the bristle's step is exact. The inertial force of the guide's deviation,
 M δ̈, stays below 5 mN (a fifth of a D/A step) and is left out, as in (1).
+
+Between two samples of its board, commands take effect at their times, and a late one is bridged: the board holds the
+platform until it comes. It applies the mean of the commands before, which balances the magnets' pull at that place. It
+takes back the impulse that the last commands gave beyond that mean: each answers an error of its own moment, and the
+commands after it would have undone it. It adds a stiffness about the last reading, since the magnets' own is negative.
 """
 
 import math
@@ -14,20 +19,28 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.model.actuator import Actuator, ActuatorParameters, magnetic_force
 from straightcomp_ros.model.compiled import compilable, compiled
-from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
-from straightcomp_ros.model.extended_friction import KIND, PLAIN, extended_force, lugre_now, step_friction
-from straightcomp_ros.model.lugre import (
+from straightcomp_ros.model.converters import DriveParameters, EncoderParameters, nearest_count, nearest_step
+from straightcomp_ros.model.friction import (
+    KIND,
     NO_EXTENSION,
+    PLAIN,
     ContactParameters,
     LuGre,
     LuGreParameters,
     bristle_after,
+    extended_force,
     friction_force,
+    lugre_now,
+    step_friction,
 )
 from straightcomp_ros.parameters.declaration import parameter
 
+Array = NDArray[np.float64]
+
 SUBSTEP_NS = 25_000
 """Longest substep: 20 in a control cycle at 2 kHz."""
+_NEVER = 2**62
+"""Later than any time in ns, and small enough for compiled code."""
 
 
 class PlantState(NamedTuple):
@@ -70,7 +83,7 @@ class _Plant(NamedTuple):
 class Plant(NamedTuple):
     """Constants of the plant; mass in kg, stop in m, amplifier rate in rad/s.
 
-    ``extension`` is that of the friction, see :meth:`~straightcomp_ros.model.lugre.ContactParameters.extension`.
+    ``extension`` is that of the friction, see :meth:`~straightcomp_ros.model.friction.ContactParameters.extension`.
     """
 
     mass: float
@@ -108,13 +121,13 @@ class PlantParameters:
         return Plant(self.platform.mass, self.platform.stop, rate, self.actuator.constants(), lugre, extension)
 
 
-def as_array(plant: Plant) -> NDArray[np.float64]:
+def as_array(plant: Plant) -> Array:
     """The constants, (40,) float64: an array is passed to compiled code 20 times faster than nested tuples."""
     return np.array([plant.mass, plant.stop, plant.amplifier_rate, *plant.actuator, *plant.lugre, *plant.extension])
 
 
 @compilable
-def _from_array(k: NDArray[np.float64]) -> _Plant:
+def _from_array(k: Array) -> _Plant:
     return _Plant(k[0], k[1], k[2], Actuator(k[3], k[4], k[5]), LuGre(k[6], k[7], k[8], k[9], k[10], k[11]))
 
 
@@ -124,7 +137,7 @@ def _acceleration(plant: _Plant, y: float, v: float, z: float, bias: float, cont
 
 
 @compilable
-def _hold(plant: _Plant, state: NDArray[np.float64], command: float, bias_command: float, duration_ns: int) -> None:
+def _hold(plant: _Plant, state: Array, command: float, bias_command: float, duration_ns: int) -> None:
     """Advance ``state`` by ``duration_ns`` > 0 in equal substeps, with constant commanded currents."""
     substeps = -(-duration_ns // SUBSTEP_NS)
     h = duration_ns * 1e-9 / substeps
@@ -146,9 +159,9 @@ def _hold(plant: _Plant, state: NDArray[np.float64], command: float, bias_comman
 
 @compilable
 def _hold_extended(
-    k: NDArray[np.float64],
+    k: Array,
     plant: _Plant,
-    state: NDArray[np.float64],
+    state: Array,
     command: float,
     bias_command: float,
     duration_ns: int,
@@ -177,8 +190,8 @@ def _hold_extended(
 
 @compiled
 def advance(
-    constants: NDArray[np.float64],
-    state: NDArray[np.float64],
+    constants: Array,
+    state: Array,
     bias_command: float,
     command: float,
     duration_ns: int,
@@ -188,11 +201,8 @@ def advance(
     """Advance ``state`` by ``duration_ns`` with one commanded control current, then by ``next_duration_ns`` with the
     next, so that a control cycle in which a command takes effect is one call.
 
-    Args:
-        constants: :func:`as_array` of the plant.
-        state: (18,) float64 in the order of :class:`PlantState`; changed in place.
-        bias_command, command, next_command: currents commanded of the amplifier, A.
-        duration_ns, next_duration_ns: ns, zero or more.
+    ``constants`` are :func:`as_array` of the plant; ``state``, (18,) in the order of :class:`PlantState`, is changed in
+    place. Currents are those commanded of the amplifier in A, durations in ns, zero or more.
     """
     plant = _from_array(constants)
     if constants[KIND] == PLAIN:
@@ -208,3 +218,133 @@ def advance(
             _hold_extended(constants, plant, state, next_command, bias_command, next_duration_ns)
         state[5] = extended_force(constants, lugre_now(constants, plant.lugre, state, state[0]), state, state[1])
     state[6] = magnetic_force(plant.actuator, state[0], state[4], state[3])
+
+
+_FIELDS = len(PlantState._fields)
+BIAS, COMMAND, _MEAN, _IMPULSE, _ANCHOR, READING = range(_FIELDS, _FIELDS + 6)
+"""Indices in :attr:`CommandedPlant.state`, after the plant's own."""
+_NOW, _HOLD_AT, _HOLDING = range(3)
+_AFTER_NS, _WEIGHT, _KEPT, _BRAKING, _STIFFNESS, _STEP, _HALF_CODES, _RESOLUTION = range(40, 48)
+"""Indices in :attr:`CommandedPlant.constants`, after the plant's own."""
+
+
+class Hold(NamedTuple):
+    """How the board holds the platform when commands are late.
+
+    From ``after_ns`` after a command took effect it does; ``weight`` is the share of each command in the mean, ``kept``
+    the share of an impulse that friction leaves after a sample, ``braking`` that of it which the board takes back in a
+    sample, ``stiffness`` control current per displacement, A/m.
+    """
+
+    after_ns: int
+    weight: float
+    kept: float
+    braking: float
+    stiffness: float
+
+
+class CommandedPlant(NamedTuple):
+    """Constants and state as :func:`advance_to_sample` takes them.
+
+    Attributes:
+        constants: (48,) those of the plant, see :func:`~straightcomp_ros.model.plant.as_array`; the fields of
+            :class:`Hold`; step of the D/A converter in A, its codes below zero, resolution of the encoder in m.
+        state: (24,) that of the plant, see :class:`~straightcomp_ros.model.plant.PlantState`; bias current and control
+            current asked of the amplifier, mean control current, all in A; impulse beyond that mean in A · samples;
+            position that is held and newest reading of y, in m. While the bias current asked for is zero, the amplifier
+            is off and commands have no effect.
+        times: (3,) int64: the present and the time at which the board begins to hold in ns, and whether it holds.
+    """
+
+    constants: Array
+    state: Array
+    times: NDArray[np.int64]
+
+    def currents_off(self) -> None:
+        """Ask the amplifier for no current, and forget the commands that took effect."""
+        self.state[BIAS : _IMPULSE + 1] = 0.0
+        self.times[_HOLD_AT:] = _NEVER, False
+
+    def set_time(self, time_ns: int) -> None:
+        """Go on from this time with the same state."""
+        self.times[_NOW] = time_ns
+
+
+def commanded_plant(plant: PlantParameters, hold: Hold, initial: PlantState) -> CommandedPlant:
+    """The machine at time 0 with its amplifier off."""
+    drive, encoder = plant.drive, plant.encoder
+    return CommandedPlant(
+        np.array([*as_array(plant.constants()), *hold, drive.current_step, drive.half_codes, encoder.y_resolution]),
+        np.array([*initial, 0.0, 0.0, 0.0, 0.0, 0.0, encoder.y_reading(initial.y)]),
+        np.array([0, _NEVER, False]),
+    )
+
+
+@compilable
+def _count_impulse(constants: Array, state: Array) -> None:
+    """The impulse after one more sample with the present current, of which friction leaves a share."""
+    state[_IMPULSE] = constants[_KEPT] * (state[_IMPULSE] + (state[COMMAND] - state[_MEAN]))
+
+
+@compilable
+def _converted(constants: Array, current: float) -> float:
+    return nearest_step(constants[_STEP], int(constants[_HALF_CODES]), current)
+
+
+@compilable
+def _holding_current(constants: Array, state: Array, displacement: float) -> float:
+    """Control current in A while the platform is ``displacement`` (m) away from where it is held."""
+    braking = constants[_BRAKING] * state[_IMPULSE]
+    return _converted(constants, state[_MEAN] - braking - constants[_STIFFNESS] * displacement)
+
+
+@compiled
+def advance_to_sample(
+    constants: Array,
+    state: Array,
+    times: NDArray[np.int64],
+    effective: NDArray[np.int64],
+    asked: Array,
+    count: int,
+    until: int,
+    noise: float,
+) -> int:
+    """Integrate up to ``until`` (ns), which is not in the past, and read the encoder of y there, whose ``noise`` in m
+    is added before it rounds. Returns how many of the waiting commands took effect.
+
+    ``state`` and ``times`` of the :class:`CommandedPlant` are changed in place. ``count`` commands wait: they take
+    effect at the times ``effective`` (ns, rising), and ask for the control current ``asked`` (A, before the D/A
+    converter).
+    """
+    taken = 0
+    while True:
+        # Each call of advance() spans one command, up to what comes next.
+        if taken < count and effective[taken] <= until and effective[taken] <= times[_HOLD_AT]:
+            at = effective[taken]
+            current = state[COMMAND]
+            if state[BIAS] > 0.0:
+                current = _converted(constants, asked[taken])
+                state[_MEAN] += constants[_WEIGHT] * (current - state[_MEAN])
+                times[_HOLD_AT], times[_HOLDING] = at + int(constants[_AFTER_NS]), False
+            taken += 1
+        elif times[_HOLD_AT] <= until:
+            # The last command fought the error of its own moment; held for longer it drives the platform away.
+            at = times[_HOLD_AT]
+            times[_HOLD_AT], times[_HOLDING], state[_ANCHOR] = _NEVER, True, state[READING]
+            _count_impulse(constants, state)
+            current = _holding_current(constants, state, 0.0)
+        else:
+            break
+        end = min(until, times[_HOLD_AT])
+        if taken < count:
+            end = min(end, effective[taken])
+        advance(constants, state, state[BIAS], state[COMMAND], at - times[_NOW], current, end - at)
+        state[COMMAND], times[_NOW] = current, end
+    if times[_NOW] < until:
+        advance(constants, state, state[BIAS], state[COMMAND], until - times[_NOW], 0.0, 0)
+        times[_NOW] = until
+    state[READING] = nearest_count(constants[_RESOLUTION], state[0] + noise)
+    _count_impulse(constants, state)
+    if times[_HOLDING]:
+        state[COMMAND] = _holding_current(constants, state, state[READING] - state[_ANCHOR])
+    return taken

@@ -9,12 +9,11 @@ from functools import partial
 from rclpy.node import Node
 
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
-from straightcomp_ros.control.injection import Injection
+from straightcomp_ros.control.excitation import Injection, made_injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import OPEN_LOOP, make_law, prepare_all
 from straightcomp_ros.control.learning import make_learning
-from straightcomp_ros.control.least_margins import missing_margin
-from straightcomp_ros.control.loop_excitation import made_injection
+from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.parameters.declaration import ParameterError

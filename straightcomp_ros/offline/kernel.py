@@ -15,9 +15,16 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.hardware.simulated import SimulatedParameters
-from straightcomp_ros.model.commanded_plant import BIAS, READING, Hold, advance_to_sample, commanded_plant
 from straightcomp_ros.model.compiled import compiled
-from straightcomp_ros.model.plant import PlantParameters, PlantState
+from straightcomp_ros.model.plant import (
+    BIAS,
+    READING,
+    Hold,
+    PlantParameters,
+    PlantState,
+    advance_to_sample,
+    commanded_plant,
+)
 from straightcomp_ros.stage.description import StageParameters
 
 _SHIPPED_HOLD = SimulatedParameters().hold(StageParameters())

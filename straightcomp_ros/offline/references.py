@@ -6,9 +6,8 @@ from numpy.typing import NDArray
 from straightcomp_ros.control.pairing import extrapolated
 from straightcomp_ros.model.compiled import compiled
 from straightcomp_ros.model.converters import nearest_count
-from straightcomp_ros.straightness.feedforward import FeedforwardParameters, continues, rates
+from straightcomp_ros.straightness.feedforward import FeedforwardParameters, continues, rates, restarted, updated
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.stage_tracking import restarted, updated
 
 
 @compiled

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.control.injection import Injection
+from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.learning import make_learning

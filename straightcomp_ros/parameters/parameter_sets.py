@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from straightcomp_ros.control.excitation_parameters import ExcitationParameters
+from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.control.learning import LearningParameters
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.simulated import SimulatedParameters
-from straightcomp_ros.model.commanded_plant import Hold
-from straightcomp_ros.model.plant import PlantParameters
+from straightcomp_ros.model.plant import Hold, PlantParameters
 from straightcomp_ros.opcua.admission import OpcuaParameters
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 from straightcomp_ros.safety.watch import WatchParameters

@@ -15,8 +15,7 @@ from rclpy.node import Node
 from std_msgs.msg import UInt8MultiArray
 
 from straightcomp_ros.contract import Stream
-from straightcomp_ros.messages.batch import pack_batch, unpack_batch
-from straightcomp_ros.messages.cdr import SHORTEST, LayoutMismatch, header_stamp_ns
+from straightcomp_ros.messages.cdr import SHORTEST, LayoutMismatch, header_stamp_ns, pack_batch, unpack_batch
 from straightcomp_ros.runtime.guarded_node import Complaints
 from straightcomp_ros.runtime.inside_rclpy import raw_publish
 from straightcomp_ros.runtime.streams import (

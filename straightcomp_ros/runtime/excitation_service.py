@@ -6,8 +6,7 @@ from typing import Protocol
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
-from straightcomp_ros.control import FrequencyResponseError
-from straightcomp_ros.control.injection import Injection
+from straightcomp_ros.control.excitation import FrequencyResponseError, Injection
 from straightcomp_ros.timing.node_timing import EXCITING, FINISHED
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
-from straightcomp_ros.model.lugre import LuGreParameters
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter, to_mapping

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from straightcomp_ros.model.actuator import ActuatorParameters
-from straightcomp_ros.model.lugre import ContactParameters, LuGreParameters
+from straightcomp_ros.model.friction import ContactParameters, LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.parameters.declaration import ParameterError, group, parameter
 from straightcomp_ros.stage.description import StageParameters

@@ -2,17 +2,28 @@
 
     r = r(x),   ṙ = r'(x) ẋ,   r̈ = r''(x) ẋ² + r'(x) ẍ
 
-r is taken at the measured x, without lag: a quantum of 0.1 µm in x is 0.01 nm in r. A filter estimates ẋ and ẍ.
+r is taken at the measured x, without lag: a quantum of 0.1 µm in x is 0.01 nm in r. A fading-memory α-β-γ filter
+estimates ẋ and ẍ. In steady state its gains are those of critical damping, all three poles at θ = exp(−2π bandwidth T):
+
+    α = 1 − θ³,   β = (3/2) (1 − θ)² (1 + θ),   γ = (1 − θ)³
+
+with x += α e, v += β e/T, a += γ e/T² (γ is twice the third gain where T²/2 is factored out). A constant
+acceleration is followed without error. After a start the gains are those of the growing-memory filter, which is
+least squares over all samples since then, until its α falls to the steady one: velocity is right from the third sample
+on, with no transient. Sources: E. Brookner, Tracking and Kalman Filtering Made Easy, 1998, chapters 1 and 7 (critically
+damped g-h-k filter, expanding- and fading-memory polynomial filters); N. Morrison, Introduction to Sequential Smoothing
+and Prediction, 1969.
 
 From one map to another the reference and its derivatives fade without a jump. The weight of the old map falls from 1 to
 0 along the quintic 1 − s³(10 − 15 s + 6 s²), whose first two derivatives are zero at both ends: r, ṙ and r̈ are
 continuous, and for maps that differ by D and a time T the speed changes by at most 1.875 D/T and the acceleration by
-5.774 D/T², beside the maps' own rates.
+5.774 D/T², in addition to the maps' own rates.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +32,6 @@ from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.declaration import parameter
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.stage_tracking import restarted, updated
 
 T = TypeVar("T", float, NDArray[np.float64])
 Rates = tuple[float, float, float]
@@ -49,6 +59,50 @@ class FeedforwardParameters:
     def restart_gap_ns(self) -> int:
         """``restart_gap`` in ns."""
         return round(self.restart_gap * 1e9)
+
+
+class Tracked(NamedTuple):
+    """Estimates of position in m, velocity in m/s and acceleration in m/s², and the number of samples in the growing
+    memory, 0 once the gains are the steady ones."""
+
+    x: float
+    v: float
+    a: float
+    samples: int
+
+
+@compilable
+def restarted(x: float) -> Tracked:
+    """The estimates without earlier samples: at rest at ``x`` in m."""
+    return Tracked(x, 0.0, 0.0, 1)
+
+
+@compilable
+def updated(bandwidth: float, last: Tracked, dt: float, x: float) -> Tracked:
+    """The estimates after the sample ``x`` in m, ``dt`` in s after the last one; dt may differ from sample to sample.
+    ``bandwidth`` in Hz is that of the three equal poles."""
+    theta = math.exp(-2.0 * math.pi * bandwidth * dt)
+    fade = 1.0 - theta
+    alpha = 1.0 - theta * theta * theta
+    beta = 1.5 * fade * fade * (1.0 + theta)
+    gamma = fade * fade * fade
+    n = last.samples
+    if n == 1:
+        alpha, beta, gamma, n = 1.0, 1.0, 0.0, 2  # a straight line through two points
+    elif n:
+        product = (n + 1.0) * (n + 2.0) * (n + 3.0)
+        growing = 3.0 * (3.0 * n * n + 3.0 * n + 2.0) / product
+        if growing > alpha:
+            alpha, beta, gamma, n = growing, 18.0 * (2.0 * n + 1.0) / product, 60.0 / product, n + 1
+        else:
+            n = 0
+    error = x - (last.x + dt * (last.v + 0.5 * dt * last.a))
+    return Tracked(
+        x + (alpha - 1.0) * error,
+        last.v + (dt * last.a + beta * error / dt),
+        last.a + gamma * error / (dt * dt),
+        n,
+    )
 
 
 @compilable
@@ -84,10 +138,7 @@ def blended(old: Rates, new: Rates, fade: Rates) -> Rates:
 class Feedforward:
     """r, ṙ, r̈ for each sample; deterministic, so that a replayed bag gives the same numbers.
 
-    Args:
-        straightness: the map.
-        parameters: of the tracking.
-        highest_speed: that the stage cannot reach, m/s.
+    ``highest_speed`` in m/s is what the stage cannot reach.
     """
 
     def __init__(
@@ -97,18 +148,14 @@ class Feedforward:
         highest_speed: float = MotionParameters().highest_speed,
     ) -> None:
         self._reference: Lookup = straightness.reference
-        self._left: Lookup | None = None
-        self._left_ns = 0
-        self._bandwidth = parameters.bandwidth
-        self._restart_gap_ns = parameters.restart_gap_ns
-        self._max_speed = highest_speed
+        self._left_ns, self._max_speed = 0, highest_speed
+        self._bandwidth, self._restart_gap_ns = parameters.bandwidth, parameters.restart_gap_ns
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
-        self._stamp_ns = _NEVER
-        self._left = None
-        self._x = 0.0
+        self._stamp_ns, self._x = _NEVER, 0.0
+        self._left: Lookup | None = None
         self._tracked = restarted(0.0)
         self._last = (0.0, 0.0, 0.0)
 

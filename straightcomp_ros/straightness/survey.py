@@ -8,30 +8,79 @@
 The column's name ends with the unit: x in m, mm or um, deviation in m, mm, um or nm. The names and separators of
 instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or tabs between the
 cells, and then decimal commas; lines before the header, and Excel's ``sep=``. ``run`` and ``direction`` may be left
-out: then the trend of x tells the direction, and where x turns back another run begins. Rows with the same run and
+out: then the trend of x gives the direction, and where x turns back another run begins. Rows with the same run and
 direction belong to one run, so that a cycle may count forward and backward as one. Other columns are ignored.
 """
 
+import codecs
+import csv
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.whole_file import write_whole
-from straightcomp_ros.straightness.survey_columns import DEVIATION, X, read_table
-from straightcomp_ros.straightness.text import SurveyError, decimal
-
-__all__ = ["Direction", "Run", "Survey", "SurveyError", "check_gaps", "orient", "read_survey", "write_survey"]
 
 Direction = Literal["forward", "backward"]
 _DIRECTIONS = ("forward", "backward")
 Groups = dict[tuple[str, Direction | None], list[tuple[int, float, float]]]
 """Points (line, x in m, deviation in m) by the name and the direction of their run."""
+
+
+class SurveyError(ValueError):
+    """A survey cannot be used; the message names the file, the line or the position, the value and what is allowed."""
+
+
+def numbered_lines(
+    path: Path, comment: str = "(?!)", encodings: Sequence[str] = ("utf-8",)
+) -> Iterator[tuple[int, str]]:
+    """Number and text of the lines of a text file without comments, which the pattern ``comment`` matches, and without
+    the lines that are then blank; SurveyError if it cannot be read, or has none of the ``encodings``.
+
+    The first of these that fits is taken, or what a byte order mark says.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise SurveyError(f"survey {path}: cannot be read: {error.strerror}") from error
+    # Spreadsheets put a byte order mark in front.
+    marked = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+    encodings = [name for mark, name in marked.items() if content.startswith(mark)] or encodings
+    for encoding in encodings:
+        try:
+            text = content.decode(encoding)
+            break
+        except UnicodeDecodeError as error:
+            failed = error
+    else:
+        raise SurveyError(f"survey {path}: byte {failed.start} is not UTF-8; save the file as UTF-8 text") from failed
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = re.sub(comment, "", raw)
+        if line.strip():
+            yield number, line
+
+
+def number(where: str, name: str, cell: str) -> float:
+    """``cell`` as a finite number, or SurveyError; ``where`` begins the message, ``name`` says what the cell is."""
+    try:
+        value = float(cell)
+    except ValueError:
+        raise SurveyError(f"{where}: {name} {cell!r}; allowed: a number") from None
+    if not math.isfinite(value):
+        raise SurveyError(f"{where}: {name} {cell!r}; allowed: a finite number")
+    return value
+
+
+def decimal(value: float, places: int) -> str:
+    """Fixed point, ``places`` > 0, without trailing zeros: ``10``, ``-0.482``; never ``-0``."""
+    text = f"{value:.{places}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +116,219 @@ class Survey:
         return Survey(tuple(replace(run, deviation=-run.deviation) for run in self.runs), self.source)
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """A length in a survey.
+
+    Attributes:
+        name: what the column's name begins with.
+        per_metre: units that may follow the name, with how many of them make a metre.
+        smallest, largest: allowed extent (largest minus smallest value) of a run in m. An extent outside of it is more
+            likely a wrong unit than an odd machine.
+    """
+
+    name: str
+    per_metre: Mapping[str, float]
+    smallest: float
+    largest: float
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Unit of each name that a column of this quantity may have."""
+        return {f"{self.name}_{unit}": unit for unit in self.per_metre}
+
+    def check_extent(self, where: str, extent: float, unit: str = "m") -> None:
+        """Raise SurveyError for a run whose ``extent`` in m, given in ``unit``, is not that of a guide, with the unit
+        that would fit, if one does; ``where`` begins the message."""
+        if self.smallest <= extent <= self.largest:
+            return
+        fitting = [
+            f"{self.name}_{other}"
+            for other, per_metre in self.per_metre.items()
+            if self.smallest <= extent * self.per_metre[unit] / per_metre <= self.largest
+        ]
+        hint = f"; is the unit wrong? It would fit as {' or '.join(fitting)}" if fitting else ""
+        raise SurveyError(
+            f"{where}: {self.name}_{unit} extends over {extent:.6g} m; "
+            f"allowed: {self.smallest:g} m to {self.largest:g} m{hint}"
+        )
+
+
+X = Quantity("x", {"m": 1.0, "mm": 1e3, "um": 1e6}, smallest=0.01, largest=20.0)
+DEVIATION = Quantity("deviation", {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9}, smallest=1e-8, largest=5e-3)
+
+
+@dataclass(frozen=True)
+class Column:
+    """The column of ``quantity`` in ``unit``, and its index in a row."""
+
+    quantity: Quantity
+    unit: str
+    index: int
+
+    def metres(self, where: str, row: Sequence[str]) -> float:
+        """The cell of ``row`` in m, or SurveyError if it is no finite number; ``where`` begins the message."""
+        value = number(where, f"{self.quantity.name}_{self.unit}", row[self.index].strip())
+        return value / self.quantity.per_metre[self.unit]  # a decimal number stays the nearest float
+
+
+class Table(NamedTuple):
+    """A CSV file of a survey: normalised header, the columns of x and deviation, line number and cells of each row,
+    numbers with decimal points."""
+
+    header: list[str]
+    x: Column
+    deviation: Column
+    rows: list[tuple[int, list[str]]]
+
+
+_SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
+"""What instruments call the two quantities."""
+_NAME_AND_UNIT = re.compile(r"([a-z]+)[\s_]*[\[(]?\s*(m|mm|um|nm)\s*[\])]?")
+_OWN_UNIT = re.compile(r".*?[^a-z](m|mm|um|nm)\s*[\])]?")
+_DELIMITERS = "\t;,"
+_SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
+"""Excel's own first line, which names the delimiter."""
+_LINES_BEFORE = 100
+"""Lines in which the header is looked for: instruments write some tens of lines about the measurement before it."""
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
+"""A number whose mark may separate thousands."""
+
+
+def read_table(path: Path, names: Mapping[str, str] | None = None) -> Table:
+    """Read the header and the rows of a CSV file.
+
+    ``names`` has the file's own name, with its unit at the end, for the column of ``x`` or of ``deviation``.
+
+    Raises:
+        SurveyError: the file cannot be read or is empty, lacks a column or has it twice, has a row of another length,
+            or numbers with points and commas in one another's place.
+    """
+    lines = list(numbered_lines(path, r"^\s*#.*"))
+    if not lines:
+        raise SurveyError(f"survey {path}: is empty; allowed: a header row, and a row for each point")
+    own = {_plain(name): quantity for quantity, name in (names or {}).items()}
+    start, delimiter = _header(lines, own)
+    number_of_line, text = lines[start]
+    header = _cells(text, delimiter, own)
+    where = f"survey {path}, line {number_of_line}"
+    try:
+        x, deviation = (_find_column(where, header, name) for name in (X, DEVIATION))
+    except SurveyError as error:
+        # Not at the top of the file: the formats import this module.
+        from straightcomp_ros.straightness.tables.formats import recognised
+
+        kind = recognised(path)
+        if kind is None:
+            raise
+        raise SurveyError(
+            f"survey {path}: is a file of another kind ({kind}); make a survey of it with "
+            f"straightcomp map convert {path} --format {kind} -o survey.csv"
+        ) from error
+    rows = [(line, next(csv.reader([text], delimiter=delimiter))) for line, text in lines[start + 1 :]]
+    for line, row in rows:
+        if len(row) != len(header):
+            raise SurveyError(
+                f"survey {path}, line {line}: {len(row)} cells, the header has {len(header)} "
+                "(is there a decimal comma?)"
+            )
+    numbers = [x.index, deviation.index, *(at for at, name in enumerate(header) if name == "time_s")]
+    if delimiter != ",":
+        _use_points(path, rows, numbers)
+    return Table(header, x, deviation, rows)
+
+
+def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[int, str]:
+    """Index and delimiter of the first line with both columns; of the first line but Excel's own if none has them."""
+    named = _SEPARATOR_LINE.fullmatch(lines[0][1].strip())
+    first = 1 if named and len(lines) > 1 else 0
+    delimiters = named[1] if named else _DELIMITERS
+    for at in range(first, min(len(lines), _LINES_BEFORE)):
+        for delimiter in delimiters:
+            header = _cells(lines[at][1], delimiter, own)
+            if all(any(name in header for name in quantity.columns) for quantity in (X, DEVIATION)):
+                return at, delimiter
+    return first, next((mark for mark in delimiters if mark in lines[first][1]), ",")
+
+
+def _cells(text: str, delimiter: str, own: Mapping[str, str]) -> list[str]:
+    """The cells of a header as they are compared; those that ``own`` names as the quantity's own column."""
+    found = []
+    for cell in next(csv.reader([text], delimiter=delimiter)):
+        name = _plain(cell)
+        unit = _OWN_UNIT.fullmatch(name)
+        usual = _normalised(cell)
+        if name in own:
+            found.append(f"{own[name]}_{unit[1]}" if unit else name)
+        else:
+            # Where a column of this quantity is chosen by its own name, no other is meant.
+            found.append(name if usual.partition("_")[0] in own.values() else usual)
+    return found
+
+
+def _use_points(path: Path, rows: Sequence[tuple[int, list[str]]], columns: Sequence[int]) -> None:
+    """Make points of decimal commas, and leave the marks out that separate thousands."""
+    cells = [(line, row, column, row[column].strip()) for line, row in rows for column in columns]
+    texts = [cell for *_, cell in cells]
+    decimal = {mark for mark in ".," if any(mark in cell and not _GROUPED.fullmatch(cell) for cell in texts)}
+    both = [cell for cell in texts if "." in cell and "," in cell]
+    if both:
+        decimal = {max(".,", key=cell.rfind) for cell in both}
+    marks = {mark for mark in ".," if any(mark in cell for cell in texts)}
+    if len(marks) == 2 and len(decimal) != 1:
+        line = next(line for line, *_, cell in cells if "," in cell)
+        raise SurveyError(
+            f"survey {path}, line {line}: the numbers have points and commas, and either may be the decimal mark; "
+            "allowed: one decimal mark, and thousands without any"
+        )
+    point = decimal.pop() if len(marks) == 2 else "".join(marks)
+    other = "," if point == "." else "."
+    for line, row, column, cell in cells:
+        whole, mark, fraction = cell.partition(point) if point else (cell, "", "")
+        if other in cell and (other in fraction or not _GROUPED.fullmatch(whole)):
+            raise SurveyError(
+                f"survey {path}, line {line}: {cell!r}; allowed: a number with {point!r} as the decimal mark, as "
+                "in other lines"
+            )
+        row[column] = whole.replace(other, "") + ("." + fraction if mark else "")
+
+
+def _normalised(cell: str) -> str:
+    """A header cell as it is compared: ``x_mm`` for ``X [mm]`` or ``position (mm)``; either micro sign as ``u``."""
+    name = _plain(cell)
+    found = _NAME_AND_UNIT.fullmatch(name)
+    # Without a sign between them "xm" would be x in m; such a name is left as it is.
+    if found is None or found.end(1) == found.start(2):
+        return name
+    return f"{_SYNONYMS.get(found[1], found[1])}_{found[2]}"
+
+
+def _plain(cell: str) -> str:
+    return cell.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u")
+
+
+def _find_column(where: str, header: Sequence[str], quantity: Quantity) -> Column:
+    found = [at for at, name in enumerate(header) if name in quantity.columns]
+    if len(found) == 1:
+        return Column(quantity, quantity.columns[header[found[0]]], found[0])
+    option = f"--{quantity.name}-column"
+    if found:
+        places = " and ".join(f"{header[at]} (column {at + 1})" for at in found)
+        raise SurveyError(f"{where}: {quantity.name} is given twice, as {places}; keep one, or choose it by {option}")
+    hint = f" (column '{quantity.name}' carries no unit)" if quantity.name in header else ""
+    also = ", ".join(f"'{name} [UNIT]'" for name, meant in _SYNONYMS.items() if meant == quantity.name)
+    raise SurveyError(
+        f"{where}: no column for {quantity.name}{hint}; found: {', '.join(header)}; allowed: one of "
+        f"{', '.join(quantity.columns)}, or {also}, between commas, semicolons or tabs; straightcomp map build takes "
+        f"another name by {option}"
+    )
+
+
 def read_survey(
     path: str | Path, *, min_points: int = 20, max_gap: float = 0.05, names: Mapping[str, str] | None = None
 ) -> Survey:
     """Read and check a survey: at least ``min_points`` in a run, at most ``max_gap`` in m between neighbouring points.
-    ``names`` as :func:`straightcomp_ros.straightness.survey_columns.read_table` takes it.
+    ``names`` as :func:`straightcomp_ros.straightness.survey.read_table` takes it.
 
     Raises:
         SurveyError: the file is missing or empty, lacks a column, has a cell that is no finite number, too few points,
@@ -150,14 +407,9 @@ def write_survey(path: str | Path, survey: Survey, comments: Sequence[str] = ())
 def orient(where: str, name: str, direction: Direction | None, points: Sequence[tuple[int, float, float]]) -> Run:
     """A run from its points in the order of the file; ``where`` begins the messages.
 
-    A backward run may be listed as it was driven or sorted by x. A forward run with falling x contradicts itself and is
-    refused. Without ``direction``, the trend of x tells it.
-
-    Args:
-        points: at least two of (line number, x in m, deviation in m).
-
-    Raises:
-        SurveyError: x does not go one way, or contradicts ``direction``.
+    ``points`` are at least two of (line number, x in m, deviation in m). A backward run may be listed as it was driven
+    or sorted by x. A forward run with falling x contradicts itself and is refused, as is an x that does not go one way:
+    SurveyError. Without ``direction``, the trend of x gives it.
     """
     lines, x, deviation = zip(*points, strict=True)
     steps = np.diff(x)
@@ -181,11 +433,7 @@ def orient(where: str, name: str, direction: Direction | None, points: Sequence[
 
 
 def check_gaps(where: str, run: Run, max_gap: float) -> None:
-    """Refuse a run with neighbouring points farther apart than ``max_gap`` in m.
-
-    Raises:
-        SurveyError: with the position of the widest gap.
-    """
+    """Raise SurveyError for a run with neighbouring points farther apart than ``max_gap`` in m."""
     steps = np.diff(run.x)
     widest = int(np.argmax(steps))
     # A nanometre of grace: 0.05 m steps read from decimal text differ in the last bit.

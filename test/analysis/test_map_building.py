@@ -15,9 +15,8 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.outliers import disagreement, spikes
-from straightcomp_ros.straightness.repeatability import repeatability
 from straightcomp_ros.straightness.survey import Run, Survey, SurveyError, read_survey
+from straightcomp_ros.straightness.survey_runs import disagreement, repeatability, spikes
 
 CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 SAMPLE = Path(__file__).resolve().parents[2] / "bags" / "survey"

@@ -1,12 +1,15 @@
-"""The compiled step of each law is the step function itself, to the last bit."""
+"""The compiled step of each law is the step function to the last bit; what compiling costs who does not compute."""
 
 import math
+import pickle
 import random
+import subprocess
+import sys
 
 import pytest
 
-from straightcomp_ros.control.law import flat
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
+from straightcomp_ros.model.plant import advance
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
@@ -28,7 +31,7 @@ def test_the_compiled_step_equals_the_function_to_the_last_bit(name):
     state = law.start(2e-6)
     for sample in samples(2000):
         state, expected = law.function(law.gains, state, *sample)
-        # repr tells every bit, and NaN equals NaN.
+        # repr shows every bit, and NaN equals NaN.
         assert repr(law.step(*sample)) == repr(expected)
 
 
@@ -51,5 +54,13 @@ def test_two_laws_of_a_kind_have_each_a_state_of_its_own():
         assert repr(other.step(*sample)) == repr(fresh.step(*sample))
 
 
-def test_flat_numbers_are_in_the_order_of_the_tuples():
-    assert flat((1.0, (2.0, (3.0, 4.0)), 5.0)) == [1.0, 2.0, 3.0, 4.0, 5.0]
+@pytest.mark.parametrize("module", ["parameters.node_parameters", "runtime.managed", "control.laws"])
+def test_to_read_parameters_imports_neither_numba_nor_scipy(module):
+    code = f"import sys, straightcomp_ros.{module}; print(sorted({{'numba', 'llvmlite', 'scipy'}} & set(sys.modules)))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+def test_a_compiled_function_goes_to_another_process_by_its_name():
+    assert pickle.loads(pickle.dumps(advance)) is advance
+    assert advance.__name__ == "advance" and "constants" in advance.__doc__

@@ -1,5 +1,7 @@
-"""Learning from stroke to stroke, on servos that are formulas and on machines that the law does not know."""
+"""Learning from stroke to stroke: the table over x, its file, and strokes of machines that the law does not know."""
 
+import itertools
+import json
 import math
 from collections.abc import Callable
 
@@ -8,9 +10,10 @@ import pytest
 from scipy.interpolate import BSpline
 
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
+from straightcomp_ros.cli.main import main
 from straightcomp_ros.control import learning as learning_module
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.learned_table import LearnedTable
+from straightcomp_ros.control.learned_table import LearnedTable, LearningFileError, read_tables, write_tables
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
@@ -18,6 +21,283 @@ from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.sweep.draws import draw, streams
+
+SPACING = 1e-3
+MARGIN = 0.05
+
+
+def table():
+    return LearnedTable(SPACING, MARGIN)
+
+
+def restored(coefficients, first=-3, speed=0.2):
+    found = table()
+    count = len(coefficients)
+    found.restore(first, coefficients, np.full(count, 1e-14), np.full(count, 4e-14), np.full(count, speed))
+    return found
+
+
+def one_pass(found, error, wanted=0.0, x=None, speed=0.2, gain=1.0, limit=1e-6, asked=None):
+    """A pass over 0 to 50 mm, ten samples a node, with a constant error; what is wanted is constant, too."""
+    x = np.linspace(0.0, 0.05, 501) if x is None else x
+
+    def answer(part):
+        if asked is not None:
+            asked.append(part)
+        return np.full(x.size, wanted)
+
+    found.learn(x, np.full(x.size, error), np.ones(x.size), answer, np.full(x.size, speed), gain, limit)
+
+
+def inside(found, at=(0.01, 0.02, 0.03, 0.04)):
+    return [found.at(x, 0.2)[1] for x in at]
+
+
+def test_the_correction_is_the_uniform_cubic_spline_of_its_coefficients_with_both_derivatives():
+    coefficients = np.random.default_rng(1).normal(0.0, 1e-6, 12)
+    found, first = restored(coefficients), -3
+    # Coefficient k belongs to the node (first + k), around which its B-spline is centred.
+    knots = (first + np.arange(-2, 14)) * SPACING
+    spline = BSpline(knots, coefficients, 3)
+    for x in np.linspace((first + 1) * SPACING, (first + 10) * SPACING - 1e-9, 200):
+        weight, value, slope, curvature = found.at(x, 0.2)
+        assert weight == 1.0
+        assert value == pytest.approx(spline(x), abs=1e-18)
+        assert slope == pytest.approx(spline(x, 1), abs=1e-14)
+        assert curvature == pytest.approx(spline(x, 2), abs=1e-9)
+
+
+def test_outside_of_the_table_there_is_no_correction():
+    found = restored(np.full(12, 1e-6))
+    for x in (-0.1, -2.01 * SPACING, 7.01 * SPACING, 0.1):
+        assert found.at(x, 0.2) == (1.0, 0.0, 0.0, 0.0)
+    assert found.at(-1.99 * SPACING, 0.2)[1] == pytest.approx(1e-6)
+    assert found.at(6.99 * SPACING, 0.2)[1] == pytest.approx(1e-6)
+    assert table().at(0.0, 0.2) == (1.0, 0.0, 0.0, 0.0)
+
+
+def test_the_weight_falls_from_one_to_zero_with_the_distance_from_the_learned_speed():
+    found = restored(np.full(12, 1e-6), speed=0.2)
+    weights = [found.at(0.0, 0.2 * (1.0 + away))[0] for away in np.linspace(0.0, 1.0, 101)]
+    assert weights[0] == 1.0 and weights[-1] == 0.0
+    assert all(later <= earlier for earlier, later in itertools.pairwise(weights))
+    steps = np.diff(weights)
+    falling = steps[(steps < 0.0)][1:-1]
+    assert len(falling) > 2 and falling == pytest.approx(falling.mean())
+    for away in (0.1, 0.2, 0.3):
+        slower, faster = (found.at(0.0, 0.2 * (1.0 + sign * away))[0] for sign in (-1.0, 1.0))
+        assert slower == pytest.approx(faster)
+
+
+def test_what_is_wanted_is_learned_within_the_limit_and_counted():
+    found = table()
+    one_pass(found, 1e-6, wanted=0.4e-6)
+    assert inside(found) == pytest.approx([0.4e-6] * 4)
+    assert found.updates == 1 and found.tried
+    one_pass(found, 0.5e-6, wanted=-5e-6)
+    assert inside(found) == pytest.approx([-1e-6] * 4)
+    assert found.updates == 2
+
+
+def test_an_update_that_makes_things_worse_is_taken_back_and_the_next_one_is_half_as_large():
+    asked = []
+    found = table()
+    one_pass(found, 1e-6, wanted=0.4e-6, asked=asked)
+    one_pass(found, 2e-6, wanted=0.9e-6, asked=asked)
+    # Worse than without: the coefficients are those of the best pass, which had none.
+    assert inside(found) == pytest.approx([0.0] * 4, abs=1e-20)
+    assert found.caution == 0.5 and found.updates == 1 and not found.tried
+    one_pass(found, 1e-6, wanted=0.2e-6, asked=asked)
+    assert asked == [1.0, 0.5]
+    assert inside(found) == pytest.approx([0.2e-6] * 4)
+    # That one was good: the gain may grow again.
+    one_pass(found, 0.5e-6, wanted=0.3e-6, asked=asked)
+    assert found.caution == 1.0 and asked[-1] == 1.0
+    one_pass(found, 0.25e-6, wanted=0.3e-6, asked=asked)
+    assert found.caution == 1.0 and asked[-1] == 1.0
+    found.caution = 0.25
+    one_pass(found, 0.1e-6, wanted=0.3e-6, asked=asked)
+    assert found.caution == 0.5
+    found.clear()
+    assert found.caution == 1.0 and not found.tried
+
+
+def test_an_error_within_the_margin_is_chance_and_no_reason_to_take_back():
+    found = table()
+    one_pass(found, 1e-6, wanted=0.4e-6)
+    one_pass(found, 1.04e-6, wanted=0.5e-6)
+    assert inside(found) == pytest.approx([0.5e-6] * 4)
+    assert found.caution == 1.0
+    one_pass(found, 1.06e-6, wanted=0.6e-6)
+    assert inside(found) == pytest.approx([0.0] * 4, abs=1e-20)
+
+
+def test_the_best_is_what_stood_in_the_table_during_the_best_pass():
+    found = table()
+    for error, wanted in ((1.0e-6, 0.4e-6), (0.5e-6, 0.6e-6), (0.2e-6, 0.7e-6), (0.9e-6, 0.1e-6)):
+        one_pass(found, error, wanted=wanted)
+    # The third pass ran with 0.6 and was the best; the fourth with 0.7 was worse.
+    assert inside(found) == pytest.approx([0.6e-6] * 4)
+    assert np.nanmax(found.best_square) == pytest.approx(0.04e-12)
+    assert np.nanmax(found.bare_square) == pytest.approx(1e-12)
+
+
+def test_a_machine_that_has_changed_is_learned_anew_if_the_table_is_worse_than_nothing():
+    found = table()
+    for error, wanted in ((1e-6, 0.4e-6), (0.5e-6, 0.4e-6), (0.5e-6, 0.4e-6)):
+        one_pass(found, error, wanted=wanted)
+    one_pass(found, 0.8e-6, wanted=0.5e-6)
+    assert not found.tried and inside(found) == pytest.approx([0.4e-6] * 4)
+    # Without an untried update, and still better than without any: it is the best from now on.
+    one_pass(found, 0.8e-6, wanted=0.5e-6)
+    assert found.updates == 4 and np.nanmax(found.best_square) == pytest.approx(0.64e-12)
+    one_pass(found, 3e-6, wanted=0.9e-6)
+    one_pass(found, 3e-6, wanted=0.9e-6)
+    assert found.updates == 0 and found.coefficients.size == 0 and found.at(0.02, 0.2)[1] == 0.0
+
+
+def test_nodes_passed_at_another_speed_start_anew_and_the_others_stay():
+    found = table()
+    one_pass(found, 1e-6, wanted=0.4e-6)
+    one_pass(found, 0.5e-6, wanted=0.4e-6)
+    half = np.linspace(0.0, 0.02, 201)
+    one_pass(found, 2e-6, wanted=0.1e-6, x=half, speed=0.6)
+    assert found.at(0.01, 0.6)[:2] == (1.0, pytest.approx(0.1e-6))
+    assert found.at(0.04, 0.2)[:2] == (1.0, pytest.approx(0.4e-6))
+    assert found.at(0.01, 0.2)[0] == 0.0
+
+
+def test_a_pass_over_another_stretch_makes_the_table_longer_and_keeps_what_it_knows():
+    found = table()
+    one_pass(found, 1e-6, wanted=0.4e-6, x=np.linspace(0.03, 0.05, 201))
+    one_pass(found, 1e-6, wanted=0.2e-6, x=np.linspace(-0.02, 0.0, 201))
+    one_pass(found, 1e-6, wanted=0.1e-6, x=np.linspace(0.08, 0.1, 201))
+    assert inside(found, (-0.01, 0.04, 0.09)) == pytest.approx([0.2e-6, 0.4e-6, 0.1e-6])
+    assert found.at(0.015, 0.2)[1] == 0.0
+    assert found.first * SPACING <= -0.02
+    assert (found.first + found.coefficients.size - 1) * SPACING >= 0.1
+    for values in (found.best, found.best_square, found.bare_square, found.speed):
+        assert values.size == found.coefficients.size
+
+
+def test_only_samples_with_weight_count_and_nodes_between_them_are_interpolated():
+    found = table()
+    x = np.linspace(0.0, 0.05, 501)
+    wanted = 1e-6 * x / 0.05
+    weight = np.where(np.isin(np.floor(x / SPACING + 0.5), (20, 21, 22)), 0.0, 1.0)
+    found.learn(
+        x, np.full(x.size, 1e-6), weight, lambda _: np.where(weight > 0.0, wanted, 99.0), 0.2 * weight, 1.0, 1.0
+    )
+    assert inside(found) == pytest.approx([1e-6 * at / 0.05 for at in (0.01, 0.02, 0.03, 0.04)], abs=2e-9)
+    nothing = table()
+    nothing.learn(x, np.full(x.size, 1e-6), 0.0 * x, lambda _: wanted, 0.2 + 0.0 * x, 1.0, 1.0)
+    assert nothing.updates == 0 and not nothing.tried
+
+
+def test_a_short_pass_is_judged_by_what_it_went_over():
+    found = table()
+    one_pass(found, 1e-6, wanted=0.4e-6)
+    half = np.linspace(0.0, 0.02, 201)
+    one_pass(found, 2e-6, wanted=0.9e-6, x=half)
+    assert inside(found, (0.005, 0.01)) == [0.0, 0.0] and found.caution == 0.5 and found.updates == 1
+    one_pass(found, 0.5e-6, wanted=0.3e-6, x=half)
+    assert inside(found, (0.005, 0.01)) == pytest.approx([0.3e-6] * 2) and found.updates == 2
+
+
+FILE_SPACING = 0.25e-3
+
+
+def tables() -> dict[bool, LearnedTable]:
+    return {forward: LearnedTable(FILE_SPACING, 0.05) for forward in (True, False)}
+
+
+def learned() -> dict[bool, LearnedTable]:
+    random = np.random.default_rng(2)
+    filled = tables()
+    for forward, first, count in ((True, -8, 60), (False, 4, 30)):
+        squares = random.uniform(1e-16, 1e-14, count)
+        squares[:4] = math.nan
+        # As in every table, the correction fades out over the nodes at its ends.
+        coefficients = np.pad(random.uniform(-1e-6, 1e-6, count - 8), 4)
+        filled[forward].restore(first, coefficients, squares, 2.0 * squares, np.full(count, 0.2))
+    return filled
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "learned.csv"
+    write_tables(path, "smc", learned())
+    return path
+
+
+def test_a_file_gives_back_what_was_written(file):
+    again, expected = tables(), learned()
+    read_tables(file, "smc", again)
+    for forward in (True, False):
+        for x in np.linspace(-3e-3, 0.02, 40).tolist():
+            assert again[forward].at(x, 0.2) == pytest.approx(expected[forward].at(x, 0.2), rel=1e-4, abs=1e-11)
+    size = expected[True].best.size
+    np.testing.assert_allclose(again[True].best_square[:size], expected[True].best_square, rtol=1e-5)
+    np.testing.assert_allclose(again[True].bare_square[:size], expected[True].bare_square, rtol=1e-5)
+    assert np.isnan(again[False].best_square[:12]).all()  # before its first node, and where nothing was learned
+    second = file.with_name("second.csv")
+    write_tables(second, "smc", again)
+    assert second.read_text() == file.read_text()
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda text: text.replace("# law: smc", "# law: linear"), "learned with law 'linear'; allowed: '# law: smc'"),
+        (lambda text: text.replace("# law: smc\n", ""), "names no law"),
+        (lambda text: text.replace("x_m,", "x,"), "header 'x,forward"),
+        (lambda text: "\n".join(text.splitlines()[:4]), "no rows"),
+        (lambda text: text.replace("\n-0.00175,", "\n-0.0017,"), "line 6: x_m -0.0017; allowed: -0.00175"),
+        (lambda text: text.replace("\n-0.00175,", "\nnan,"), "line 6: x_m 'nan'; allowed: a finite number"),
+        (lambda text: text.replace("\n-0.00175,", "\n-0.00175,x"), "line 6: forward_correction_m 'x"),
+        (lambda text: text.replace("\n-0.00175,", "\n-0.00175,1"), "line 6: forward_correction_m '1"),
+        (lambda text: text.replace("\n-0.00175,", "\n-0.00175,,"), "line 6: 10 cells; allowed: 9"),
+    ],
+)
+def test_a_damaged_file_is_refused_with_the_place_and_what_is_allowed(file, change, message):
+    text = file.read_text()
+    file.write_text(change(text))
+    assert file.read_text() != text
+    with pytest.raises(LearningFileError) as refused:
+        read_tables(file, "smc", tables())
+    assert message in str(refused.value) and str(file) in str(refused.value)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", None], ids=["binary", "folder"])
+def test_a_file_that_is_no_text_is_refused(tmp_path, content):
+    path = tmp_path / "learned.csv"
+    path.mkdir() if content is None else path.write_bytes(content)
+    with pytest.raises(LearningFileError, match=r"learned\.csv: "):
+        read_tables(path, "smc", tables())
+
+
+SHORT = [f"--set=stage.motion.{name}" for name in ("stroke=0.05", "settle=0.2", "pause=0.1")]
+
+
+def test_the_command_runs_strokes_keeps_what_it_learned_and_goes_on_from_there(tmp_path, capsys):
+    path = tmp_path / "learned.csv"
+    command = ["simulate", "--law", "linear", "--learned", str(path), "--json", *SHORT]
+    assert main([*command, "--strokes", "4"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert [set(cycle) for cycle in first["cycles"]] == [{"true_pp_um", "true_rms_um", "verdict", "reason"}] * 4
+    assert first["cycles"][-1]["true_rms_um"] == first["true_rms_um"] < 0.75 * first["cycles"][0]["true_rms_um"]
+    assert main(command) == 0
+    second = json.loads(capsys.readouterr().out)
+    assert "cycles" not in second
+    assert second["true_rms_um"] < 0.75 * first["cycles"][0]["true_rms_um"]
+
+
+def test_the_command_refuses_a_wrong_file_and_a_wrong_number_of_strokes(file, capsys):
+    assert main(["simulate", "--law", "linear", "--learned", str(file), *SHORT]) == 2
+    assert "learned with law 'smc'" in capsys.readouterr().err
+    assert main(["simulate", "--strokes", "0", *SHORT]) == 2
+    assert "--strokes 0; allowed: >= 1" in capsys.readouterr().err
+
 
 STAGE = StageParameters()
 RATE, PERIOD_NS = 2000, 500_000
@@ -67,20 +347,6 @@ def learning(**changes) -> Learning:
     return Learning(LearningParameters(**{"learn": True, **changes}), "smc", RATE)
 
 
-def test_the_correction_and_its_rates_are_those_of_a_cubic_spline():
-    random = np.random.default_rng(1)
-    spacing, first, count = 0.25e-3, -40, 30
-    coefficients = random.standard_normal(count) * 1e-7
-    table = LearnedTable(spacing, 0.05)
-    table.restore(first, coefficients, np.ones(count), np.ones(count), np.full(count, 0.1))
-    knots = (first + np.arange(-2, count + 2)) * spacing
-    spline = BSpline(knots, coefficients, 3)
-    for x in random.uniform((first + 1) * spacing, (first + count - 3) * spacing, 50).tolist():
-        expected = [float(spline(x, derivative)) for derivative in range(3)]
-        assert table.at(x, 0.1) == pytest.approx((1.0, *expected), rel=1e-7, abs=1e-14)
-    assert table.at(1.0, 0.1) == table.at(-1.0, 0.1) == (1.0, 0.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize("gain, lag", [(1.0, 0.0), (0.7, 0.001), (1.3, 0.002)])
 def test_what_repeats_in_each_direction_vanishes_within_ten_passes(gain, lag):
     # The cut-off is above all that repeats here.
@@ -90,28 +356,6 @@ def test_what_repeats_in_each_direction_vanishes_within_ten_passes(gain, lag):
         last = rig.cycle()
     assert bare[True] > 0.1e-6 and bare[False] > 0.1e-6
     assert last[True] < 0.1 * bare[True] and last[False] < 0.1 * bare[False]
-
-
-def test_the_correction_never_exceeds_its_limit():
-    learner = learning(limit=0.1e-6)
-    rig = Rig(learner)
-    for _ in range(5):
-        rig.cycle()
-    largest = [np.abs(table.coefficients).max() for table in learner.tables.values()]
-    assert largest == [pytest.approx(0.1e-6)] * 2
-
-
-def test_an_update_that_makes_a_pass_worse_is_taken_back():
-    # A servo that does the opposite of what it is asked for: every update is wrong.
-    rig = Rig(learning(), gain=-1.0)
-    bare = rig.cycle()
-    passes = [rig.cycle() for _ in range(8)]
-    for forward in (True, False):
-        rms = [figures[forward] for figures in passes]
-        # One pass to find out, and then as without a correction.
-        assert rms[0] > 1.2 * bare[forward]
-        assert rms[1] == pytest.approx(bare[forward], rel=1e-6)
-        assert np.mean(rms[-4:]) < 1.1 * bare[forward]
 
 
 def test_a_machine_that_has_changed_is_learned_anew():
@@ -126,33 +370,6 @@ def test_a_machine_that_has_changed_is_learned_anew():
     for _ in range(8):
         passes.append(rig.cycle())
     assert passes[-1][True] < 0.2 * max(figures[True] for figures in passes)
-
-
-def test_another_speed_is_not_corrected_by_what_was_learned_and_is_learned_anew():
-    learner = learning()
-    rig = Rig(learner)
-    for _ in range(4):
-        rig.cycle()
-    slow = MotionParameters(stroke=0.06, speed=0.03, settle=0.2, pause=0.1)
-    rig.restart_at(slow)
-    bare = Rig(learning(), motion=slow).cycle()
-    assert rig.cycle()[True] < 1.05 * bare[True]
-    for _ in range(7):
-        last = rig.cycle()
-    assert last[True] < 0.3 * bare[True]
-
-
-def test_a_shorter_stroke_uses_and_improves_the_same_table():
-    learner = learning()
-    rig = Rig(learner, motion=MotionParameters(stroke=0.2, speed=0.05, settle=0.2, pause=0.1))
-    rig.cycle()
-    before = rig.cycle()
-    elsewhere = learner.tables[True].at(0.15, 0.05)
-    rig.restart_at(MotionParameters(stroke=0.1, speed=0.05, settle=0.2, pause=0.1))
-    for _ in range(4):
-        after = rig.cycle()
-    assert after[True] < 0.6 * before[True]
-    assert learner.tables[True].at(0.15, 0.05) == elsewhere
 
 
 def test_the_cut_off_lies_well_below_half_of_the_rate():
@@ -260,9 +477,9 @@ def cycles_of(values: dict, learn: bool) -> list[Metrics]:
     return [evaluate(simulation.run(), simulation.map) for _ in range(12)]
 
 
-@pytest.mark.soak
+@pytest.mark.nightly
 @pytest.mark.parametrize("law, seed, gained", [("smc_observer", 4, 1.0), ("smc", 3, 0.97), ("linear", 5, 0.7)])
-def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning(law, seed, gained):
+def test_no_machine_within_the_uncertainty_is_worse_off_than_without_learning(law, seed, gained):
     ratios = []
     for trial in range(4):
         machine = draw(StageParameters(), streams(seed, trial).machine)
@@ -285,3 +502,8 @@ def test_no_machine_within_the_uncertainty_is_served_worse_than_without_learning
         assert np.mean(learned[1:]) < 1.04 * np.mean(bare), machine
         ratios.append(np.mean(learned[-2:]) / np.mean(bare))
     assert np.mean(ratios) < gained
+
+
+def test_tables_in_which_nothing_was_learned_leave_no_file(tmp_path):
+    write_tables(tmp_path / "none.csv", "smc", tables())
+    assert not list(tmp_path.iterdir())

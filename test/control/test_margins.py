@@ -1,3 +1,5 @@
+"""Margins of the sampled loop: its own poles and borders, the textbook, and the continuous plant."""
+
 import dataclasses
 
 import numpy as np
@@ -13,7 +15,7 @@ from straightcomp_ros.control.margins import (
     phase_margin,
     sampled_plant,
 )
-from straightcomp_ros.control.surface_design import SlidingDesign, closed_loop_poles
+from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
@@ -45,11 +47,6 @@ def test_every_default_law_is_stable_with_margins_to_each_side(name, gain_low, g
     assert margins.gain_low < gain_low and margins.gain_high > gain_high
     assert margins.phase > phase
     assert margins.longest_delay > PERIOD
-
-
-def test_commands_are_as_late_as_the_stage_says_unless_told():
-    described, told = loop_margins(law("linear"), STAGE), loop_margins(law("linear"), STAGE, DELAY)
-    assert described[1:] == told[1:] != loop_margins(law("linear"), STAGE, PERIOD)[1:]
 
 
 @pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
@@ -99,12 +96,6 @@ def test_while_the_amplifier_is_as_described_the_measured_current_does_not_chang
     assert abs(margins[0] / margins[1] - 1.0) > 0.05
 
 
-def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
-    thin = law("smc", smc=SlidingDesign(boundary_layer=5e-4))
-    margins = loop_margins(thin, STAGE)
-    assert max(abs(margins.poles)) > 1.0 and margins.longest_delay == 0.0
-
-
 def test_a_law_that_switches_has_no_linearisation():
     with pytest.raises(ValueError, match="no linearisation"):
         linearised(law("smc", smc=SlidingDesign(boundary_layer=0.0)))
@@ -136,3 +127,9 @@ def test_the_border_of_stability_is_the_one_next_to_the_stable_value():
     assert last_stable(lambda value: not 0.75 < value < 1.5, 0.0, 99.0) == pytest.approx(0.75, abs=1e-9)
     assert last_stable(lambda value: value < 98.25, 0.0, 99.0) == pytest.approx(98.25, abs=1e-9)
     assert last_stable(lambda value: True, 0.0, 99.0) == 99.0
+
+
+def test_a_boundary_layer_too_thin_for_the_delay_is_unstable():
+    thin = law("smc", smc=SlidingDesign(boundary_layer=5e-4))
+    margins = loop_margins(thin, STAGE)
+    assert max(abs(margins.poles)) > 1.0 and margins.longest_delay == 0.0

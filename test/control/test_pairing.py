@@ -18,7 +18,7 @@ def quadratic(stamp_ns):
     return 1e-6 + 2e-3 * t + 0.5 * 0.3 * t * t, 2e-3 + 0.3 * t, 0.3
 
 
-def test_the_reference_of_an_earlier_sample_serves_at_the_sample_s_own_time():
+def test_the_reference_of_an_earlier_sample_is_used_at_the_sample_s_own_time():
     pairing = Pairing(8 * PERIOD, wait=True)
     for k in range(40):
         pairing.add_sample(at(k), (k,))
@@ -29,18 +29,8 @@ def test_the_reference_of_an_earlier_sample_serves_at_the_sample_s_own_time():
         assert reference == pytest.approx(quadratic(at(k)), rel=1e-12)
 
 
-def test_a_sample_that_is_sent_again_gets_the_same_reference_again():
-    pairing = Pairing(8 * PERIOD, wait=True)
-    for k in range(20):
-        pairing.add_sample(at(k), (k,))
-        pairing.add_reference(at(k), (float(k), 0.0, 0.0))
-        (first,) = pairing.take()
-        pairing.add_sample(at(k), (k,))
-        assert list(pairing.take()) == [first]
-
-
 def test_the_numbers_do_not_depend_on_who_was_faster():
-    def served(order):
+    def answered(order):
         pairing = Pairing(4 * PERIOD, wait=True)
         got = []
         for kind, k in order:
@@ -52,9 +42,9 @@ def test_the_numbers_do_not_depend_on_who_was_faster():
         return got
 
     count = 50
-    together = served([(kind, k) for k in range(count) for kind in ("sample", "reference")])
-    references_first = served([("reference", k) for k in range(count)] + [("sample", k) for k in range(count)])
-    samples_first = served([("sample", k) for k in range(count)] + [("reference", k) for k in range(count)])
+    together = answered([(kind, k) for k in range(count) for kind in ("sample", "reference")])
+    references_first = answered([("reference", k) for k in range(count)] + [("sample", k) for k in range(count)])
+    samples_first = answered([("sample", k) for k in range(count)] + [("reference", k) for k in range(count)])
     assert len(together) == count
     assert together == references_first == samples_first
 
@@ -68,20 +58,20 @@ def test_in_lockstep_a_sample_waits_for_its_reference():
     assert [stamp for stamp, *_ in pairing.take()] == [at(0), at(1), at(2)]
 
 
-def test_in_real_time_the_newest_reference_serves_until_it_is_too_old():
+def test_in_real_time_the_newest_reference_is_used_until_it_is_too_old():
     pairing = Pairing(2 * PERIOD, wait=False)
     pairing.add_reference(at(0), quadratic(at(0)))
-    served = []
+    answered = []
     for k in range(200):
         pairing.add_sample(at(k), (k,))
-        served += pairing.take()
-    assert [stamp for stamp, *_ in served] == [at(k) for k in range(101)]  # 50 ms
-    assert served[-1][2] == pytest.approx(quadratic(at(100)), rel=1e-12)
+        answered += pairing.take()
+    assert [stamp for stamp, *_ in answered] == [at(k) for k in range(101)]  # 50 ms
+    assert answered[-1][2] == pytest.approx(quadratic(at(100)), rel=1e-12)
     pairing.add_reference(at(199), quadratic(at(199)))
     assert [stamp for stamp, *_ in pairing.take()][-1] == at(199)
 
 
-def test_after_a_gap_old_references_serve_no_more():
+def test_after_a_gap_old_references_are_used_no_more():
     pairing = Pairing(2 * PERIOD, wait=False)
     pairing.add_sample(at(0), (0,))
     pairing.add_reference(at(0), (1.0, 0.0, 0.0))
@@ -92,7 +82,7 @@ def test_after_a_gap_old_references_serve_no_more():
     assert list(pairing.take()) == [(at(1000), (1000,), (2.0, 0.0, 0.0), 0)]
 
 
-def test_a_machine_whose_clock_was_set_back_is_served_again():
+def test_a_machine_whose_clock_was_set_back_is_answered_again():
     pairing = Pairing(2 * PERIOD, wait=False)
     for first in (10_000, 0):
         for k in range(first, first + 5):
@@ -117,3 +107,13 @@ def test_references_run_short_when_a_sample_to_come_has_none_of_its_own():
     pairing.add_reference(at(12), quadratic(at(12)))
     assert not pairing.short(PERIOD)
     assert pairing.short(2 * PERIOD)
+
+
+def test_a_sample_that_is_sent_again_gets_the_same_reference_again():
+    pairing = Pairing(8 * PERIOD, wait=True)
+    for k in range(20):
+        pairing.add_sample(at(k), (k,))
+        pairing.add_reference(at(k), (float(k), 0.0, 0.0))
+        (first,) = pairing.take()
+        pairing.add_sample(at(k), (k,))
+        assert list(pairing.take()) == [first]

@@ -1,8 +1,18 @@
+"""One control cycle: repeated, old and wrong samples; changes of law without a bump; a test signal within limits."""
+
+import itertools
 import math
 
-from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
-from straightcomp_ros.control.servo import AMPLIFIER_OFF, Servo
+import numpy as np
+import pytest
+
+from straightcomp_ros.control.excitation import Injection
+from straightcomp_ros.control.law import Command, Law
+from straightcomp_ros.control.laws import LAWS, OPEN_LOOP, ControlParameters, make_law
+from straightcomp_ros.control.servo import AMPLIFIER_OFF, FADE_TIME, Crossfade, Servo
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 
 T = 500_000
 HELD = (1e-6, 0.0, 0.0)
@@ -46,23 +56,227 @@ def test_while_the_amplifier_is_off_nothing_is_integrated():
     assert same(waiting.step(1000 * T, 0.0, 0.0, HELD), fresh.step(0, 0.0, 0.0, HELD))
 
 
-def test_after_a_long_gap_the_law_starts_anew():
-    loop, fresh = servo(), servo()
-    for step in range(100):
-        loop.step(step * T, 0.0, 0.0, HELD)
-    assert same(loop.step(100 * T + 10**9, 0.0, 0.0, HELD), fresh.step(0, 0.0, 0.0, HELD))
-
-
-def test_after_a_clock_step_backward_the_law_starts_anew():
+@pytest.mark.parametrize("next_ns", [10**12 + 100 * T + 10**9, 10**6], ids=["long gap", "clock set back"])
+def test_after_a_long_gap_or_a_clock_step_backward_the_law_starts_anew(next_ns):
     loop, fresh = servo(), servo()
     for step in range(100):
         loop.step(10**12 + step * T, 0.0, 0.0, HELD)
-    assert same(loop.step(10**6, 0.0, 0.0, HELD), fresh.step(0, 0.0, 0.0, HELD))
+    assert same(loop.step(next_ns, 0.0, 0.0, HELD), fresh.step(0, 0.0, 0.0, HELD))
 
 
-def test_in_open_loop_the_command_is_zero_and_the_error_is_told():
+def test_in_open_loop_the_command_is_zero_and_the_error_is_reported():
     loop = Servo(make_law(ControlParameters(law=OPEN_LOOP), StageParameters()))
     assert not loop.running
     answer = loop.step(T, 3e-6, 0.1, HELD)
     assert answer is not None and answer.current == 0.0 and answer.error == 1e-6 - 3e-6
     assert loop.running
+
+
+STAGE = StageParameters()
+RATE = 2000
+FADE = round(FADE_TIME * RATE)
+BEFORE, AFTER = 600, 600
+LIMIT = STAGE.actuator.current_limit
+
+
+def reference(step):
+    """Half a hertz, ± 5 µm: the platform never stands still for long."""
+    w, t = math.pi, step / RATE
+    return 5e-6 * math.sin(w * t), 5e-6 * w * math.cos(w * t), -5e-6 * w * w * math.sin(w * t)
+
+
+class Noted:
+    """A law whose answers are kept."""
+
+    def __init__(self, law):
+        self._law, self.currents = law, []
+
+    def reset(self, y):
+        self._law.reset(y)
+
+    def step(self, *arguments):
+        answer = self._law.step(*arguments)
+        self.currents.append(answer.current)
+        return answer
+
+
+def run(old, change, steps=BEFORE + AFTER):
+    """The simulated machine under ``old``; ``change(servo)`` is called at step BEFORE. Gives currents and errors."""
+    machine = SimulatedHardware(
+        SimulatedParameters(), STAGE, load_map(MapParameters(file="config/guide_synthetic.csv"))
+    )
+    servo, currents, errors = Servo(old), [], []
+    machine.start(0)
+    machine.enable()
+    for step in range(steps):
+        if step == BEFORE:
+            change(servo)
+        [(sample, _)] = machine.read(step * T)
+        answer = servo.step(sample.stamp_ns, sample.y, sample.current, reference(step))
+        machine.write(answer.current, sample.stamp_ns + T // 2)
+        currents.append(answer.current)
+        errors.append(answer.error)
+    return currents, errors
+
+
+def steps_of(currents):
+    return [abs(b - a) for a, b in itertools.pairwise(currents)]
+
+
+@pytest.mark.parametrize(("before", "after"), list(itertools.permutations(LAWS, 2)))
+def test_the_command_never_steps_by_more_than_the_laws_themselves_and_their_difference_over_n(before, after):
+    old = Noted(make_law(ControlParameters(law=before), STAGE))
+    new = Noted(make_law(ControlParameters(law=after), STAGE))
+    currents, errors = run(old, lambda servo: servo.change(new, FADE))
+    fading = range(BEFORE, BEFORE + FADE)
+    olds, news = old.currents[BEFORE - 1 :], [new.currents[0], *new.currents]
+    for place, step in enumerate(fading, 1):
+        weight = place / FADE
+        own = (1.0 - weight) * abs(olds[place] - olds[place - 1]) + weight * abs(news[place] - news[place - 1])
+        bound = own + abs(news[place - 1] - olds[place - 1]) / FADE
+        assert abs(currents[step] - currents[step - 1]) <= bound + 1e-12
+        assert bound <= own + 2.0 * LIMIT / FADE
+    assert currents[BEFORE + FADE :] == new.currents[FADE:]
+    assert max(map(abs, errors[BEFORE - 100 :])) < 3e-6
+
+
+def test_a_change_within_a_change_ends_with_the_last_law():
+    laws = [make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc", "smc_observer")]
+
+    def change(servo):
+        servo.change(laws[1], FADE)
+        servo.change(laws[2], FADE)
+
+    servos = []
+    currents, errors = run(laws[0], lambda servo: (servos.append(servo), change(servo)))
+    assert servos[0]._law is laws[2]
+    assert max(steps_of(currents[BEFORE - 1 :])) < 0.05
+    assert max(map(abs, errors[BEFORE:])) < 3e-6
+
+
+def test_while_no_law_acts_the_new_one_is_there_at_once():
+    old, new = (make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc"))
+    servo = Servo(old)
+    servo.change(new, FADE)
+    fresh = Servo(make_law(ControlParameters(law="smc"), STAGE))
+    assert repr(servo.step(0, 1e-7, 0.0, (0.0, 0.0, 0.0))) == repr(fresh.step(0, 1e-7, 0.0, (0.0, 0.0, 0.0)))  # NaN too
+
+
+def test_a_reset_ends_a_fade():
+    ended = []
+    fade = Crossfade(*(make_law(ControlParameters(law=law), STAGE) for law in ("linear", "smc")), 10, ended.append)
+    fade.reset(0.0)
+    assert ended == [fade]
+
+
+class Steady:
+    """A law that always answers the same current."""
+
+    def __init__(self, current):
+        self._current = current
+
+    def reset(self, y):
+        """Nothing to forget."""
+
+    def step(self, *_):
+        return Command(self._current, *(math.nan,) * (len(Command._fields) - 1))
+
+
+def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws():
+    # The first fade is the second one's old law, and is stepped beyond its own end.
+    first = Crossfade(Steady(0.0), Steady(0.1), 10, lambda _: None)
+    currents = [first.step(0.0).current for _ in range(5)]
+    second = Crossfade(first, Steady(0.1), 10, lambda _: None)
+    currents += [second.step(0.0).current for _ in range(10)]
+    assert max(currents) == pytest.approx(0.1) and currents == sorted(currents)
+    assert max(steps_of(currents)) <= 0.2 / 10 + 1e-12
+
+
+FLAT = np.full(1000, 0.2)
+
+
+def made(currents: np.ndarray = FLAT, **changed: float) -> Injection:
+    return Injection(currents, **{"fade": 100, "limit": 0.9, "travel": 1e-4, **changed})  # type: ignore[arg-type]
+
+
+def answers(injection: Injection, count: int, command: float = 0.0) -> np.ndarray:
+    return np.array([injection.step(command, 0.0) for _ in range(count)])
+
+
+def test_the_signal_rises_from_zero_and_ends_at_zero() -> None:
+    injection = made()
+    added = answers(injection, 1200)
+    assert added[0] == pytest.approx(0.002) and added[998] == pytest.approx(0.002) and added[999] == 0.0
+    assert np.abs(np.diff(added)).max() <= 0.002 + 1e-12
+    assert (added[100:900] == 0.2).all() and (added[1000:] == 0.0).all()
+    assert injection.finished and injection.stopped == ""
+
+
+def test_beyond_the_travel_the_signal_fades_out_at_once_and_says_why() -> None:
+    injection = made()
+    answers(injection, 500)
+    injection.step(0.0, -1.1e-4)
+    fading = answers(injection, 200)
+    assert "y − r changed by 110 µm; allowed: 100 µm" in injection.stopped
+    assert np.abs(np.diff(fading)).max() <= 0.002 + 1e-12 and (fading[99:] == 0.0).all()
+    assert injection.finished
+
+
+@pytest.mark.parametrize("wrong", [False, True], ids=["too far", "no number"])
+def test_travel_counts_from_where_the_signal_began(wrong: bool) -> None:
+    injection = made()
+    for _ in range(100):
+        injection.step(0.0, 5e-3)
+    assert not injection.stopped
+    injection.step(0.0, math.nan if wrong else 5e-3 - 1.1e-4)
+    assert injection.stopped
+
+
+def test_command_and_signal_together_stay_within_the_limit() -> None:
+    injection = made(limit=0.5)
+    total = answers(injection, 1000, command=0.4)
+    assert total.max() == 0.5 and injection.clipped > 800
+    assert answers(made(-FLAT, limit=0.5), 1000, command=-0.4).min() == -0.5
+
+
+@pytest.mark.parametrize("changed", [{"fade": 0}, {"fade": 501}])
+def test_a_fade_that_does_not_fit_is_refused(changed: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="allowed: 1 to 500"):
+        made(**changed)
+
+
+def test_a_signal_that_is_not_finite_is_refused() -> None:
+    with pytest.raises(ValueError, match="finite"):
+        made(np.full(1000, math.nan))
+
+
+def still(gains: tuple[float], state: tuple[float], *numbers: float) -> tuple[tuple[float], Command]:
+    return state, Command(0.1, numbers[1] - numbers[0], 0.0, 0.1, 0.0, 0.0, math.nan)
+
+
+def test_the_servo_adds_the_signal_to_the_command_and_leaves_what_the_law_asked_for() -> None:
+    servo = Servo(Law((0.0,), lambda y: (0.0,), still))
+    servo.inject(made(fade=1))
+    command = servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0))
+    assert command is not None
+    assert command.current == pytest.approx(0.3)
+    assert command.equivalent_current + command.switching_current == pytest.approx(0.1)
+
+
+def test_a_repeated_sample_takes_no_second_step_of_the_signal() -> None:
+    servo = Servo(Law((0.0,), lambda y: (0.0,), still))
+    servo.inject(made(np.arange(1000.0) / 1e4, fade=1))
+    first = servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0))
+    assert servo.step(0, 0.0, 0.0, (0.0, 0.0, 0.0)) == first
+    second = servo.step(500_000, 0.0, 0.0, (0.0, 0.0, 0.0))
+    assert second is not None and second.current == pytest.approx(0.1 + 1e-4)
+
+
+def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so() -> None:
+    servo = Servo(Law((0.0,), lambda y: (0.0,), still))
+    injection = made(fade=1)
+    servo.inject(injection)
+    for stamp_ns, current in ((0, 0.0), (500_000, math.nan), (1_000_000, 0.0)):
+        command = servo.step(stamp_ns, 0.0, current, (0.0, 0.0, 0.0))
+    assert command is not None and command.current == pytest.approx(0.1)
+    assert injection.stopped == "the amplifier was off, or samples were missing"

@@ -1,3 +1,5 @@
+"""Laws linear and smc: equation (9), its limits, and the design of the surface."""
+
 import dataclasses
 import math
 
@@ -8,9 +10,15 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
-from straightcomp_ros.control.sliding_mode import switching_function
-from straightcomp_ros.control.surface_design import SlidingDesign, state_matrices
-from straightcomp_ros.model.actuator import ActuatorParameters
+from straightcomp_ros.control.sliding_mode import (
+    SlidingDesign,
+    closed_loop_poles,
+    reaching_bound,
+    state_matrices,
+    switching_function,
+)
+from straightcomp_ros.model.actuator import ActuatorParameters, stiffness_errors
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
 T = 5e-4
@@ -50,26 +58,11 @@ def test_a_step_is_equation_9(y0, y1, r):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_at_rest_on_the_reference_only_the_negative_stiffness_is_held(law):
-    servo = make_law(ControlParameters(law=law), STAGE)
-    servo.reset(0.0)
-    assert servo.step(0.0, 0.0, 0.0, 0.0).current == 0.0
-
-
-@pytest.mark.parametrize("law", LAWS)
 def test_a_step_of_the_reference_asks_for_a_current_toward_it(law):
     for r in (1e-6, -1e-6):
         servo = make_law(ControlParameters(law=law), STAGE)
         servo.reset(0.0)
         assert math.copysign(1.0, servo.step(0.0, r, 0.0, 0.0).current) == math.copysign(1.0, r)
-
-
-@pytest.mark.parametrize("law", LAWS)
-@given(readings=st.lists(st.floats(-1e-3, 1e-3), min_size=1, max_size=50))
-def test_the_current_never_exceeds_its_limit(law, readings):
-    servo = make_law(ControlParameters(law=law), limited(0.3))
-    servo.reset(0.0)
-    assert all(abs(servo.step(y, 0.0, 0.0, 0.0).current) <= 0.3 for y in readings)
 
 
 @pytest.mark.parametrize("law", ["linear", "smc"])
@@ -130,3 +123,51 @@ def test_at_the_limit_the_integral_goes_on_where_that_takes_the_current_off_it()
             after, answer = sliding_mode.step(gains, wound, sign * error, 0.0, 0.0, 0.0, 0.0)
             assert answer.current == sign * 0.05
             assert after.integral == pytest.approx(wound.integral + (0.0 if held else sign * error * T), rel=1e-12)
+
+
+DESIGN = SlidingDesign()
+
+
+def stage_with(travel=25e-6, friction=0.645):
+    return from_mapping(StageParameters, {"guide.travel": travel, "friction.static": friction})
+
+
+NARROW = stage_with()
+
+
+def test_the_poles_are_those_of_the_paper():
+    poles = sorted(closed_loop_poles(DESIGN, NARROW), key=lambda p: (p.real, p.imag))
+    assert poles[2] == pytest.approx(-100.0, abs=1e-6)
+    assert poles[0] == pytest.approx(-175.9 - 131.9j, abs=0.1)
+    assert poles[1] == pytest.approx(-175.9 + 131.9j, abs=0.1)
+
+
+def test_the_reaching_bound_is_friction_over_mass_plus_margin_near_the_centre():
+    friction = NARROW.friction.static / NARROW.platform.mass + DESIGN.gamma
+    bound = reaching_bound(DESIGN, NARROW)
+    assert friction < bound < 1.02 * friction
+    assert reaching_bound(DESIGN, stage_with(friction=1.8)) > bound
+
+
+def test_the_reaching_bound_is_that_of_equation_11_where_the_stiffness_errors_count():
+    actuator, mass = NARROW.actuator, NARROW.platform.mass
+    travel = 0.3 * actuator.air_gap
+    position = actuator.position_stiffness / mass * travel
+    friction = NARROW.friction.static / mass
+    hold = (position + friction) * mass / actuator.current_stiffness / actuator.bias_current
+    m_y, m_i = stiffness_errors(0.3, hold)
+    expected = (m_i * position + m_y * position + friction + DESIGN.gamma) / (1.0 - m_i)
+    assert reaching_bound(DESIGN, stage_with(travel=travel)) == pytest.approx(expected, rel=1e-12)
+    # Each part is one that shows.
+    assert min(m_i * position, m_y * position, friction, DESIGN.gamma) > 0.01 * expected
+
+
+def test_where_the_gain_error_reaches_one_no_rho_suffices():
+    assert reaching_bound(DESIGN, stage_with(travel=0.6 * 1.5e-3)) == float("inf")
+
+
+def test_a_rho_below_the_reaching_bound_is_refused_unless_it_is_wanted():
+    with pytest.raises(ParameterError, match=r"control\.smc\.rho.*0\.2.*\(11\).*> 0\.31"):
+        ControlParameters(law="smc", smc=SlidingDesign(rho=0.2)).check(NARROW)
+    ControlParameters(law="smc", smc=SlidingDesign(rho=0.2, enforce_reaching=False)).check(NARROW)
+    ControlParameters(law="linear", smc=SlidingDesign(rho=0.2)).check(NARROW)

@@ -1,14 +1,21 @@
+"""Law smc_observer: whole strokes, rest, its stiffness, its friction model and the fit of its size."""
+
 import math
+import random
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, make_law
+from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law
 from straightcomp_ros.control.observer import observer_gains
-from straightcomp_ros.control.smc_observer import _stiffness
-from straightcomp_ros.model.lugre import bristle_after, friction_force
+from straightcomp_ros.control.smc_observer import Lags, LagWeights, SizeGains, _stiffness, fit_at_start, fitted, lagged
+from straightcomp_ros.model.friction import bristle_after, friction_force
 from straightcomp_ros.offline.compiled_stroke import run_stroke
+from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 
@@ -86,11 +93,6 @@ def test_at_rest_the_command_is_held_and_leaving_rest_makes_no_step():
     assert leaving.max() <= 1.1 * steps[start + 400 : turn - 400].max()
 
 
-def test_with_a_band_of_zero_the_command_is_never_held():
-    steps = np.diff(stroke(rest_band=0.0)[0].current)
-    assert steps[round(SETTLE / T) - 200 : round(SETTLE / T)].any()
-
-
 def held(band=2.0):
     """The law after 0.2 s at rest, with an encoder that flickers by a count, and its commands."""
     servo = law(rest_band=band)
@@ -163,3 +165,136 @@ def test_what_friction_takes_over_the_disturbance_gives():
         if state.fit.size > 0.25:
             break
     assert state.fit.size > 0.2 == bound.fit.size
+
+
+OBSERVER_LAWS = ("smc_observer",)
+
+
+def run(**controller):
+    values = shipped_parameters()
+    values["controller"].update({key.replace("__", "."): value for key, value in controller.items()})
+    delay = controller.get("control__smc_observer__delay", 0.5)
+    values["stage"].update(
+        {"drive.delay": delay, "motion.stroke": 0.6, "motion.settle": 0.3, "motion.pause": 0.1},
+    )
+    simulation = Simulation(values)
+    record = simulation.run()
+    return record, evaluate(record, simulation.map)
+
+
+@pytest.mark.parametrize("law", OBSERVER_LAWS)
+@given(y=st.floats(-2e-3, 2e-3), r=st.floats(-1e-4, 1e-4), rate=st.floats(-1e-3, 1e-3))
+def test_every_command_is_finite_and_within_its_limit_wherever_the_platform_is(law, y, r, rate):
+    servo = make_law(ControlParameters(law=law), from_mapping(StageParameters, {"actuator.current_limit": 0.4}))
+    servo.reset(y)
+    for reading in (y, -y, 0.0, y):
+        command = servo.step(reading, r, rate, 0.0)
+        assert math.isfinite(command.current) and abs(command.current) <= 0.4
+        assert command.error == r - reading
+
+
+@pytest.mark.no_cover  # whole strokes, which take three times as long under it
+def test_the_laws_rank_as_their_designs_promise():
+    errors = {law: run(control__law=law)[1].true_pp for law in LAWS}
+    assert errors["smc_observer"] < errors["smc"] < errors["linear"]
+    assert errors["smc_observer"] < 0.17e-6
+
+
+@pytest.mark.no_cover  # whole strokes, which take three times as long under it
+def test_the_observer_law_works_with_a_sample_of_delay_that_it_knows():
+    assert run(control__law="smc_observer", control__smc_observer__delay=1.0)[1].true_pp < 0.25e-6
+
+
+@pytest.mark.no_cover  # whole strokes, which take three times as long under it
+def test_the_printed_law_lags_and_its_feedforward_removes_the_lag():
+    lagging, following = (run(control__law="smc", control__smc__feedforward=on)[1] for on in (False, True))
+    assert following.true_pp < 0.8 * lagging.true_pp
+
+
+@pytest.mark.no_cover  # whole strokes, which take three times as long under it
+def test_the_observer_law_switches_less_than_a_quarter_of_literal_sgn():
+    sgn = run(control__law="smc", control__smc__boundary_layer=0.0, control__smc__feedforward=False)[1]
+    assert run(control__law="smc_observer")[1].control_activity < 0.25 * sgn.control_activity
+
+
+PERIOD, BANDWIDTH, THIRD = 5e-4, 199.0, 1.28
+POLE = math.exp(-2.0 * math.pi * BANDWIDTH * PERIOD)
+WEIGHTS = LagWeights(double=1.0 - POLE, third=1.0 - POLE**THIRD)
+GAINS = SizeGains(kept=math.exp(-PERIOD / 2.0), smooth=0.17, mean=PERIOD / 0.3, travel=25e-6, speed=1e-7, largest=4.0)
+
+
+def samples(count):
+    """r, ṙ and F̄ of an ever changing motion with a reversing friction of 0.25 m/s²."""
+    for k in range(count):
+        angle = 2.0 * math.pi * 3.0 * k * PERIOD
+        yield 1e-5 * math.sin(angle), 1.9e-4 * math.cos(angle), -0.25 * math.tanh(20.0 * math.cos(angle))
+
+
+def fit_after(count, size, *, first=0.15, constant=0.0, slope=0.0, noise=0.0):
+    """The fit to a disturbance of friction of ``size`` and others, with the law taking over what it fits."""
+    fit, source = fit_at_start(first), random.Random(1)
+    for r, r_dot, unit in samples(count):
+        friction = lagged(WEIGHTS, fit.lags, unit).third
+        total = constant + slope * r / GAINS.travel + size * friction + source.gauss(0.0, noise)
+        fit = fitted(GAINS, WEIGHTS, fit, r, r_dot, unit, total - fit.size * friction)
+    return fit
+
+
+def test_the_lags_are_those_of_the_observers_estimate_of_an_acceleration():
+    gains = np.array(observer_gains(BANDWIDTH, THIRD, PERIOD))
+    step = np.array([[1, PERIOD, PERIOD**2 / 2], [0, 1, PERIOD], [0, 0, 1]])
+    estimate, plant, lags = np.zeros(3), np.zeros(3), Lags(0.0, 0.0, 0.0, 0.0, 0.0)
+    source = random.Random(2)
+    for _ in range(200):
+        estimate = estimate + gains * (plant[0] - estimate[0])
+        plant[2] = source.uniform(-1.0, 1.0)
+        lags = lagged(WEIGHTS, lags, plant[2])
+        assert estimate[2] == pytest.approx(lags.third, abs=1e-9)
+        estimate, plant = step @ estimate, step @ plant
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
+def test_the_size_of_friction_is_found_together_with_a_constant_and_an_error_of_stiffness(size):
+    fit = fit_after(2000, size, constant=0.05, slope=-0.08)
+    assert fit.size == pytest.approx(size, rel=0.02)
+    assert fit.constant == pytest.approx(0.05, abs=0.005) and fit.slope == pytest.approx(-0.08, abs=0.01)
+
+
+def test_noise_as_large_as_friction_moves_the_size_by_less_than_a_fifth():
+    assert fit_after(6000, 1.0, noise=0.25).size == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("size", "bound"), [(-1.0, 0.1), (9.0, 4.0)])
+def test_the_size_stays_within_its_bounds(size, bound):
+    assert fit_after(2000, size).size == bound
+
+
+def test_the_misfit_is_what_friction_of_any_size_does_not_explain():
+    explained, unexplained = fit_after(4000, 2.5, constant=0.1), fit_at_start(0.15)
+    for k, (r, r_dot, unit) in enumerate(samples(4000)):
+        friction = lagged(WEIGHTS, unexplained.lags, unit).third
+        strange = 0.1 * math.sin(2.0 * math.pi * 20.0 * k * PERIOD)
+        unexplained = fitted(
+            GAINS, WEIGHTS, unexplained, r, r_dot, unit, friction + strange - unexplained.size * friction
+        )
+    assert math.sqrt(explained.misfit_square) < 0.005
+    # 20 Hz pass a smoothing of some 60 Hz nearly whole.
+    assert math.sqrt(unexplained.misfit_square) == pytest.approx(0.1 / math.sqrt(2.0), rel=0.1)
+
+
+def test_while_the_reference_rests_the_fit_is_paused():
+    fit = fit_after(500, 1.0)
+    rested = fitted(GAINS, WEIGHTS, fit, 1e-5, 1e-7, 0.2, 5.0)
+    assert rested[:11] == fit[:11] and rested.lags != fit.lags
+
+
+def test_without_excitation_the_fit_neither_grows_beyond_bounds_nor_loses_the_size():
+    fit = fit_after(2000, 1.0)
+    for _ in range(100_000):
+        fit = fitted(GAINS, WEIGHTS, fit, 0.0, 1e-3, 0.0, 0.0)
+    assert fit.size == pytest.approx(1.0, rel=0.02)
+    assert all(abs(number) < 20.0 for number in fit[:9])
+    for r, r_dot, unit in samples(2000):
+        friction = lagged(WEIGHTS, fit.lags, unit).third
+        fit = fitted(GAINS, WEIGHTS, fit, r, r_dot, unit, (2.0 - fit.size) * friction)
+    assert fit.size == pytest.approx(2.0, rel=0.05)

@@ -1,3 +1,5 @@
+"""Messages and batches: an independent deserialiser reads what is packed, and nothing else is taken for one."""
+
 import math
 
 import numpy as np
@@ -7,7 +9,14 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
-from straightcomp_ros.messages.cdr import LayoutMismatch, header_stamp_ns, joint_state, read_by_names
+from straightcomp_ros.messages.cdr import (
+    LayoutMismatch,
+    header_stamp_ns,
+    joint_state,
+    pack_batch,
+    read_by_names,
+    unpack_batch,
+)
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
@@ -56,3 +65,53 @@ def test_a_message_that_lacks_a_joint_is_refused_with_its_name():
     packed = joint_state(["other"], effort=["e"]).pack(5, 1.0)
     with pytest.raises(LayoutMismatch, match="effort of 'platform_y'"):
         read_by_names(COMMAND.layout, TYPES.deserialize_cdr(packed, "sensor_msgs/msg/JointState"))
+
+
+SIZE = 12
+TIMES = st.integers(0, 2**63 - 1)
+MESSAGES = st.lists(st.tuples(TIMES, st.binary(min_size=SIZE, max_size=SIZE)), max_size=20)
+
+
+@given(MESSAGES)
+def test_messages_come_out_as_they_went_in(messages):
+    assert unpack_batch(pack_batch(messages), SIZE) == messages
+
+
+@given(MESSAGES, st.binary(min_size=1, max_size=3))
+def test_the_middleware_s_padding_does_no_harm(messages, padding):
+    assert unpack_batch(pack_batch(messages) + padding, SIZE) == messages
+
+
+def test_rclpy_reads_a_batch_as_what_its_type_says():
+    serialization = pytest.importorskip("rclpy.serialization")
+    from std_msgs.msg import UInt8MultiArray
+
+    message = UInt8MultiArray(data=b"\x01" + bytes(7) + b"abcdefghijkl")
+    batch = pack_batch([(1, b"abcdefghijkl")])
+    assert serialization.deserialize_message(batch, UInt8MultiArray) == message
+    assert unpack_batch(serialization.serialize_message(message), SIZE) == [(1, b"abcdefghijkl")]
+
+
+@given(MESSAGES.filter(bool), st.data())
+def test_a_batch_that_was_cut_off_is_refused(messages, data):
+    batch = pack_batch(messages)
+    with pytest.raises(LayoutMismatch):
+        unpack_batch(batch[: data.draw(st.integers(0, len(batch) - 1))], SIZE)
+
+
+def test_a_batch_of_messages_of_another_size_is_refused():
+    with pytest.raises(LayoutMismatch, match="no multiple of 108"):
+        unpack_batch(pack_batch([(1, bytes(SIZE))]), ENCODER.layout.size)
+
+
+@pytest.mark.parametrize("at", [1, 4, 8])
+def test_an_array_with_dimensions_or_of_another_byte_order_is_refused(at):
+    batch = bytearray(pack_batch([(1, bytes(SIZE))]))
+    batch[at] ^= 1
+    with pytest.raises(LayoutMismatch):
+        unpack_batch(bytes(batch), SIZE)
+
+
+def test_a_batch_with_a_time_before_1970_is_refused_since_no_bag_can_hold_it():
+    with pytest.raises(LayoutMismatch, match="before 1970"):
+        unpack_batch(pack_batch([(-1, bytes(SIZE))]), SIZE)

@@ -1,3 +1,6 @@
+"""Friction: what it must dissipate, remember, and become in its limits; how it changes with place, rest and time."""
+
+import dataclasses
 import itertools
 import math
 
@@ -6,15 +9,118 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.model.lugre import LuGreParameters, bristle_after, friction_force, stribeck_force
-from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.model.friction import (
+    AGE,
+    BLOCK,
+    KIND,
+    MOST_BLOCKS,
+    PLAIN,
+    SLIPPING,
+    TIME,
+    LuGreParameters,
+    MaxwellSlipParameters,
+    age_after,
+    band_factor,
+    band_value,
+    block_after,
+    bristle_after,
+    extended_force,
+    friction_force,
+    lugre_now,
+    rest_factor,
+    step_friction,
+    stribeck_force,
+)
+from straightcomp_ros.model.plant import (
+    BIAS,
+    Hold,
+    Plant,
+    PlantParameters,
+    PlantState,
+    advance,
+    advance_to_sample,
+    as_array,
+    commanded_plant,
+)
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.stage.truth import TruthParameters, true_plant
+
+STEP = 25e-6
+CHANGES = {
+    "contact.bands.fraction": 0.3,
+    "contact.bands.seed": 7,
+    "contact.rest.growth": 0.2,
+    "contact.step.factor": 1.7,
+    "contact.step.time": 0.02,
+}
+SLIP = {"contact.model": "maxwell_slip"}
+UNDAMPED = {"friction.bristle_damping": 0.0, "friction.viscous": 0.0}
+KINDS = [SLIP, CHANGES, {**SLIP, **CHANGES}, {**SLIP, "contact.maxwell_slip.attraction": 1e9}]
+
+
+def plant_with(values) -> PlantParameters:
+    """The simulated machine with these values of ``contact.…``; all others are of its description."""
+    contact = {name: value for name, value in values.items() if name.startswith("contact.")}
+    described = {name: value for name, value in values.items() if name not in contact}
+    return true_plant(from_mapping(StageParameters, described), from_mapping(TruthParameters, contact))
+
+
+class Contact:
+    """Friction alone, moved as the test says; the functions that the plant calls, as plain Python."""
+
+    def __init__(self, values) -> None:
+        self.parameters = plant_with(values)
+        self.plant = self.parameters.constants()
+        self.constants = as_array(self.plant)
+        self.state = np.array(PlantState())
+        self.place, self.force = 0.0, 0.0
+
+    def move(self, velocity: float, duration: float = STEP) -> float:
+        """Friction after a step at constant velocity."""
+        self.place += velocity * duration
+        lugre = lugre_now(self.constants, self.plant.lugre, self.state, self.place)
+        step_friction(self.constants, lugre, self.state, velocity, duration)
+        self.force = extended_force(self.constants, lugre, self.state, velocity)
+        return self.force
+
+    def go(self, distance: float, speed: float = 1e-5, steps: int = 200) -> list[float]:
+        """Forces on a way of this length with this sign."""
+        duration = abs(distance) / speed / steps
+        return [self.move(math.copysign(speed, distance), duration) for _ in range(steps)]
+
+    def stored(self) -> float:
+        """Energy in the springs, J."""
+        if self.parameters.contact.model == "lugre":
+            return 0.5 * self.plant.lugre.bristle_stiffness * float(self.state[2]) ** 2
+        count = self.parameters.contact.maxwell_slip.blocks
+        blocks = self.state[BLOCK : BLOCK + count]
+        springs = np.array(self.plant.extension[12 : 12 + count])
+        return float(0.5 * np.sum(blocks**2 / springs))
+
+
+def run(values, start: PlantState, command: float, samples: int, bias: float = 1.0) -> np.ndarray:
+    """States after each half millisecond, (samples, fields)."""
+    constants, state = as_array(plant_with(values).constants()), np.array(start)
+    states = []
+    for _ in range(samples):
+        advance(constants, state, bias, command, 500_000)
+        states.append(state.copy())
+    return np.array(states)
+
+
+def spring_force(contact: Contact) -> float:
+    if contact.parameters.contact.model == "lugre":
+        return contact.plant.lugre.bristle_stiffness * float(contact.state[2])
+    return float(contact.state[BLOCK : BLOCK + MOST_BLOCKS].sum())
+
 
 PARAMETERS = LuGreParameters()
 LUGRE = PARAMETERS.constants()
 
 
 @pytest.mark.parametrize("velocity", [1e-6, 5e-6, 2e-5, 1e-4, 1e-2, -3e-5])
-def test_sliding_long_enough_gives_the_stribeck_curve_plus_viscous_friction(velocity):
+def test_bristles_that_slide_long_enough_give_the_stribeck_curve_plus_viscous_friction(velocity):
     bristle = bristle_after(LUGRE, 0.0, velocity, 100.0)
     steady = math.copysign(stribeck_force(LUGRE, velocity), velocity) + PARAMETERS.viscous * velocity
     assert friction_force(LUGRE, bristle, velocity) == pytest.approx(steady, rel=1e-9)
@@ -51,3 +157,244 @@ def test_two_half_steps_of_the_bristle_are_one_whole_step(velocity, duration):
 def test_static_friction_below_coulomb_friction_is_refused():
     with pytest.raises(ParameterError, match=r"static.*0\.5.*>= 0\.6"):
         LuGreParameters(coulomb=0.6, static=0.5)
+
+
+@pytest.mark.parametrize(
+    ("nothing", "model", "rtol"),
+    [
+        ({"contact.bands.width": 1e-5, "contact.bands.seed": 3}, {}, 0.0),
+        ({"contact.step.time": 0.01, "contact.rest.time": 2.0}, {}, 0.0),
+        ({"contact.maxwell_slip.blocks": 8}, {}, 0.0),
+        ({"contact.step.factor": 3.0, "contact.step.time": 1.0}, {}, 1e-12),
+        ({"contact.bands.fraction": 1e-12}, {}, 1e-6),
+        ({"contact.bands.fraction": 1e-12}, SLIP, 1e-6),
+    ],
+)
+def test_changes_of_no_size_or_that_have_not_come_change_nothing(nothing, model, rtol):
+    start = PlantState(velocity=1e-4, bias=1.0)
+    changed, plain = run({**model, **nothing}, start, 0.02, 20), run(model, start, 0.02, 20)
+    np.testing.assert_allclose(changed[:, :7], plain[:, :7], rtol=rtol)
+
+
+def test_bands_vary_up_to_the_fraction_smoothly_and_by_the_seed_alone():
+    y = np.linspace(-1e-4, 1e-4, 20001)
+    factors = np.array([band_factor(0.3, 2e-6, 5, place) for place in y.tolist()])
+    assert 0.7 <= factors.min() < 0.75 and 1.25 < factors.max() <= 1.3
+    # Slope of the cubic: 1.5 times the largest change over the band's width.
+    assert np.abs(np.diff(factors)).max() <= 1.5 * 0.6 * 1e-8 / 2e-6 * (1 + 1e-6)
+    assert factors.tolist() == [band_factor(0.3, 2e-6, 5, place) for place in y.tolist()]
+    assert factors.tolist() != [band_factor(0.3, 2e-6, 6, place) for place in y.tolist()]
+
+
+def test_values_of_the_bands_are_spread_evenly_and_are_the_same_on_every_machine():
+    values = np.array([band_value(1, band) for band in range(-5000, 5000)])
+    assert np.abs(values).max() <= 1.0
+    assert values.mean() == pytest.approx(0.0, abs=0.03) and values.var() == pytest.approx(1 / 3, rel=0.05)
+    assert abs(np.corrcoef(values[1:], values[:-1])[0, 1]) < 0.05
+
+
+def test_sliding_force_follows_the_bands():
+    contact = Contact({**SLIP, **UNDAMPED, "contact.bands.fraction": 0.3, "contact.maxwell_slip.attraction": 1e9})
+    contact.go(1e-5, 1e-3)
+    forces, factors = [], []
+    for _ in range(500):
+        forces.append(contact.move(1e-3))
+        factors.append(band_factor(0.3, 2e-6, 0, contact.place))
+    np.testing.assert_allclose(forces, 0.43 * np.array(factors), rtol=0.05)
+
+
+def test_age_is_the_time_at_rest_and_sliding_renews_the_contact():
+    assert age_after(2.0, 0.0, 3.0, 5e-6) == 5.0
+    assert age_after(100.0, 1e-3, 1.0, 5e-6) == pytest.approx(5e-6 / 1e-3)
+    half = age_after(age_after(2.0, 1e-6, 0.5, 5e-6), 1e-6, 0.5, 5e-6)
+    assert half == pytest.approx(age_after(2.0, 1e-6, 1.0, 5e-6))
+    assert age_after(2.0, 1e-17, 3.0, 5e-6) == pytest.approx(age_after(2.0, 1e-14, 3.0, 5e-6), rel=1e-6)
+
+
+def test_static_friction_grows_with_the_logarithm_of_rest_up_to_its_bound():
+    assert rest_factor(0.1, 1.0, 2.0, 0.0) == 1.0
+    assert rest_factor(0.1, 1.0, 2.0, math.e - 1.0) == pytest.approx(1.1)
+    assert rest_factor(0.1, 1.0, 2.0, 1e9) == 2.0
+
+
+@pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
+def test_the_longer_the_rest_the_higher_the_break_away_force(model):
+    peaks = []
+    for rest in (0.0, 1.0, 10.0, 1e9):
+        contact = Contact({**UNDAMPED, "contact.model": model, "contact.rest.growth": 0.2})
+        contact.move(0.0, rest)
+        peaks.append(max(contact.go(1e-5, 2e-6, 2000)))
+    assert peaks == sorted(peaks) and len(set(peaks)) == 4
+    assert 0.75 < peaks[-1] <= 0.43 + 2.0 * (0.645 - 0.43)
+
+
+@pytest.mark.parametrize("model", ["lugre", "maxwell_slip"])
+def test_a_step_multiplies_the_sliding_force_from_its_time_on(model):
+    contact = Contact({**UNDAMPED, "contact.model": model, "contact.step.factor": 2.0, "contact.step.time": 0.1})
+    forces = [contact.move(1e-2) for _ in range(8000)]
+    assert forces[3900] == pytest.approx(0.43, rel=1e-3)
+    assert forces[-1] == pytest.approx(0.86, rel=1e-3)
+
+
+def test_the_shipped_parameters_are_plain_lugre():
+    constants = as_array(PlantParameters().constants())
+    assert constants[KIND] == PLAIN and not constants[KIND:].any()
+    state = run({}, PlantState(velocity=1e-4, bias=1.0), 0.02, 10)[-1]
+    assert not state[TIME:].any()
+
+
+def test_plain_friction_reads_the_first_seven_fields_only():
+    short = np.array(PlantState(velocity=1e-4, bias=1.0))[:7].copy()
+    advance(as_array(PlantParameters().constants()), short, 1.0, 0.02, 5_000_000)
+    np.testing.assert_array_equal(short, run({}, PlantState(velocity=1e-4, bias=1.0), 0.02, 10)[-1][:7])
+
+
+@pytest.mark.parametrize("values", KINDS)
+def test_a_platform_that_slides_to_rest_only_loses_energy(values):
+    plant = plant_with(values)
+    states = run(values, PlantState(velocity=1e-2), 0.0, 400, bias=0.0)
+    contact = Contact(values)
+    last = 0.5 * plant.platform.mass * 1e-4
+    for state in states:
+        contact.state = state
+        now = 0.5 * plant.platform.mass * state[1] ** 2 + contact.stored()
+        assert now <= last * (1 + 1e-9)
+        last = now
+    assert abs(states[-1, 1]) < 1e-4
+
+
+@pytest.mark.parametrize("values", KINDS)
+@given(motion=st.lists(st.floats(-2e-3, 2e-3), min_size=5, max_size=80))
+def test_springs_never_store_more_than_the_motion_supplied(values, motion):
+    # The work on the bristles or blocks alone, by the mean of their force before and after each step.
+    contact = Contact({**values, **UNDAMPED})
+    for velocity in motion:
+        before, stored = spring_force(contact), contact.stored()
+        contact.move(velocity, 5e-5)
+        work = 0.5 * (before + spring_force(contact)) * velocity * 5e-5
+        if contact.parameters.contact.model == "maxwell_slip":
+            assert contact.stored() - stored <= work + 1e-18 + 1e-12 * stored
+        else:
+            # An exact step of the bristle: the trapezium is not the integral, the largest force bounds it.
+            most = max(before * velocity, spring_force(contact) * velocity) * 5e-5
+            assert contact.stored() - stored <= most + 1e-18
+
+
+def test_one_block_of_infinite_attraction_is_a_spring_that_slips_at_its_limit():
+    # Prandtl's element: F after a step is F + k·d, held within ± the limit.
+    random, force, expected, slipping = np.random.default_rng(1), 0.0, 0.0, False
+    for velocity in random.normal(0.0, 1e-3, 500):
+        force, slipping = block_after(force, slipping, 1e6, 0.5, 0.0, velocity, 1e-4)
+        expected = min(max(expected + 1e6 * velocity * 1e-4, -0.5), 0.5)
+        assert force == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("velocity", [1e-6, 2e-5, 1e-2, -3e-5])
+@pytest.mark.parametrize("limit_spread", [0.2, 1.0, 5.0])
+def test_sliding_long_enough_gives_the_stribeck_curve_plus_viscous_friction(velocity, limit_spread):
+    contact = Contact({**SLIP, "contact.maxwell_slip.limit_spread": limit_spread})
+    for _ in range(200):
+        force = contact.move(velocity, 0.1)
+    lugre = contact.plant.lugre
+    assert force == pytest.approx(math.copysign(stribeck_force(lugre, velocity), velocity) + lugre.viscous * velocity)
+
+
+def test_before_sliding_the_blocks_are_a_spring_of_the_bristles_stiffness():
+    contact = Contact({**SLIP, **UNDAMPED})
+    assert contact.move(1e-3, 1e-6) == pytest.approx(1e6 * 1e-9)
+
+
+def test_friction_lags_a_falling_speed():
+    # At the same speed, friction is lower on the way down than on the way up: the frictional lag.
+    contact = Contact({**SLIP, **UNDAMPED, "contact.maxwell_slip.attraction": 20.0})
+    contact.go(2e-5, 2e-5)
+    speeds = np.linspace(5e-6, 6e-5, 300)
+    up = [contact.move(v, 2e-4) for v in speeds]
+    down = [contact.move(v, 2e-4) for v in speeds[::-1]][::-1]
+    assert up[150] > down[150] + 0.005
+
+
+def test_an_inner_loop_closes_and_leaves_no_trace():
+    # Return-point memory: after an excursion to and fro within presliding, the outer branch goes on as without it.
+    values = {**SLIP, **UNDAMPED, "contact.maxwell_slip.blocks": 8, "friction.static": 0.43}
+    plain, looped = Contact(values), Contact(values)
+    for contact in (plain, looped):
+        contact.go(4e-7)
+    at_turn = looped.force
+    looped.go(-2e-7)
+    assert looped.force < at_turn - 0.05
+    looped.go(1e-7)
+    looped.go(-1e-7)
+    looped.go(2e-7)
+    assert looped.force == pytest.approx(at_turn, abs=1e-9)
+    np.testing.assert_allclose(looped.go(4e-7), plain.go(4e-7), atol=1e-9)
+
+
+def test_the_branch_after_a_reversal_is_the_virgin_curve_of_twice_the_size():
+    # Masing's rule holds for blocks that have all begun from zero.
+    values = {**SLIP, **UNDAMPED, "friction.static": 0.43}
+    contact = Contact(values)
+    virgin = np.array(contact.go(5e-7, steps=100))
+    back = np.array(contact.go(-1e-6, steps=100))
+    np.testing.assert_allclose(virgin[-1] - back, 2 * virgin, atol=1e-9)
+
+
+def test_a_motion_cut_into_more_steps_gives_the_same_blocks():
+    coarse, fine = (Contact({**SLIP, "contact.maxwell_slip.attraction": 1e3}) for _ in range(2))
+    for distance in (1e-6, -4e-7, 9e-7, -3e-6):
+        coarse.go(distance, steps=7)
+        fine.go(distance, steps=70)
+        np.testing.assert_allclose(fine.state[BLOCK:], coarse.state[BLOCK:], atol=1e-9)
+        assert fine.state[SLIPPING] == coarse.state[SLIPPING]
+
+
+def test_blocks_share_stiffness_and_limit():
+    parameters = MaxwellSlipParameters(blocks=5, distance_spread=20.0, limit_spread=3.0)
+    springs, shares = parameters.stiffnesses_and_shares(2e6)
+    assert springs.sum() == pytest.approx(2e6) and shares.sum() == pytest.approx(1.0)
+    assert shares[-1] / shares[0] == pytest.approx(3.0)
+    distances = shares / springs
+    assert distances[-1] / distances[0] == pytest.approx(20.0)
+
+
+def test_the_machine_code_is_the_python_code():
+    values = {**SLIP, **CHANGES}
+    constants = as_array(plant_with(values).constants())
+    compiled, plain = (np.array(PlantState(velocity=3e-4, bias=1.0)) for _ in range(2))
+    for command in (0.02, -0.05, 0.05, -0.02):
+        advance(constants, compiled, 1.0, command, 10_000_000)
+        advance.__wrapped__(constants, plain, 1.0, command, 10_000_000)
+    np.testing.assert_allclose(compiled, plain, rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.parametrize("values", KINDS)
+def test_the_board_moves_the_same_plant(values):
+    plant = plant_with(values)
+    hold = Hold(after_ns=625_000, weight=0.1, kept=0.6, braking=0.5, stiffness=7000.0)
+    board, alone = commanded_plant(plant, hold, PlantState(y=2e-6)), np.array(PlantState(y=2e-6))
+    board.state[BIAS] = 1.0
+    current = round(0.1 / plant.drive.current_step) * plant.drive.current_step
+    for k in range(100):
+        begin = k * 500_000
+        advance_to_sample(*board, np.array([begin]), np.array([0.1]), 1, begin + 500_000, 0.0)
+        advance(as_array(plant.constants()), alone, 1.0, 0.0, 0, current, 500_000)
+    np.testing.assert_array_equal(board.state[: alone.size], alone)
+    assert board.state[TIME] == pytest.approx(0.05) and board.state[AGE] > 0.0
+
+
+def test_the_plant_with_blocks_sticks_and_breaks_away():
+    stuck = run(SLIP, PlantState(y=1e-6, bias=1.0), 0.0, 1000)
+    assert abs(stuck[-1, 1]) < 1e-7 and abs(stuck[-1, 0] - 1e-6) < 1e-7
+    current = 1.5 * 0.645 / PlantParameters().actuator.current_stiffness
+    assert run(SLIP, PlantState(bias=1.0), current, 200)[-1, 0] > 1e-5
+
+
+def test_places_in_the_constants_are_those_of_the_parameters():
+    plant = plant_with({**SLIP, **CHANGES, "contact.maxwell_slip.blocks": 8, "friction.bristle_stiffness": 2e6})
+    constants = plant.constants()
+    extension = constants.extension
+    assert isinstance(constants, Plant) and len(extension) == 12 + 2 * MOST_BLOCKS
+    expected = [2.0, 100.0, 8.0, 0.3, 2e-6, 7.0, 0.2, 1.0, 2.0, 5e-6, 1.7, 0.02]
+    assert list(extension[:12]) == expected
+    assert sum(extension[12:20]) == pytest.approx(2e6) and sum(extension[20:]) == pytest.approx(1.0)
+    assert dataclasses.replace(plant.contact, model="lugre").extension(2e6)[0] == 1.0

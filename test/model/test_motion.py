@@ -1,3 +1,5 @@
+"""Strokes as waypoints, the motion between them, and what a stage refuses."""
+
 import itertools
 
 import pytest
@@ -16,24 +18,6 @@ from straightcomp_ros.model.motion import (
 
 MOTION = MotionParameters()
 CYCLE = Trajectory(forward_and_back(MOTION))
-
-
-def test_a_cycle_takes_the_time_of_its_two_trapezoids_and_rests():
-    ramp = MOTION.speed / MOTION.acceleration
-    stroke = 2 * ramp + (MOTION.stroke - MOTION.speed * ramp) / MOTION.speed
-    assert CYCLE.end_ns * 1e-9 == pytest.approx(2 * stroke + MOTION.pause + 2 * MOTION.settle, abs=1e-8)
-
-
-def test_between_corners_the_motion_is_the_exact_parabola():
-    for t in (0.1, 0.7, 1.4):
-        at = round((MOTION.settle + t) * 1e9)
-        assert CYCLE.position(at) == pytest.approx(0.5 * MOTION.acceleration * t * t, abs=1e-9)
-
-
-def test_the_stage_goes_to_the_far_end_and_comes_back():
-    far = max(CYCLE.position(t) for t in range(0, CYCLE.end_ns, 1_000_000))
-    assert far == pytest.approx(MOTION.stroke, abs=1e-12)
-    assert CYCLE.position(CYCLE.end_ns + 1) == CYCLE.position(-1) == 0.0
 
 
 def test_speed_and_acceleration_keep_their_limits():
@@ -74,13 +58,6 @@ def test_a_bad_trajectory_is_refused_with_its_point(points, words):
 def test_equal_waypoints_in_a_row_are_one_wherever_they_stand():
     a, b, c = Waypoint(0, 0.0, 0.0), Waypoint(10, 1.0, 0.1), Waypoint(20, 2.0, 0.0)
     assert list(Trajectory([a, a, b, b, b, c, c]).waypoints) == [a, b, c]
-
-
-def test_a_trajectory_may_begin_in_motion_but_not_end_so():
-    moving, resting = Waypoint(0, 0.0, 1.0), Waypoint(10, 0.0, 0.0)
-    assert Trajectory([moving, resting]).end_ns == 10
-    with pytest.raises(ValueError, match="end at rest"):
-        Trajectory([resting, Waypoint(20, 0.0, 1.0)])
 
 
 def test_the_motion_passes_each_waypoint_with_its_speed():

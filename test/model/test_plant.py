@@ -1,20 +1,31 @@
+"""The plant by itself, and under the commands of its board; its converters."""
+
 import dataclasses
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from straightcomp_ros.model.actuator import ActuatorParameters, control_current
-from straightcomp_ros.model.lugre import LuGreParameters
+from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.plant import (
+    BIAS,
+    COMMAND,
+    READING,
     SUBSTEP_NS,
+    Hold,
     Plant,
     PlantParameters,
     PlantState,
     PlatformParameters,
     _from_array,
     advance,
+    advance_to_sample,
     as_array,
+    commanded_plant,
 )
 
 NO_FRICTION = LuGreParameters(
@@ -142,15 +153,6 @@ def test_the_reported_forces_are_those_of_the_state():
     assert (later.velocity - state.velocity) / 1e-6 == pytest.approx(acceleration, rel=0.02)
 
 
-def test_splitting_a_stretch_of_time_at_a_substep_changes_nothing():
-    whole, parts = np.array(PlantState(bias=1.0)), np.array(PlantState(bias=1.0))
-    constants = as_array(STICKY.constants())
-    advance(constants, whole, 1.0, 0.03, 20 * SUBSTEP_NS)
-    for _ in range(2):
-        advance(constants, parts, 1.0, 0.03, 5 * SUBSTEP_NS, 0.03, 5 * SUBSTEP_NS)
-    np.testing.assert_allclose(parts, whole, rtol=1e-12)
-
-
 def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
     odd = PlantParameters(
         platform=PlatformParameters(mass=1.5, stop=1e-3),
@@ -169,3 +171,100 @@ def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
     ]
     assert dataclasses.astuple(odd.friction) == tuple(plant.lugre)
     assert _from_array(flat) == plant[:5] and len(set(flat[:12].tolist())) == 12
+
+
+PERIOD = 500_000
+HOLD = Hold(after_ns=625_000, weight=0.1, kept=0.6, braking=0.5, stiffness=7000.0)
+COUNTED = PlantParameters(encoder=EncoderParameters(x_resolution=1e-6))
+STEP = COUNTED.drive.current_step
+
+
+def machine(hold=HOLD, bias=COUNTED.actuator.bias_current, y=2e-6):
+    plant = commanded_plant(COUNTED, hold, PlantState(y=y))
+    plant.state[BIAS] = bias
+    return plant
+
+
+def sample(plant, until, commands=(), noise=0.0):
+    effective, asked = (np.array(column) for column in zip(*commands, strict=True)) if commands else (
+        np.empty(0, np.int64), np.empty(0))  # fmt: skip
+    return advance_to_sample(*plant, effective, asked, len(commands), until, noise)
+
+
+def test_a_sample_with_a_command_in_between_is_the_plant_advanced_twice():
+    plant, state = machine(), np.array(PlantState(y=2e-6))
+    bias = COUNTED.actuator.bias_current
+    assert sample(plant, PERIOD, [(200_000, 0.1), (600_000, 0.2)]) == 1
+    current = round(0.1 / STEP) * STEP
+    advance(as_array(COUNTED.constants()), state, bias, 0.0, 200_000, current, 300_000)
+    np.testing.assert_array_equal(plant.state[: state.size], state)
+    assert plant.state[COMMAND] == current
+    assert plant.state[READING] == COUNTED.encoder.y_reading(float(state[0]))
+
+
+def test_noise_moves_the_reading_and_not_the_platform():
+    quiet, noisy = machine(), machine()
+    sample(quiet, PERIOD)
+    sample(noisy, PERIOD, noise=3e-6)
+    np.testing.assert_array_equal(quiet.state[:READING], noisy.state[:READING])
+    assert noisy.state[READING] - quiet.state[READING] == pytest.approx(3e-6, abs=1e-7)
+
+
+def test_without_a_command_the_board_holds_from_its_time_on_and_a_command_ends_that():
+    plant = machine()
+    sample(plant, PERIOD, [(0, 0.1)])
+    current = plant.state[COMMAND]
+    held_from = HOLD.after_ns
+    assert held_from < 2 * PERIOD and plant.times[1] == held_from and not plant.times[2]
+    anchor = plant.state[READING]
+    sample(plant, 2 * PERIOD)
+    assert plant.times[2]
+    # Mean 0.01 A; impulses of 0.6 · 0.09 A at the first sample, and as the hold begins; then at the second sample.
+    mean = HOLD.weight * current
+    impulse = HOLD.kept * (current - mean)
+    impulse = HOLD.kept * (impulse + current - mean)
+    first = round((mean - HOLD.braking * impulse) / STEP) * STEP
+    impulse = HOLD.kept * (impulse + first - mean)
+    displacement = plant.state[READING] - anchor
+    expected = mean - HOLD.braking * impulse - HOLD.stiffness * displacement
+    assert plant.state[COMMAND] == pytest.approx(expected, abs=0.51 * STEP)
+    sample(plant, 3 * PERIOD, [(2 * PERIOD, -0.1)])
+    assert plant.state[COMMAND] == pytest.approx(-0.1, abs=STEP) and not plant.times[2]
+
+
+def test_while_the_amplifier_is_off_commands_are_taken_and_have_no_effect():
+    plant = machine(bias=0.0)
+    assert sample(plant, PERIOD, [(0, 0.5), (100_000, -0.5)]) == 2
+    assert plant.state[COMMAND] == 0.0 and plant.times[1] > 2**60
+    sample(plant, 10 * PERIOD)
+    assert not plant.times[2] and plant.state[COMMAND] == 0.0
+
+
+def test_after_the_currents_went_off_nothing_is_held_and_no_impulse_is_left():
+    plant = machine()
+    sample(plant, PERIOD, [(0, 0.1)])
+    plant.currents_off()
+    assert not plant.state[BIAS : COMMAND + 3].any()
+    sample(plant, 5 * PERIOD)
+    assert plant.state[COMMAND] == 0.0 and not plant.times[2]
+
+
+ENCODER = EncoderParameters(x_resolution=1e-6, y_resolution=1e-7)
+DRIVE = DriveParameters()
+
+
+@given(st.floats(-2.0, 2.0))
+def test_an_encoder_reading_is_a_whole_count_within_half_a_count(position):
+    for reading, count in ((ENCODER.x_reading(position), 1e-6), (ENCODER.y_reading(position), 1e-7)):
+        assert abs(reading - position) <= 0.5000001 * count
+        assert reading / count == pytest.approx(round(reading / count), abs=1e-6)
+
+
+@given(st.floats(-0.99, 0.99))
+def test_a_converted_current_is_within_half_a_step(current):
+    assert abs(DRIVE.converted(current) - current) <= 0.5000001 * DRIVE.current_step
+
+
+def test_the_converter_stops_at_its_range():
+    assert DRIVE.converted(5.0) == DRIVE.current_range - DRIVE.current_step
+    assert DRIVE.converted(-5.0) == -DRIVE.current_range

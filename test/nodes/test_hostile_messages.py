@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import SAFETY_STATE, STREAMS
-from straightcomp_ros.messages.batch import pack_batch
+from straightcomp_ros.messages.cdr import pack_batch
 from straightcomp_ros.runtime.heartbeats import Heartbeats
 from straightcomp_ros.runtime.safety_panel import SafetyState
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from straightcomp_ros.control.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.safety_panel import SafetyState

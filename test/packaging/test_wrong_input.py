@@ -7,7 +7,7 @@ import pytest
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.control.learning_file import LearningFileError
+from straightcomp_ros.control.learned_table import LearningFileError
 from straightcomp_ros.straightness.survey import SurveyError
 
 BAG = str(Path(__file__).resolve().parents[2] / "bags" / "smc")

@@ -1,12 +1,26 @@
-"""The feedforward: chain rule on the map, estimates from the stamps, no trap in lost or repeated samples."""
+"""The feedforward: chain rule on the map, estimates from the stamps, a change of map without a bump."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.control.servo import Servo
+from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.feedforward import (
+    FADE_TIME,
+    Feedforward,
+    FeedforwardParameters,
+    restarted,
+    updated,
+    weight,
+)
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 
 PERIOD_NS = 500_000
@@ -127,12 +141,6 @@ def test_after_a_bad_sample_the_next_good_ones_count_again(straightness: Straigh
     assert r_dot == pytest.approx(0.3 * straightness.reference(0.9 + 0.3 * T * 4)[1], rel=1e-9)
 
 
-def test_stamps_of_a_real_clock_lose_no_precision(straightness: StraightnessMap) -> None:
-    x = _profile()[0][5000:6000]
-    late = _run(Feedforward(straightness), x, first=1_800_000_000 * 2000)
-    np.testing.assert_array_equal(late, _run(Feedforward(straightness), x))
-
-
 def test_the_limits_are_parameters(straightness: StraightnessMap) -> None:
     feedforward = Feedforward(straightness, FeedforwardParameters(restart_gap=1e-3), highest_speed=0.1)
     feedforward.step(0, 0.5)
@@ -143,3 +151,140 @@ def test_the_limits_are_parameters(straightness: StraightnessMap) -> None:
     feedforward.step(3_000_000, 0.5 + 2.5e-4)
     feedforward.step(4_000_001, 0.5 + 3.0e-4)
     assert feedforward._tracked.v == 0.0
+
+
+STAGE = StageParameters()
+STEP_NS = STAGE.period_ns
+DT = STEP_NS * 1e-9
+SPEED = 0.1
+BEFORE, AFTER = 600, 1400
+FADE = round(FADE_TIME / DT)
+DIFFERENCE = 20e-6
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return load_map(MapParameters())
+
+
+def other(shipped):
+    """Another map: 20 µm away."""
+
+    def reference(x):
+        r, slope, curvature = shipped.reference(x)
+        return r + DIFFERENCE, slope, curvature
+
+    return reference
+
+
+def references(shipped, change):
+    feedforward = Feedforward(shipped)
+    found = []
+    for step in range(BEFORE + AFTER):
+        if step == BEFORE:
+            change(feedforward)
+        found.append(feedforward.step(step * STEP_NS, 0.2 + SPEED * step * DT))
+    assert not feedforward.changing
+    return np.array(found)
+
+
+def test_the_weight_and_its_rates_belong_together():
+    times = np.linspace(-0.1, FADE_TIME + 0.1, 70_001)
+    w, w_dot, w_ddot = np.array([weight(t, FADE_TIME) for t in times]).T
+    h = times[1] - times[0]
+    assert w[0] == 1.0 and w[-1] == 0.0
+    np.testing.assert_allclose(np.gradient(w, h), w_dot, atol=1e-3)
+    np.testing.assert_allclose(np.gradient(w_dot, h), w_ddot, atol=0.02)
+    assert abs(w_dot).max() == pytest.approx(1.875 / FADE_TIME, rel=1e-6)
+    assert abs(w_ddot).max() == pytest.approx(5.774 / FADE_TIME**2, rel=1e-4)
+
+
+def test_the_reference_and_its_rates_stay_within_the_bounds_of_the_change(shipped):
+    plain = references(shipped, lambda feedforward: None)
+    changed = references(shipped, lambda feedforward: feedforward.change(other(shipped)))
+    beyond = changed - plain
+    assert abs(np.diff(beyond[:, 0])).max() <= 1.875 * DIFFERENCE / FADE_TIME * DT * 1.0001
+    assert abs(beyond[:, 1]).max() <= 1.875 * DIFFERENCE / FADE_TIME * 1.0001
+    assert abs(beyond[:, 2]).max() <= 5.774 * DIFFERENCE / FADE_TIME**2 * 1.0001
+    np.testing.assert_allclose(np.gradient(beyond[:, 0], DT)[1:-1], beyond[1:-1, 1], atol=1e-8)
+    np.testing.assert_array_equal(beyond[:BEFORE], 0.0)
+    np.testing.assert_allclose(beyond[BEFORE + FADE :, 0], DIFFERENCE, rtol=1e-12)
+
+
+def test_before_the_first_sample_a_map_is_changed_at_once(shipped):
+    feedforward = Feedforward(shipped)
+    feedforward.change(other(shipped))
+    assert feedforward.step(0, 0.2)[0] == pytest.approx(shipped.reference(0.2)[0] + DIFFERENCE)
+
+
+def test_the_command_does_not_step_further_during_a_change_of_map_than_without_one(shipped):
+    def currents(change):
+        machine = SimulatedHardware(SimulatedParameters(), STAGE, shipped)
+        feedforward = Feedforward(shipped)
+        servo = Servo(make_law(ControlParameters(law="smc_observer"), STAGE))
+        machine.start(0)
+        machine.enable()
+        found, errors = [], []
+        for step in range(BEFORE + AFTER):
+            if step == BEFORE:
+                change(feedforward)
+            [(sample, _)] = machine.read(step * STEP_NS)
+            r = feedforward.step(sample.stamp_ns, 0.2 + SPEED * step * DT)
+            answer = servo.step(sample.stamp_ns, sample.y, sample.current, r)
+            machine.write(answer.current, sample.stamp_ns + STEP_NS // 2)
+            found.append(answer.current)
+            errors.append(answer.error)
+        steps = [abs(b - a) for a, b in itertools.pairwise(found[BEFORE - 200 :])]
+        return max(steps), max(map(abs, errors[BEFORE - 200 :]))
+
+    plain, plain_error = currents(lambda feedforward: None)
+    changed, changed_error = currents(lambda feedforward: feedforward.change(other(shipped)))
+    assert math.isfinite(changed)
+    # K_y D / K_i is the current that the other place takes; it comes over the whole fade.
+    assert changed <= 1.5 * plain + 1.875 * (29.8e3 * DIFFERENCE / 44.7) * DT / FADE_TIME
+    assert changed_error < plain_error + 0.3e-6
+
+
+@given(
+    position=st.floats(-2.0, 2.0),
+    velocity=st.floats(-1.0, 1.0),
+    acceleration=st.floats(-5.0, 5.0),
+    bandwidth=st.floats(5.0, 200.0),
+    samples=st.integers(3, 400),
+)
+def test_a_constant_acceleration_is_followed_exactly_from_the_third_sample(
+    position: float, velocity: float, acceleration: float, bandwidth: float, samples: int
+) -> None:
+    tracked = restarted(position)
+    t = np.arange(samples) * T
+    for x in (position + velocity * t + 0.5 * acceleration * t**2)[1:].tolist():
+        tracked = updated(bandwidth, tracked, T, x)
+    # Rounding of x: 4e-16 m over a sample is 1e-12 m/s and 2e-9 m/s².
+    assert tracked.v == pytest.approx(velocity + acceleration * t[-1], abs=1e-9)
+    assert tracked.a == pytest.approx(acceleration, abs=1e-6)
+
+
+def test_after_a_start_it_is_least_squares_over_all_samples() -> None:
+    t = np.arange(30) * T
+    x = 0.1 * t + 1e-6 * np.random.default_rng(3).standard_normal(t.size)
+    tracked = restarted(float(x[0]))
+    for value in x[1:].tolist():
+        tracked = updated(10.0, tracked, T, value)
+    fit = np.polynomial.Polynomial.fit(t, x, 2)
+    assert tracked.v == pytest.approx(fit.deriv()(t[-1]), rel=1e-9)
+    assert tracked.a == pytest.approx(fit.deriv(2)(t[-1]), rel=1e-9)
+
+
+def test_all_three_poles_lie_at_theta() -> None:
+    # A disturbance dies as (c0 + c1 n + c2 n²) θⁿ: divided by θⁿ, its third difference is zero.
+    bandwidth = 30.0
+    tracked = restarted(0.0)
+    for _ in range(500):
+        tracked = updated(bandwidth, tracked, T, 0.0)
+    tracked = tracked._replace(v=1.0)
+    theta = math.exp(-2.0 * math.pi * bandwidth * T)
+    scaled = []
+    for n in range(40):
+        tracked = updated(bandwidth, tracked, T, 0.0)
+        scaled.append(tracked.v / theta**n)
+    assert np.abs(np.diff(scaled, 3)).max() < 1e-10

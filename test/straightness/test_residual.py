@@ -1,11 +1,17 @@
-"""Reference lines of ISO 230-1 on shapes whose straightness is known."""
+"""Straightness about a line by its definition; the shipped guide is what it claims to be."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, peak_to_peak
+from straightcomp_ros.straightness.survey import read_survey
 
 X = np.linspace(-1.0, 1.0, 2001)
 residuals = pytest.mark.parametrize("residual", [least_squares_residual, end_point_residual])
@@ -16,7 +22,7 @@ def test_a_line_is_straight(residual) -> None:  # type: ignore[no-untyped-def]
     np.testing.assert_allclose(residual(X, 3e-6 - 2e-6 * X), 0.0, atol=1e-20)
 
 
-def test_a_cubic_leaves_its_legendre_part_beside_the_least_squares_line() -> None:
+def test_a_cubic_leaves_its_legendre_polynomial_about_the_least_squares_line() -> None:
     # ∫ x·x³ / ∫ x² = 3/5: the residual is x³ − 3x/5.
     np.testing.assert_allclose(least_squares_residual(X, X**3), X**3 - 0.6 * X, atol=2e-3)
     weights = np.ones_like(X)
@@ -24,7 +30,7 @@ def test_a_cubic_leaves_its_legendre_part_beside_the_least_squares_line() -> Non
     np.testing.assert_allclose(least_squares_residual(X, X**3, weights), X**3 - 0.6 * X, atol=1e-6)
 
 
-def test_a_bow_is_as_high_beside_either_line() -> None:
+def test_a_bow_is_as_high_about_either_line() -> None:
     assert peak_to_peak(least_squares_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
     assert peak_to_peak(end_point_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
 
@@ -78,3 +84,53 @@ def test_weights_that_weigh_nothing_are_refused() -> None:
         least_squares_residual([0.0, 1.0], [0.0, 1.0], [0.0, 0.0])
     with pytest.raises(ValueError, match="weights have shape"):
         least_squares_residual([0.0, 1.0], [0.0, 1.0], [1.0])
+
+
+TOP = Path(__file__).resolve().parents[2]
+CONFIG = TOP / "config"
+
+
+@pytest.fixture(scope="module")
+def guide() -> StraightnessMap:
+    return load_map(MapParameters(file=str(CONFIG / "guide_synthetic.csv")))
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_synthetic_survey", TOP / "scripts/make_synthetic_survey.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["survey_synthetic.csv", "guide_synthetic.csv"])
+def test_the_script_makes_the_same_bytes_again(script: ModuleType, tmp_path: Path, name: str) -> None:
+    script.make(tmp_path)
+    assert (tmp_path / name).read_bytes() == (CONFIG / name).read_bytes()
+
+
+def test_the_guide_is_22_4_micrometres_peak_to_peak_over_1760_mm() -> None:
+    run = read_survey(CONFIG / "guide_synthetic.csv").runs[0]
+    assert (run.x[0], run.x[-1]) == (0.0, 1.76)
+    assert peak_to_peak(run.deviation) == pytest.approx(22.4e-6, abs=1e-12)
+    assert peak_to_peak(least_squares_residual(run.x, run.deviation)) == pytest.approx(22.4e-6, abs=1e-9)
+
+
+def test_the_guide_is_as_steep_as_the_papers(guide: StraightnessMap) -> None:
+    slope_um_per_mm = np.abs(guide.evaluate(np.linspace(0.0, 1.76, 17_601))[1]) * 1e3
+    assert 0.115 < slope_um_per_mm.max() < 0.125
+    assert 0.04 < np.median(slope_um_per_mm) < np.percentile(slope_um_per_mm, 90) < 0.09
+
+
+def test_the_survey_is_six_runs_that_repeat_within_a_tenth_of_a_micrometre(guide: StraightnessMap) -> None:
+    straightness = load_map(MapParameters(file=str(CONFIG / "survey_synthetic.csv")))
+    report = straightness.report
+    forward, backward = report.forward, report.backward
+    assert forward is not None and backward is not None
+    assert (len(report.x), forward.runs, backward.runs) == (177, 3, 3)
+    s = np.concatenate([forward.s, backward.s])
+    assert s.max() < 0.1e-6
+    assert np.sqrt(np.mean(s**2)) == pytest.approx(0.025e-6, rel=0.1)
+    # 177 differences of two means of three: the largest of them lies below four standard deviations.
+    assert np.abs(report.reversal).max() < 4.0 * 0.025e-6 * np.sqrt(2.0 / 3.0)

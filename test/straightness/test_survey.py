@@ -1,4 +1,4 @@
-"""Reading a survey: what is accepted, and how each fault is named."""
+"""Reading a survey: what is accepted, how each fault is named, and where a file without names of runs is split."""
 
 from pathlib import Path
 
@@ -29,13 +29,6 @@ def _refusal(path: Path) -> str:
     return str(caught.value)
 
 
-def test_a_survey_is_read_in_metres(tmp_path: Path) -> None:
-    run = read_survey(_write(tmp_path, _rows())).runs[0]
-    assert run.direction == "forward"
-    assert run.x == pytest.approx([x / 1000 for x in POSITIONS_MM])
-    assert run.deviation[1] == pytest.approx(1e-6)
-
-
 @pytest.mark.parametrize(
     ("header", "x", "deviation"),
     [
@@ -63,7 +56,7 @@ def test_a_spreadsheet_may_write_decimal_commas_between_other_delimiters(tmp_pat
     np.testing.assert_allclose(run.deviation, [-(x // 10 % 7) * 1e-7 for x in POSITIONS_MM], atol=1e-18)
 
 
-def test_without_run_and_direction_the_trend_of_x_tells_the_direction(tmp_path: Path) -> None:
+def test_without_run_and_direction_the_trend_of_x_gives_the_direction(tmp_path: Path) -> None:
     survey = read_survey(_write(tmp_path, _rows(POSITIONS_MM[::-1], ""), "x_mm,deviation_um"))
     assert [run.direction for run in survey.runs] == ["backward"]
     assert (np.diff(survey.runs[0].x) > 0).all()
@@ -97,115 +90,58 @@ def test_comments_blank_lines_byte_order_mark_and_other_columns_do_no_harm(tmp_p
     assert len(read_survey(path).runs[0].x) == len(POSITIONS_MM)
 
 
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+HEADER = "run,direction,x_mm,deviation_um"
+UNITS = [f"1,forward,{x},{6 + 5 * (x % 20)}" for x in POSITIONS_MM]
+THERE = [10.0 * number for number in range(15)]
+TURNS = THERE + THERE[-2::-1]
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "words"),
+    [
+        ("", [], "is empty"),
+        ("# only a comment", [""], "is empty"),
+        (HEADER, [], "no rows"),
+        ("position,deviation_um", ["0,1"], "line 1 position x_m,·x_mm,·x_um"),
+        ("x_mm,deviation", ["0,1"], "column·'deviation'·carries·no·unit"),
+        ("x_m,x_mm,deviation_um", ["0,0,1"], "given·twice,·as·x_m·(column·1)·and·x_mm"),
+        (HEADER, ["1,forward,ten,1"], "line 2 x_mm·'ten' a·number"),
+        (HEADER, ["1,forward,10,"], "line 2 deviation_um·'' a·number"),
+        (HEADER, ["1,forward,10,nan"], "line 2 deviation_um·'nan' finite"),
+        (HEADER, ["1,forward,inf,1"], "line 2 x_mm·'inf' finite"),
+        (HEADER, ["1,up,10,1"], "line 2 'up' forward·or·backward"),
+        (HEADER, ["1,forward,10,1,5"], "line 2 5·cells decimal·comma"),
+        (HEADER, ["1,forward,10"], "line 2 3·cells"),
+        (HEADER, _rows()[:5], "5·points >=·20"),
+        (
+            HEADER,
+            _rows([*POSITIONS_MM[:12], 95, *POSITIONS_MM[12:]]),
+            "line·14 turns·back:·95·mm·after·110·mm·(line·13)",
+        ),
+        (HEADER, _rows(TURNS), "line·17 turns·back:·130·mm·after·140·mm·(line·16)"),
+        (HEADER, _rows([100.0 - x for x in TURNS]), "line·17 turns·back:·-30·mm·after·-40·mm·(line·16)"),
+        (HEADER, _rows([*POSITIONS_MM[:12], 110, *POSITIONS_MM[12:]]), "line·14 repeats:·110·mm"),
+        (HEADER, _rows(POSITIONS_MM[::-1]), "direction·is·'forward'·but·x·falls"),
+        (HEADER, _rows([x for x in POSITIONS_MM if not 100 < x < 200]), "between·x·=·100·mm·and·200·mm <=·50·mm"),
+        ("run,direction,x_m,deviation_um", UNITS, "is·the·unit·wrong?·It·would·fit·as·x_mm"),
+        ("run,direction,x_mm,deviation_mm", UNITS, "is·the·unit·wrong?·It·would·fit·as·deviation_um"),
+        ("run,direction,x_um,deviation_um", UNITS, "is·the·unit·wrong?·It·would·fit·as·x_mm"),
+        (HEADER, [f"1,forward,{x},0" for x in POSITIONS_MM], "extends·over·0·m"),
+    ],
+)
+def test_a_fault_is_refused_with_its_place_and_what_is_allowed(
+    tmp_path: Path, header: str, rows: list[str], words: str
+) -> None:
+    message = _refusal(_write(tmp_path, rows, header))
+    for word in words.split():
+        assert word.replace("·", " ") in message
+
+
+def test_a_file_that_is_missing_or_not_utf8_is_refused(tmp_path: Path) -> None:
     assert "No such file" in _refusal(tmp_path / "nothing.csv")
-
-
-@pytest.mark.parametrize("text", ["", "\n\n", "# only a comment\n"])
-def test_an_empty_file_is_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "survey.csv"
-    path.write_text(text)
-    assert "is empty" in _refusal(path)
-
-
-def test_a_header_without_rows_is_refused(tmp_path: Path) -> None:
-    assert "no rows" in _refusal(_write(tmp_path, []))
-
-
-def test_a_file_that_is_not_utf8_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "survey.csv"
     path.write_bytes("x_mm,deviation_µm\n".encode("latin-1"))
     assert "not UTF-8" in _refusal(path)
-
-
-def test_a_missing_column_is_refused_with_the_accepted_names(tmp_path: Path) -> None:
-    message = _refusal(_write(tmp_path, ["0,1"], "position,deviation_um"))
-    assert "line 1" in message and "position" in message and "x_m, x_mm, x_um" in message
-
-
-def test_a_column_without_unit_is_named(tmp_path: Path) -> None:
-    assert "column 'deviation' carries no unit" in _refusal(_write(tmp_path, ["0,1"], "x_mm,deviation"))
-
-
-def test_a_quantity_given_twice_is_refused(tmp_path: Path) -> None:
-    assert "given twice, as x_m (column 1) and x_mm" in _refusal(_write(tmp_path, ["0,0,1"], "x_m,x_mm,deviation_um"))
-
-
-@pytest.mark.parametrize(
-    ("row", "words"),
-    [
-        ("1,forward,ten,1", ["x_mm 'ten'", "a number"]),
-        ("1,forward,10,", ["deviation_um ''", "a number"]),
-        ("1,forward,10,nan", ["deviation_um 'nan'", "finite"]),
-        ("1,forward,inf,1", ["x_mm 'inf'", "finite"]),
-        ("1,up,10,1", ["'up'", "forward or backward"]),
-        ("1,forward,10,1,5", ["5 cells", "decimal comma"]),
-        ("1,forward,10", ["3 cells"]),
-    ],
-)
-def test_a_bad_cell_is_refused_with_its_line(tmp_path: Path, row: str, words: list[str]) -> None:
-    message = _refusal(_write(tmp_path, [_rows()[0], row, *_rows()[2:]]))
-    assert "line 3" in message
-    for word in words:
-        assert word in message
-
-
-def test_too_few_points_are_refused_with_their_number(tmp_path: Path) -> None:
-    message = _refusal(_write(tmp_path, _rows()[:5]))
-    assert "5 points" in message and ">= 20" in message
-
-
-def test_one_point_is_refused_even_if_one_is_allowed(tmp_path: Path) -> None:
-    with pytest.raises(SurveyError, match="1 points"):
-        read_survey(_write(tmp_path, _rows()[:1]), min_points=1)
-
-
-def test_an_x_that_turns_back_is_refused_with_its_line(tmp_path: Path) -> None:
-    message = _refusal(_write(tmp_path, _rows([*POSITIONS_MM[:12], 95, *POSITIONS_MM[12:]])))
-    assert "line 14" in message and "turns back: 95 mm after 110 mm (line 13)" in message
-
-
-def test_a_run_that_ends_where_it_began_turns_back_where_it_turns(tmp_path: Path) -> None:
-    there = [10.0 * number for number in range(15)]
-    for way in (there + there[-2::-1], [100.0 - x for x in there + there[-2::-1]]):
-        message = _refusal(_write(tmp_path, _rows(way)))
-        assert "line 17" in message and f"turns back: {way[15]:g} mm after {way[14]:g} mm (line 16)" in message
-
-
-def test_an_x_that_repeats_is_refused_with_its_line(tmp_path: Path) -> None:
-    message = _refusal(_write(tmp_path, _rows([*POSITIONS_MM[:12], 110, *POSITIONS_MM[12:]])))
-    assert "line 14" in message and "repeats: 110 mm" in message
-
-
-def test_a_run_whose_x_never_changes_is_refused(tmp_path: Path) -> None:
-    assert "repeats" in _refusal(_write(tmp_path, _rows([50] * 30)))
-
-
-def test_a_forward_run_with_falling_x_contradicts_itself(tmp_path: Path) -> None:
-    assert "direction is 'forward' but x falls" in _refusal(_write(tmp_path, _rows(POSITIONS_MM[::-1])))
-
-
-def test_a_gap_in_the_survey_is_refused_with_its_place(tmp_path: Path) -> None:
-    message = _refusal(_write(tmp_path, _rows([x for x in POSITIONS_MM if not 100 < x < 200])))
-    assert "between x = 100 mm and 200 mm" in message and "100 mm" in message and "<= 50 mm" in message
-
-
-@pytest.mark.parametrize(
-    ("header", "right"),
-    [
-        ("run,direction,x_m,deviation_um", "x_mm"),
-        ("run,direction,x_mm,deviation_mm", "deviation_um"),
-        ("run,direction,x_um,deviation_um", "x_mm"),
-    ],
-)
-def test_a_wrong_unit_is_refused_with_the_one_that_fits(tmp_path: Path, header: str, right: str) -> None:
-    message = _refusal(_write(tmp_path, [f"1,forward,{x},{6 + 5 * (x % 20)}" for x in POSITIONS_MM], header))
-    assert "is the unit wrong?" in message and right in message.split("fit as")[1]
-
-
-def test_a_column_that_is_all_zero_is_refused(tmp_path: Path) -> None:
-    message = _refusal(_write(tmp_path, [f"1,forward,{x},0" for x in POSITIONS_MM]))
-    assert "extends over 0 m" in message and "unit" not in message
 
 
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -225,7 +161,46 @@ def test_what_is_written_is_read_back(tmp_path: Path, deviations: list[int], dir
     np.testing.assert_allclose(again.deviation, run.deviation, atol=0.51e-9)
 
 
-def test_what_was_read_cannot_be_changed(tmp_path: Path) -> None:
-    run = read_survey(_write(tmp_path, _rows())).runs[0]
-    with pytest.raises(ValueError, match="read-only"):
-        run.deviation[0] = 1.0
+OUT, BACK = list(range(0, 601, 20)), list(range(600, -1, -20))
+
+
+def written(path, positions, header="x_mm,deviation_um"):
+    path.write_text(header + "\n" + "\n".join(f"{x},{x * 1e-3 + 0.001 * n}" for n, x in enumerate(positions)) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("back", [BACK, BACK[1:]], ids=["x stands at the turn", "x turns at once"])
+def test_out_and_back_are_two_directions_of_one_run(tmp_path, back):
+    runs = read_survey(written(tmp_path / "s.csv", [*OUT, *back])).runs
+    assert [(run.name, run.direction) for run in runs] == [("1", "forward"), ("1", "backward")]
+    assert [run.x.size for run in runs] == [len(OUT), len(back)]
+    for run in runs:
+        assert (np.diff(run.x) > 0.0).all()
+
+
+def test_again_and_again_are_further_runs(tmp_path):
+    runs = read_survey(written(tmp_path / "s.csv", [*BACK, *OUT, *BACK, *OUT[1:]])).runs
+    assert [(run.name, run.direction) for run in runs] == [
+        ("1", "backward"), ("1", "forward"), ("2", "backward"), ("2", "forward")
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("positions", "words"),
+    [
+        ([*OUT[:15], 270, *OUT[15:]], "x turns back: 270 mm"),
+        ([*OUT[:15], OUT[14], *OUT[15:]], "x repeats: 280 mm"),
+        ([*OUT, *BACK[:5]], "x repeats: 600 mm"),
+    ],
+)
+def test_an_x_that_is_wrong_is_no_turning_point(tmp_path, positions, words):
+    with pytest.raises(SurveyError, match=words):
+        read_survey(written(tmp_path / "s.csv", positions))
+
+
+def test_where_runs_are_named_x_must_not_turn_within_one(tmp_path):
+    path = tmp_path / "s.csv"
+    rows = "\n".join(f"1,{x},{x * 1e-3}" for x in [*OUT, *BACK])
+    path.write_text(f"run,x_mm,deviation_um\n{rows}\n")
+    with pytest.raises(SurveyError, match="x repeats: 600 mm"):
+        read_survey(path)

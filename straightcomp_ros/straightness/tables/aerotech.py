@@ -9,8 +9,8 @@
 Described in Aerotech's Automation1 help, "Axis Calibration": axes count from 1, values between two points are
 interpolated linearly, beyond the ends the last value holds, and each value is added to the position of its output axis.
 Keywords and their order are as public programs write them that make such files for A3200 and Automation1. Column i
-stands at i · SampDistCol − OFFSETCOL. A negative distance counts from the home of the axis in a way that the file
-alone does not tell, and is refused. Here the two rows are the same: the correction does not depend on the row axis.
+stands at i · SampDistCol − OFFSETCOL. A negative distance counts from the home of the axis, which the file does not
+contain, and is refused. Here the two rows are the same: the correction does not depend on the row axis.
 """
 
 import re
@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from straightcomp_ros.straightness.survey import SurveyError, decimal, number, numbered_lines
 from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions, ErrorTable, error_table
-from straightcomp_ros.straightness.text import SurveyError, decimal, number, numbered_lines
 
 _HEAD = ("RowAxis", "ColumnAxis", "OutputAxis1", "OutputAxis2", "SampDistRow", "SampDistCol", "NumCols")
 _KEYWORD = re.compile(r"([A-Z0-9]+)\s*=\s*(\S+)")
@@ -80,11 +80,7 @@ def read(path: Path, conventions: Conventions) -> ErrorTable:
 
 
 def write(table: ErrorTable, conventions: Conventions) -> str:
-    """A file with one table, which holds the mean of both directions.
-
-    Raises:
-        SurveyError: the positions are not equally spaced.
-    """
+    """A file with one table, which holds the mean of both directions; SurveyError for unequally spaced positions."""
     steps = np.diff(table.x)
     spacing = float(steps.mean())
     if float(np.abs(steps - spacing).max()) > 1e-6 * spacing:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
-from straightcomp_ros.straightness.survey_columns import DEVIATION, X
+from straightcomp_ros.straightness.survey import DEVIATION, Direction, Run, Survey, SurveyError, X
 
 UNITS = {"mm": 1e3, "inch": 1.0 / 0.0254, "m": 1.0, "um": 1e6}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""
@@ -52,7 +51,7 @@ class ErrorTable:
     Attributes:
         x: (n,) positions of the stage in m, strictly ascending.
         forward: (n,) deviation in m, moving towards larger x.
-        backward: the same, moving towards smaller x; None if the file does not tell directions apart.
+        backward: the same, moving towards smaller x; None if the file has one value for both directions.
     """
 
     x: NDArray[np.float64]
@@ -82,8 +81,7 @@ class ErrorTable:
     def to_survey(self, source: str) -> Survey:
         """One run for each direction that the table knows; ``source`` is the file's name for messages.
 
-        Raises:
-            SurveyError: lengths that no guide has: more likely a wrong unit than an odd machine.
+        SurveyError for lengths that no guide has: more likely a wrong unit than an odd machine.
         """
         where = f"survey {source}"
         X.check_extent(where, float(self.x[-1] - self.x[0]))
@@ -97,8 +95,7 @@ class ErrorTable:
 def error_table(where: str, points: list[list[float]]) -> ErrorTable:
     """A table from points of (x, deviation), or of (x, forward, backward), in m; ``where`` begins the messages.
 
-    Raises:
-        SurveyError: fewer than two points, or two at one x.
+    SurveyError for fewer than two points, or two at one x.
     """
     if len(points) < 2:
         raise SurveyError(f"{where}: {len(points)} points; allowed: >= 2")
@@ -110,11 +107,8 @@ def error_table(where: str, points: list[list[float]]) -> ErrorTable:
 
 
 def sampled(straightness: StraightnessMap, spacing: float) -> tuple[ErrorTable, float]:
-    """The map at equal distances of at most ``spacing`` in m over its span, both ends included.
-
-    Returns:
-        The table, whose correction is the map's reference, and the largest error in m of a controller that
-        interpolates linearly in it.
+    """The map at equal distances of at most ``spacing`` in m over its span, both ends included, as a table whose
+    correction is the map's reference; and the largest error in m of a controller that interpolates linearly in it.
     """
     first, last = straightness.span
     pieces = max(1, math.ceil((last - first) / spacing - 1e-9))

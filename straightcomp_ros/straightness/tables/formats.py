@@ -5,10 +5,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.tables import aerotech, crosscomp, etalon, laser, linuxcnc
+from straightcomp_ros.straightness.survey import Survey, SurveyError
+from straightcomp_ros.straightness.tables import aerotech, laser, point_lists
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable
-from straightcomp_ros.straightness.text import SurveyError
 
 
 class Format(NamedTuple):
@@ -23,9 +22,9 @@ class Format(NamedTuple):
 
 FORMATS = {
     "aerotech": Format(".cal", r":START2?D?\b", aerotech.read, aerotech.write),
-    "crosscomp": Format(".lis", r"kw\.crosscomp\.", crosscomp.read, crosscomp.write),
-    "etalon": Format(".txt", r"(?i)gridpoints\s*=", etalon.read, etalon.write),
-    "linuxcnc": Format(".comp", r"\A(?:\s*[-+]?[\d.]+){3}\s*$", linuxcnc.read, linuxcnc.write),
+    "crosscomp": Format(".lis", r"kw\.crosscomp\.", point_lists.read_crosscomp, point_lists.write_crosscomp),
+    "etalon": Format(".txt", r"(?i)gridpoints\s*=", point_lists.read_etalon, point_lists.write_etalon),
+    "linuxcnc": Format(".comp", r"\A(?:\s*[-+]?[\d.]+){3}\s*$", point_lists.read_linuxcnc, point_lists.write_linuxcnc),
     "renishaw": Format(".rtl", r"(?i)run target data\s*:", laser.read_rtl),
     "api": Format(".pos", r"(?i)position\s+\w+[\w\s]*avg error", laser.read_pos),
 }
@@ -34,11 +33,7 @@ WRITTEN = {name: one.write for name, one in FORMATS.items() if one.write is not 
 
 
 def format_of(path: Path, name: str | None) -> Format:
-    """The format ``name``, or without a name the one with the file's ending.
-
-    Raises:
-        SurveyError: the ending is of none.
-    """
+    """The format ``name``, or without a name the one with the file's ending; SurveyError if that is of none."""
     if name is not None:
         return FORMATS[name]
     for one in FORMATS.values():

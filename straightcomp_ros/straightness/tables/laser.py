@@ -19,13 +19,13 @@ programs read in them. Both are written for every linear measurement, and do not
 """
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from straightcomp_ros.straightness.survey import Run, Survey, orient
+from straightcomp_ros.straightness.survey import Survey, SurveyError, number, numbered_lines, orient
 from straightcomp_ros.straightness.tables.error_table import Conventions, ErrorTable, error_table
-from straightcomp_ros.straightness.text import SurveyError, number, numbered_lines
 
 _OTHER_KINDS = re.compile(r"angular|pitch|yaw|roll|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE)
 _BLOCK = re.compile(r"position\s+(bidirectional|forward|reverse|backward)[\w\s]*error.*", re.IGNORECASE)
@@ -36,8 +36,7 @@ _ENCODINGS = ("utf-8", "cp1252")
 def read_rtl(path: Path, conventions: Conventions) -> Survey:
     """Read Renishaw's file; each of its runs becomes one of the survey, in the direction of its targets.
 
-    Raises:
-        SurveyError: it is of another measurement, a number is missing or none, or a reading is given twice.
+    SurveyError if it is of another measurement, a number is missing or none, or a reading is given twice.
     """
     section = ""
     targets: list[float] = []
@@ -58,12 +57,9 @@ def read_rtl(path: Path, conventions: Conventions) -> Survey:
         elif collecting and section == "TARGET DATA":
             targets += [number(where, "target", cell) for cell in text.split()]
         elif collecting:
-            cells = [
-                number(where, name, cell)
-                for name, cell in zip(("run", "target", "deviation"), text.split(), strict=False)
-            ]
-            if len(cells) != 3 or len(text.split()) != 3:
-                raise SurveyError(f"{where}: {text!r}; allowed: numbers of run and target, and the deviation in µm")
+            cells = _numbers(
+                where, text, ("run", "target", "deviation"), "numbers of run and target, and the deviation in µm"
+            )
             run, target = int(cells[0]), int(cells[1])
             if not 1 <= target <= len(targets):
                 raise SurveyError(f"{where}: target {target}; allowed: 1 to {len(targets)}")
@@ -81,14 +77,15 @@ def read_rtl(path: Path, conventions: Conventions) -> Survey:
     runs = [
         orient(f"survey {path}, run {run}", str(run), None, list(points.values())) for run, points in readings.items()
     ]
-    return _checked(path, runs)
+    for one in runs:
+        ErrorTable(one.x, one.deviation).to_survey(f"{path}, run {one.name}")  # refuses lengths that no guide has
+    return Survey(tuple(runs), str(path))
 
 
 def read_pos(path: Path, conventions: Conventions) -> ErrorTable:
     """Read API's file: the mean errors forward and backward, or of both where it has no other.
 
-    Raises:
-        SurveyError: it is of another measurement, has no such block, one twice, or different positions in them.
+    SurveyError if it is of another measurement, has no such block, one twice, or different positions in them.
     """
     blocks: dict[str, list[list[float]]] = {}
     block = ""
@@ -101,9 +98,7 @@ def read_pos(path: Path, conventions: Conventions) -> ErrorTable:
                 raise SurveyError(f"{where}: the {block} errors are given twice; allowed: once")
             blocks[block] = []
         elif block and re.match(r"[+-]?[\d.]", text):
-            cells = [number(where, name, cell) for name, cell in zip(("position", "error"), text.split(), strict=False)]
-            if len(cells) != 2 or len(text.split()) != 2:
-                raise SurveyError(f"{where}: {text!r}; allowed: position and error in mm")
+            cells = _numbers(where, text, ("position", "error"), "position and error in mm")
             blocks[block].append([cell * 1e-3 for cell in cells])
         else:
             block = ""
@@ -127,8 +122,9 @@ def _refuse_other_kinds(where: str, name: str, value: str) -> None:
         raise SurveyError(f"{where}: the measurement is {value.strip()!r}; allowed: one of straightness")
 
 
-def _checked(path: Path, runs: list[Run]) -> Survey:
-    survey = Survey(tuple(runs), str(path))
-    for run in runs:
-        ErrorTable(run.x, run.deviation).to_survey(f"{path}, run {run.name}")
-    return survey
+def _numbers(where: str, text: str, names: Sequence[str], allowed: str) -> list[float]:
+    cells = text.split()
+    found = [number(where, name, cell) for name, cell in zip(names, cells, strict=False)]
+    if len(cells) != len(names):
+        raise SurveyError(f"{where}: {text!r}; allowed: {allowed}")
+    return found

@@ -20,9 +20,8 @@ from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_bag
 from straightcomp_ros.parameters.node_parameters import Values, by_node
 from straightcomp_ros.parameters.whole_file import write_whole
-from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
-from straightcomp_ros.straightness.survey_check import survey_check
-from straightcomp_ros.straightness.text import SurveyError
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map, survey_check
+from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.tuning.commissioning import LeftTravel
 from straightcomp_ros.tuning.commissioning.checks import stroke_checks
 from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work

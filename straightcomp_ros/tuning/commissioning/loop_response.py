@@ -8,8 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from straightcomp_ros.control import FrequencyResponseError
-from straightcomp_ros.control.excitation_parameters import MultisineParameters
+from straightcomp_ros.control.excitation import FrequencyResponseError, MultisineParameters
 from straightcomp_ros.tuning.commissioning.certificate import LEAST_GAIN, LEAST_PHASE
 from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work
 from straightcomp_ros.tuning.commissioning.step_files import LOOP

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.control.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse
 

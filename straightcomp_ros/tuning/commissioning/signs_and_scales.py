@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.control.excitation_parameters import ExcitationParameters
+from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.commissioning.current_readback import CurrentReadback, current_readback
 from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work

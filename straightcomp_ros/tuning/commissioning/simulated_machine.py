@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.control.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters, simple_currents
 from straightcomp_ros.control.law import Command
-from straightcomp_ros.control.loop_excitation import simple_currents
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.model.lugre import LuGreParameters
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from straightcomp_ros.analysis.oscillation import sustained_oscillation, tolerated_amplitude
 from straightcomp_ros.analysis.record import motion_of
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.model.commanded_plant import Hold
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
-from straightcomp_ros.model.plant import PlantParameters, PlantState
+from straightcomp_ros.model.plant import Hold, PlantParameters, PlantState
 from straightcomp_ros.offline.kernel import Conditions, run_cycle
 from straightcomp_ros.offline.references import readings, references, served
 from straightcomp_ros.offline.scenario import Scenario

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from straightcomp_ros.control.laws import ControlParameters
-from straightcomp_ros.control.surface_design import reaching_bound
+from straightcomp_ros.control.sliding_mode import reaching_bound
 from straightcomp_ros.stage.description import StageParameters
 
 Values = Mapping[str, float]

@@ -1,6 +1,6 @@
 """Frequency responses of plant and loop, measured in the closed loop and in closed form. No ROS."""
 
-from straightcomp_ros.control import FrequencyResponseError
+from straightcomp_ros.control.excitation import FrequencyResponseError
 
 
 class ExcitationEnded(FrequencyResponseError):

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
-from straightcomp_ros.control.closed_form import LoopResponse
-from straightcomp_ros.control.multisine import Multisine
+from straightcomp_ros.control.excitation import Multisine
+from straightcomp_ros.control.margins import LoopResponse
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -11,11 +11,14 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.stream_columns import StreamColumns
 from straightcomp_ros.bags.values_at import values_at
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER
-from straightcomp_ros.control import FrequencyResponseError
-from straightcomp_ros.control.excitation_parameters import MultisineParameters
+from straightcomp_ros.control.excitation import (
+    FrequencyResponseError,
+    Multisine,
+    MultisineParameters,
+    loop_multisine,
+    multisine_injection,
+)
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.loop_excitation import loop_multisine, multisine_injection
-from straightcomp_ros.control.multisine import Multisine
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response import ExcitationEnded
 from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse, compared_response

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.control.closed_form import LoopResponse, friction_damping, loop_response
-from straightcomp_ros.control.excitation_parameters import MultisineParameters
+from straightcomp_ros.control.excitation import Multisine, MultisineParameters, loop_multisine, multisine_injection
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.loop_excitation import loop_multisine, multisine_injection
-from straightcomp_ros.control.multisine import Multisine
+from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_response
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles

@@ -11,7 +11,7 @@ from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.control.excitation_parameters import ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back, trapezoid
 from straightcomp_ros.parameters.declaration import to_mapping

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.model.actuator import MU_0, Actuator
-from straightcomp_ros.model.lugre import LuGre
+from straightcomp_ros.model.friction import LuGre
 from straightcomp_ros.model.plant import Plant, as_array
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, PALE_VERMILION, VERMILION
-from straightcomp_ros.control.surface_design import SlidingDesign
+from straightcomp_ros.control.sliding_mode import SlidingDesign
 from straightcomp_ros.tuning.paper.claims import Claim
 from straightcomp_ros.tuning.paper.drawing import SMALL, label, mosaic
 from straightcomp_ros.tuning.paper.ideal_machine import Machine

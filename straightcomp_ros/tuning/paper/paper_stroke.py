@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from straightcomp_ros.analysis.metrics import Metrics, evaluate, true_error
 from straightcomp_ros.analysis.pictures import BLACK, BLUE, GREY, VERMILION
 from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion
-from straightcomp_ros.control.surface_design import SlidingDesign
+from straightcomp_ros.control.sliding_mode import SlidingDesign
 from straightcomp_ros.offline.starts import first_cycle, spread, values_of_starts
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak

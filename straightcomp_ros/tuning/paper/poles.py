@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from straightcomp_ros.control.surface_design import closed_loop_poles
+from straightcomp_ros.control.sliding_mode import closed_loop_poles
 from straightcomp_ros.tuning.paper.claims import Claim
 from straightcomp_ros.tuning.paper.ideal_machine import Machine
 

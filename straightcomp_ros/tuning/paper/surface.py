@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from straightcomp_ros.control.surface_design import SlidingDesign
+from straightcomp_ros.control.sliding_mode import SlidingDesign
 from straightcomp_ros.model.actuator import stiffness_errors
 from straightcomp_ros.stage.description import StageParameters
 

@@ -16,8 +16,8 @@ from straightcomp_ros.cli.output import CommandFailed, console, print_json, styl
 from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
 from straightcomp_ros.parameters.output_folder import making
 from straightcomp_ros.parameters.parameter_sets import CommissioningNodeParameters
+from straightcomp_ros.straightness.guide_map import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.straightness.survey import Survey, read_survey
-from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.tuning.commissioning import STEP_NAMES
 from straightcomp_ros.tuning.commissioning.step_files import MADE
 from straightcomp_ros.tuning.verbs.graph_option import (

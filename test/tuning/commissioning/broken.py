@@ -6,7 +6,7 @@ import numpy as np
 
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.model.commanded_plant import BIAS
+from straightcomp_ros.model.plant import BIAS
 from trials.faulty_machine import FaultyHardware
 
 

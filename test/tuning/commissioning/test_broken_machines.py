@@ -13,12 +13,11 @@ import pytest
 from roughly_known import ROUGH, values_of, work_on
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.control.excitation_parameters import MultisineParameters
+from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.hardware.interface import Hardware, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import LEAST_POINTS, WIDEST_GAP, MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
-from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.tuning.commissioning import simulated_machine
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance
 from straightcomp_ros.tuning.commissioning.outcome import Outcome

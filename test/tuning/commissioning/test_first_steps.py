@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from roughly_known import MACHINES, TRUTH, values_of, work_on
 
-from straightcomp_ros.control.excitation_parameters import ExcitationParameters
+from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.tuning.commissioning import LeftTravel
 from straightcomp_ros.tuning.commissioning.connection import connection
 from straightcomp_ros.tuning.commissioning.machine import Series

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from roughly_known import values_of, work_on
 
-from straightcomp_ros.control.excitation_parameters import MultisineParameters
+from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.tuning.commissioning import loop_response
 from straightcomp_ros.tuning.commissioning.loop_response import frequency_response

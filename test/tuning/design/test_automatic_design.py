@@ -7,7 +7,7 @@ import pytest
 from motions import moving
 
 from straightcomp_ros.control.laws import LAWS, make_law
-from straightcomp_ros.control.least_margins import missing_margin
+from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.tuning.design.automatic_design import closed_form, design_gains
 from straightcomp_ros.tuning.design.error_budget import error_budget

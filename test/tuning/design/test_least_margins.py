@@ -6,9 +6,15 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import LAWS, ControlParameters, ObserverDesign, make_law, stiffened
-from straightcomp_ros.control.least_margins import LEAST_GAINS, missing_margin
-from straightcomp_ros.control.margins import closed_loop, linearised, loop_margins, sampled_plant
-from straightcomp_ros.control.surface_design import SlidingDesign
+from straightcomp_ros.control.margins import (
+    LEAST_GAINS,
+    closed_loop,
+    linearised,
+    loop_margins,
+    missing_margin,
+    sampled_plant,
+)
+from straightcomp_ros.control.sliding_mode import SlidingDesign
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
@@ -70,7 +76,7 @@ def test_a_law_that_is_stable_while_quiet_must_be_stable_at_its_stiffest_too():
 
 def test_little_phase_is_refused_where_the_gain_margins_hold(monkeypatch):
     assert missing_margin(ControlParameters(), STAGE) is None
-    monkeypatch.setattr("straightcomp_ros.control.least_margins.LEAST_PHASE", 40.0)
+    monkeypatch.setattr("straightcomp_ros.control.margins.LEAST_PHASE", 40.0)
     told = missing_margin(ControlParameters(), STAGE)
     assert value(told, r"phase margin of (\S+)°") == pytest.approx(
         loop_margins(make_law(ControlParameters(), STAGE), STAGE).phase, abs=1.0

@@ -7,8 +7,7 @@ import pytest
 
 from scripts.stage_files import stage_scenario
 from straightcomp_ros.control.laws import make_law
-from straightcomp_ros.control.least_margins import missing_margin
-from straightcomp_ros.control.margins import loop_margins
+from straightcomp_ros.control.margins import loop_margins, missing_margin
 from straightcomp_ros.tuning.design.automatic_design import closed_form, design_gains
 from straightcomp_ros.tuning.design.failing_limits import failing_limits
 from straightcomp_ros.tuning.design.feasible_gains import DesignError, feasible_gains, refusal

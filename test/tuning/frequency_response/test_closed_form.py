@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.closed_form import friction_damping, loop_response, plant_response
 from straightcomp_ros.control.laws import ControlParameters, make_law
-from straightcomp_ros.control.margins import loop_margins
+from straightcomp_ros.control.margins import friction_damping, loop_margins, loop_response, plant_response
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response.response_margins import response_margins
 

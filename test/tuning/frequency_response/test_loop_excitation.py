@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.control.excitation_parameters import ExcitationParameters
+from straightcomp_ros.control.excitation import ExcitationParameters, made_injection, simple_currents
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
-from straightcomp_ros.control.loop_excitation import made_injection, simple_currents
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.control import FrequencyResponseError
-from straightcomp_ros.control.closed_form import LoopResponse
-from straightcomp_ros.control.excitation_parameters import MultisineParameters
-from straightcomp_ros.control.multisine import multisine
+from straightcomp_ros.control.excitation import FrequencyResponseError, MultisineParameters, multisine
+from straightcomp_ros.control.margins import LoopResponse
 
 RATE = 2000.0
 

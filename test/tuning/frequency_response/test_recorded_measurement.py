@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.control.excitation_parameters import MultisineParameters
+from straightcomp_ros.control.excitation import MultisineParameters, loop_multisine, multisine_injection
 from straightcomp_ros.control.laws import make_law
-from straightcomp_ros.control.loop_excitation import loop_multisine, multisine_injection
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation, node_set
 from straightcomp_ros.parameters.node_parameters import by_node

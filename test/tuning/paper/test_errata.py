@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.control.surface_design import SlidingDesign, state_matrices
+from straightcomp_ros.control.sliding_mode import SlidingDesign, state_matrices
 from straightcomp_ros.model.actuator import magnetic_force, stiffness_errors
 from straightcomp_ros.stage.description import StageParameters
 

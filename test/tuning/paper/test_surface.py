@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from straightcomp_ros.control.surface_design import SlidingDesign
-from straightcomp_ros.model.lugre import LuGreParameters
+from straightcomp_ros.control.sliding_mode import SlidingDesign
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.paper.surface import (
     following_error_gain,

@@ -1,23 +1,84 @@
-"""Repeatability by its definition, and which readings and runs are outliers."""
+"""The runs of a survey together: on one grid, their repeatability by its definition, and outliers."""
 
 import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.feedforward import blended, weight
-from straightcomp_ros.straightness.outliers import FLOOR, disagreement, spikes
-from straightcomp_ros.straightness.repeatability import repeatability
-from straightcomp_ros.straightness.survey import Run, Survey
+from straightcomp_ros.straightness.survey import Direction, Run, Survey, SurveyError
+from straightcomp_ros.straightness.survey_runs import (
+    FLOOR,
+    disagreement,
+    on_common_grid,
+    repeatability,
+    spikes,
+)
 
-X = np.arange(4) * 0.01
+X = np.linspace(0.0, 1.0, 101)
+
+
+def _bow(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    return 1e-5 * np.sin(3.0 * x)
+
+
+def _run(direction: Direction, offset: float = 0.0, x: NDArray[np.float64] = X) -> Run:
+    return Run("1", direction, x, _bow(x) + offset)
+
+
+def _grid(*runs: Run) -> tuple[NDArray[np.float64], NDArray[np.float64], Survey]:
+    survey = Survey(runs)
+    return *on_common_grid(survey, min_points=20, max_gap=0.05), survey
+
+
+def test_runs_on_the_same_x_are_taken_as_measured() -> None:
+    x, values, _ = _grid(_run("forward"), _run("backward", 1e-7))
+    np.testing.assert_array_equal(x, X)
+    np.testing.assert_array_equal(values, [_bow(X), _bow(X) + 1e-7])
+
+
+def test_a_run_on_other_x_is_brought_onto_the_first_ones_grid() -> None:
+    shifted = np.linspace(0.0, 1.0, 83)
+    x, values, _ = _grid(_run("forward"), _run("backward", x=shifted))
+    np.testing.assert_array_equal(x, X)
+    np.testing.assert_allclose(values[1], _bow(X), atol=1e-12)
+
+
+def test_the_grid_keeps_to_what_all_runs_cover() -> None:
+    x, values, _ = _grid(_run("forward"), _run("backward", x=np.linspace(0.0012, 0.9988, 101)))
+    assert (x[0], x[-1]) == (0.0012, 0.9988)
+    assert np.diff(x).min() > 0.005
+    np.testing.assert_allclose(values[0], _bow(x), atol=1e-12)
+
+
+def test_directions_weigh_the_same_whatever_the_number_of_their_runs() -> None:
+    x, values, survey = _grid(_run("forward", 0.0), _run("forward", 0.0), _run("forward", 0.0), _run("backward", 4e-8))
+    np.testing.assert_allclose(repeatability(survey, x, values).mean, _bow(X) + 2e-8, rtol=1e-12)
+
+
+def test_a_run_that_was_broken_off_is_refused() -> None:
+    with pytest.raises(SurveyError, match=r"runs end between x = 500 mm and 1000 mm.*within 50 mm.*broken off"):
+        _grid(_run("forward"), _run("backward", x=np.linspace(0.0, 0.5, 51)))
+
+
+def test_too_few_common_points_are_refused() -> None:
+    with pytest.raises(SurveyError, match="11 points in the range that all runs cover; allowed: >= 20"):
+        _grid(_run("forward", x=np.linspace(0.0, 1.0, 11)))
+
+
+def test_a_survey_without_a_run_is_refused() -> None:
+    with pytest.raises(SurveyError, match="no run"):
+        _grid()
+
+
+FOUR = np.arange(4) * 0.01
 
 
 def found_of(forward, backward):
     """Repeatability of runs given as rows of deviations in µm at four points."""
     rows = [("forward", row) for row in forward] + [("backward", row) for row in backward]
-    runs = tuple(Run(str(i), way, X, np.array(row) * 1e-6) for i, (way, row) in enumerate(rows))
-    return repeatability(Survey(runs), X, np.array([run.deviation for run in runs]))
+    runs = tuple(Run(str(i), way, FOUR, np.array(row) * 1e-6) for i, (way, row) in enumerate(rows))
+    return repeatability(Survey(runs), FOUR, np.array([run.deviation for run in runs]))
 
 
 def test_the_figures_are_those_of_the_standard_at_the_worst_point():
@@ -67,11 +128,6 @@ def test_a_spike_is_further_out_than_so_many_robust_standard_deviations():
         assert spikes(readings + 5e-3, 6.0).tolist() == [False] * 41 + [spike, False]
 
 
-def test_nothing_within_the_floor_is_a_spike():
-    for value, spike in ((0.99 * FLOOR, False), (1.01 * FLOOR, True), (-1.01 * FLOOR, True)):
-        assert spikes(np.append(np.zeros(20), value), 6.0)[-1] == spike
-
-
 def noisy(count=5, points=40):
     return np.random.default_rng(3).normal(0.0, 3e-8, (count, points))
 
@@ -112,27 +168,26 @@ def test_the_worst_run_goes_first_and_then_the_others_are_judged_anew():
     assert disagreement(values, 6.0).runs.tolist() == [False, False, False, True, False, True, False]
 
 
-def test_a_blend_is_the_product_rule_of_weight_and_difference():
-    def old(t):
-        return 1.0 + 2.0 * t + 3.0 * t * t, 2.0 + 6.0 * t, 6.0
-
-    def new(t):
-        return -1.0 + 0.5 * t - t * t, 0.5 - 2.0 * t, -2.0
-
-    def mixed(t):
-        return blended(old(t), new(t), weight(t, 0.5))
-
-    h = 1e-4
-    for t in (0.05, 0.2, 0.25, 0.4):
-        (before, *_), (r, r_dot, r_ddot), (after, *_) = mixed(t - h), mixed(t), mixed(t + h)
-        assert min(old(t)[0], new(t)[0]) < r < max(old(t)[0], new(t)[0])
-        assert (after - before) / (2.0 * h) == pytest.approx(r_dot, rel=1e-4, abs=1e-3)
-        assert (after - 2.0 * r + before) / h**2 == pytest.approx(r_ddot, rel=1e-3, abs=0.05)
-    assert mixed(0.0) == old(0.0) and mixed(0.5) == new(0.5)
+LIMIT = 6.0
+POINTS = 100
+GUIDE = 1e-5 * np.sin(np.linspace(0.0, 6.0, POINTS))
 
 
-def test_the_weight_is_one_before_the_change_a_half_in_its_middle_and_zero_after_it():
-    assert weight(-1.0, 0.5) == weight(0.0, 0.5) == (1.0, 0.0, 0.0)
-    assert weight(0.5, 0.5) == weight(9.0, 0.5) == (0.0, 0.0, 0.0)
-    assert weight(1.0, 2.0) == pytest.approx((0.5, -1.875 / 2.0, 0.0))
-    assert weight(0.4, 2.0)[0] == pytest.approx(1.0 - 0.2**3 * (10.0 - 3.0 + 0.24))
+def runs(count: int, noise: float = 50e-9, seed: int = 1) -> NDArray[np.float64]:
+    """Runs over a guide that agree within ``noise`` in m."""
+    return np.asarray(GUIDE + np.random.default_rng(seed).normal(0.0, noise, (count, POINTS)))
+
+
+def test_below_the_floor_nothing_is_an_outlier() -> None:
+    residual = np.zeros(100)
+    residual[[5, 6]] = 0.99 * FLOOR, 1.01 * FLOOR
+    assert np.flatnonzero(spikes(residual, LIMIT)).tolist() == [6]
+    values = runs(4, noise=0.5e-9)
+    values[1, [5, 6]] += (0.9 * FLOOR, 1.1 * FLOOR)
+    assert np.argwhere(disagreement(values, LIMIT).points).tolist() == [[1, 6]]
+
+
+@pytest.mark.parametrize("count", [3, 4, 7])
+def test_runs_that_agree_are_kept_whole_wherever_the_guide_goes(count: int) -> None:
+    found = disagreement(runs(count), LIMIT)
+    assert not found.runs.any() and not found.points.any()

@@ -1,0 +1,218 @@
+"""The runs of a survey together: on one grid of x, their mean and repeatability, and what cannot be the guide.
+
+Mean and repeatability are those of ISO 230-2:2014, which defines repeatability for positioning; here the deviation
+across the motion takes the place of the one along it. At each point i, over the n runs of one direction: the mean, and
+the estimator s_i of the standard uncertainty, the sample standard deviation (divisor n − 1). From these, with the
+coverage factor 2 of the standard,
+
+    unidirectional repeatability  R_i↑ = 4 s_i↑,  R_i↓ = 4 s_i↓
+    reversal value                B_i = mean_i↑ − mean_i↓
+    bidirectional repeatability   R_i = max(2 s_i↑ + 2 s_i↓ + |B_i|, R_i↑, R_i↓)
+
+and of each the largest over the points is the figure of the axis. The standard asks for five runs each way; fewer make
+the figures less certain. Offsets between runs count: nothing is removed from a run before.
+
+Spikes within a run, and points or runs that differ from the others, are found by Hampel's identifier: a value is an
+outlier if it is further from the median than ``limit`` robust standard deviations, 1.4826 times the median absolute
+deviation (F. R. Hampel, J. Am. Stat. Assoc. 69, 1974). Neither the median nor that deviation moves with the outliers
+themselves, as mean and standard deviation do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.straightness.survey import Survey, SurveyError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+Array = NDArray[np.float64]
+
+_RECOMMENDED = 5
+_GAUSSIAN = 1.4826
+FLOOR = 20e-9
+"""Distance in m from the median below which nothing is an outlier: runs that agree to a nanometre by chance must not
+condemn one that differs by five."""
+_WHOLE_RUN = 0.25
+"""Fraction of outliers above which a run is rejected as a whole: something was knocked, or came loose."""
+_WIDEST = 3
+"""Most neighbouring outliers in a run; with more it is rejected too, since interpolation would be a guess."""
+_FEWEST = 3
+"""Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
+
+
+def cubic_spline(x: Array, values: Array) -> CubicSpline:
+    """Spline with continuous curvature and not-a-knot ends through ``values`` (n,) in m at ascending ``x`` in m."""
+    # SciPy takes half of the time that a node needs to start, and a node without a map needs none of it.
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(x, values)
+
+
+def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Array, Array]:
+    """The x of the first run, cut to the range that all runs cover, and all runs at these x.
+
+    Runs with other x are interpolated by a cubic spline through their points (linear interpolation would cut 0.02 µm
+    off a wave of 150 mm and 1 µm at 10 mm spacing); at a run's own points the spline is the measured value.
+
+    Returns x (n,) in m, and values (runs, n) in m in the survey's order of runs; SurveyError for no run, ends that
+    differ by more than ``max_gap`` in m, or fewer than ``min_points`` common points.
+    """
+    if not survey.runs:
+        raise SurveyError(f"survey {survey.source}: has no run; allowed: at least one")
+    starts, ends = [run.x[0] for run in survey.runs], [run.x[-1] for run in survey.runs]
+    for what, at in (("start", starts), ("end", ends)):
+        if max(at) - min(at) > max_gap:
+            raise SurveyError(
+                f"survey {survey.source}: the runs {what} between x = {min(at) * 1e3:.10g} mm and "
+                f"{max(at) * 1e3:.10g} mm; allowed: within {max_gap * 1e3:.6g} mm (max_gap); was a run broken off?"
+            )
+    low, high = max(starts), min(ends)
+    first = survey.runs[0].x
+    # Half a step of room to the ends: triggers jitter, and two points a micrometre apart make the spline wild.
+    room = 0.5 * float(np.median(np.diff(first)))
+    grid = np.concatenate([[low], first[(first > low + room) & (first < high - room)], [high]])
+    if grid.size < max(min_points, 4):
+        raise SurveyError(
+            f"survey {survey.source}: {grid.size} points in the range that all runs cover; "
+            f"allowed: >= {min_points} (min_points)"
+        )
+    values = [
+        run.deviation if np.array_equal(run.x, grid) else cubic_spline(run.x, run.deviation)(grid)
+        for run in survey.runs
+    ]
+    return grid, np.array(values)
+
+
+@dataclass(frozen=True, eq=False)
+class Directed:
+    """One direction: ``runs``, and over the points (n,) in m ``mean`` and ``s`` (None for a single run)."""
+
+    runs: int
+    mean: Array
+    s: Array | None
+
+    @property
+    def repeatability(self) -> float | None:
+        """R↑ or R↓ in m."""
+        return None if self.s is None else 4.0 * float(self.s.max())
+
+
+@dataclass(frozen=True, eq=False)
+class Repeatability:
+    """How well the runs of a survey agree.
+
+    Attributes:
+        x: (n,) points in m.
+        forward, backward: None for a direction that was not driven.
+    """
+
+    x: Array
+    forward: Directed | None
+    backward: Directed | None
+
+    @property
+    def mean(self) -> Array:
+        """Mean (n,) in m of the forward mean and the backward mean, whatever the number of runs of each."""
+        return np.asarray(np.mean([one.mean for one in (self.forward, self.backward) if one is not None], axis=0))
+
+    @property
+    def reversal(self) -> Array | None:
+        """B_i (n,) in m; None without both directions."""
+        if self.forward is None or self.backward is None:
+            return None
+        return np.asarray(self.forward.mean - self.backward.mean)
+
+    @property
+    def bidirectional(self) -> float | None:
+        """R in m; None unless both directions have two runs."""
+        if self.forward is None or self.backward is None or self.forward.s is None or self.backward.s is None:
+            return None
+        ahead, back = self.forward.s, self.backward.s
+        both = 2.0 * ahead + 2.0 * back + np.abs(self.forward.mean - self.backward.mean)
+        return float(np.max([both, 4.0 * ahead, 4.0 * back]))
+
+    @property
+    def short_of_the_standard(self) -> bool:
+        """True when a direction has fewer than the five runs of ISO 230-2."""
+        return any(one is None or one.runs < _RECOMMENDED for one in (self.forward, self.backward))
+
+    def __str__(self) -> str:
+        runs = [one.runs if one else 0 for one in (self.forward, self.backward)]
+        text = f"{len(self.x)} points, {runs[0]} forward and {runs[1]} backward runs"
+        text += f", {peak_to_peak(self.mean) * 1e6:.2f} µm peak to peak"
+        spreads = [float(one.s.max()) for one in (self.forward, self.backward) if one and one.s is not None]
+        if spreads:
+            text += f", standard deviation at most {max(spreads) * 1e6:.3f} µm"
+        if self.reversal is not None:
+            text += f", hysteresis {float(np.abs(self.reversal).max()) * 1e6:.3f} µm"
+        return text
+
+    def to_display(self) -> dict[str, float | None]:
+        """The figures as a person reads them: lengths in µm."""
+        reversal = self.reversal
+        figures = {
+            "repeatability_forward": self.forward.repeatability if self.forward else None,
+            "repeatability_backward": self.backward.repeatability if self.backward else None,
+            "repeatability_bidirectional": self.bidirectional,
+            "reversal_max": None if reversal is None else float(np.abs(reversal).max()),
+            "reversal_mean": None if reversal is None else float(reversal.mean()),
+        }
+        return {f"{name}_um": None if value is None else value * 1e6 for name, value in figures.items()}
+
+
+def repeatability(survey: Survey, x: Array, values: Array) -> Repeatability:
+    """The figures of a survey at ``x`` (n,) in m, with ``values`` (runs, n) in m, both of :func:`on_common_grid`."""
+
+    def directed(direction: str) -> Directed | None:
+        chosen = values[[run.direction == direction for run in survey.runs]]
+        if not len(chosen):
+            return None
+        return Directed(len(chosen), chosen.mean(axis=0), chosen.std(axis=0, ddof=1) if len(chosen) > 1 else None)
+
+    return Repeatability(x, directed("forward"), directed("backward"))
+
+
+def spikes(residual: Array, limit: float) -> NDArray[np.bool_]:
+    """Which samples of a run are outliers; ``residual`` (n,) in m is the difference from the smoothed run."""
+    distance = np.abs(residual - np.median(residual))
+    return np.asarray(distance > max(limit * _GAUSSIAN * float(np.median(distance)), FLOOR))
+
+
+class Disagreement(NamedTuple):
+    """Which runs are rejected as a whole, (runs,), and which single points of the other runs, (runs, n)."""
+
+    runs: NDArray[np.bool_]
+    points: NDArray[np.bool_]
+
+
+def disagreement(values: Array, limit: float) -> Disagreement:
+    """Compare the runs of one direction by their ``values`` (runs, n) in m on one grid of at least four points.
+
+    ``limit`` is in robust standard deviations, which are taken over all points.
+    """
+    rejected = np.zeros(len(values), np.bool_)
+    points = np.zeros(values.shape, np.bool_)
+    while np.count_nonzero(~rejected) >= _FEWEST:
+        kept = values[~rejected]
+        distance = np.abs(kept - np.median(kept, axis=0))
+        # With an odd number of runs one is the median itself; its zeros would make the others' spread seem small.
+        others = distance[distance > 0.0]
+        spread = float(np.median(others)) if others.size else 0.0
+        flagged = distance > max(limit * _GAUSSIAN * spread, FLOOR)
+        stretches = sliding_window_view(flagged, _WIDEST + 1, axis=1)
+        unusable = (flagged.mean(axis=1) > _WHOLE_RUN) | np.any(np.all(stretches, axis=2), axis=1)
+        if not unusable.any():
+            points[~rejected] = flagged
+            break
+        # One by one: the worst run moves the median for the others.
+        worst = np.where(unusable, distance.sum(axis=1), -1.0).argmax()
+        rejected[np.flatnonzero(~rejected)[worst]] = True
+    return Disagreement(rejected, points)
