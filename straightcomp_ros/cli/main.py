@@ -1,28 +1,28 @@
 """Entry point of `straightcomp`: finds the verb, turns expected errors into one sentence and an exit code."""
 
 import argparse
+import functools
 import importlib
 import importlib.util
+import inspect
 import os
 import re
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 from xml.etree import ElementTree
 
+from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.output import CommandFailed, Terminated, print_in_any_encoding, printable
-from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.parameters.share import PACKAGE, share_path
 
-_NAMES = "bench can completion demo doctor dsp evaluate map opcua recover replay simulate stage view"
-_TUNING = "commission design frequency-response friction reproduce robustness"
-_FOLDERS = {"cli": _NAMES, "tuning.verbs": _TUNING, "fleet.verbs": "history"}
-_VERBS = {
-    name: f"straightcomp_ros.{folder}.{name.replace('-', '_')}"
-    for folder, names in _FOLDERS.items()
-    for name in sorted(names.split())
-}
-"""The module of each verb."""
+GROUP = "straightcomp.verbs"
+"""Entry points whose names are verbs, and whose values are their modules."""
+PURPOSES = ("run", "judge", "set up", "tune", "fleet", "other")
+"""Order of the verbs in the help."""
+_OF_FOLDER = {f"{PACKAGE}.tuning.": "tune", f"{PACKAGE}.fleet.": "fleet"}
+"""Purpose of a verb that names none, by the beginning of its module's name."""
 _FIRST_STEPS = """\
 first steps:
   straightcomp doctor                   can this machine run it, and what would help?
@@ -30,37 +30,69 @@ first steps:
   straightcomp simulate --law linear    the same without a graph
   straightcomp COMMAND --help           what a command takes
 """
-_WRONG_USE = set(
-    ["HardwareError", "HistoryError", "LimitsError", "OutputRefused", "ParameterError", "SurveyError", "UsersError"]
-)
+_WRONG_USE = {
+    *("HardwareError", "HistoryError", "LimitsError", "OutputRefused", "ParameterError", "SurveyError", "UsersError")
+}
 """Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141
 """Exit code that a shell gives a program that SIGPIPE ended."""
 _TERMINATED = 143
 """The same of SIGTERM."""
+_Help = functools.partial(argparse.RawDescriptionHelpFormatter, max_help_position=26)
+
+
+class Verb(NamedTuple):
+    """Where a verb is: its module, the package that brings it, and the extras of that package that it needs."""
+
+    module: str
+    package: str = PACKAGE
+    extras: tuple[str, ...] = ()
+
+
+Verbs = Mapping[str, Sequence[Verb]]
+"""Verbs by name; a name that several packages have given away has one of each."""
+
+
+def installed_verbs() -> dict[str, list[Verb]]:
+    """The verbs of all installed packages, in the order of their names."""
+    # Only here: --version needs it not, and its import takes as long as the rest of the start.
+    from importlib.metadata import entry_points
+
+    verbs: dict[str, list[Verb]] = {}
+    for entry in sorted(entry_points(group=GROUP)):
+        package = entry.dist.name if entry.dist is not None else entry.module.partition(".")[0]
+        verbs.setdefault(entry.name, []).append(Verb(entry.module, package, tuple(entry.extras)))
+    return verbs
 
 
 def main(
-    arguments: Sequence[str] | None = None, verbs: Mapping[str, str] = _VERBS, program: str = "straightcomp"
+    arguments: Sequence[str] | None = None, verbs: Mapping[str, str] | None = None, program: str = "straightcomp"
 ) -> int:
-    """Run one command of ``program``, whose ``verbs`` are in modules of these names; returns its exit code.
+    """Run one command of ``program``; returns its exit code: 0 is done, 1 failed, 2 wrong use.
 
-    0 is done, 1 failed, 2 wrong use.
+    Its verbs are those of the entry points, or ``verbs``, names of modules by verb.
     """
     print_in_any_encoding()
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
+        print(f"{program} {ElementTree.parse(share_path('package.xml')).findtext('version')}")
+        return 0
+    found = installed_verbs() if verbs is None else {name: [Verb(module)] for name, module in verbs.items()}
     # A verb that is named is imported alone: all of them together take seconds.
-    options = make_parser(given[:1], verbs, program).parse_args(given)
+    named = given[0] if given and given[0] in found else None
+    words = [program]
     try:
+        options = make_parser([named] if named else [], found, program).parse_args(given)
+        words += filter(None, (options.verb, getattr(options, "tool", None)))
         code = int(options.run(options) or 0)
         sys.stdout.flush()
         return code
     except CommandFailed as failure:
-        return _ended(options, str(failure), failure.exit_code)
+        return _ended(words, str(failure), failure.exit_code)
     except Terminated:
-        return _ended(options, "terminated", _TERMINATED)
+        return _ended(words, "terminated", _TERMINATED)
     except KeyboardInterrupt:
-        return _ended(options, "interrupted", 130)
+        return _ended(words, "interrupted", 130)
     except BrokenPipeError:
         # The reader of our output has gone (`… | head`): end without a word, also when Python flushes at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -68,51 +100,97 @@ def main(
     except OSError as error:
         # A file or folder that changed during the work, or a full disk: no verb foresees all of these.
         name = f"{error.filename}: " if error.filename else ""
-        return _ended(options, f"{name}{error.strerror or error}", 1)
+        return _ended(words, f"{name}{error.strerror or error}", 1)
     except Exception as error:
+        missing = _missing(error, found[named][0]) if named else None
+        if missing:
+            return _ended(words, missing, 2)
         # The message of an error of the package is for the user; any other error is a bug and shows its traceback.
-        if not type(error).__module__.startswith("straightcomp_ros."):
+        if not type(error).__module__.startswith(f"{PACKAGE}."):
             raise
-        return _ended(options, str(error), 2 if _WRONG_USE & {kind.__name__ for kind in type(error).__mro__} else 1)
+        return _ended(words, str(error), 2 if _WRONG_USE & {kind.__name__ for kind in type(error).__mro__} else 1)
 
 
-def _ended(options: argparse.Namespace, sentence: str, exit_code: int) -> int:
-    words = ("straightcomp", options.verb, getattr(options, "tool", None))
-    print(printable(f"{' '.join(filter(None, words))}: {sentence}"), file=sys.stderr)
+def _ended(words: Sequence[str], sentence: str, exit_code: int) -> int:
+    print(printable(f"{' '.join(words)}: {sentence}"), file=sys.stderr)
     return exit_code
 
 
+def _missing(error: Exception, verb: Verb) -> str | None:
+    """Which extra to install, if ``error`` is the import of what an extra of the verb brings."""
+    name = error.name if isinstance(error, ModuleNotFoundError) else None
+    if not (name and verb.extras) or name.partition(".")[0] == verb.module.partition(".")[0]:
+        return None
+    return f"{name} is not there; remedy: pip install '{verb.package}[{','.join(verb.extras)}]'"
+
+
 def make_parser(
-    complete: Collection[str] = _VERBS.keys(), table: Mapping[str, str] = _VERBS, program: str = "straightcomp"
+    complete: Collection[str] | None = None, verbs: Verbs | None = None, program: str = "straightcomp"
 ) -> argparse.ArgumentParser:
-    """The parser of all verbs; those that are not in ``complete`` with their summary only."""
+    """The parser of all verbs; those that are not in ``complete`` with their summary only.
+
+    Raises:
+        CommandFailed: a verb of ``complete`` cannot be imported, or two packages have it.
+    """
+    found = installed_verbs() if verbs is None else verbs
+    headlines = {name: _headline(brought) for name, brought in found.items()}
     parser = _Parser(
         prog=program,
+        usage="%(prog)s [-h] [--version] COMMAND ...",
         description="Straightness compensation of linear-motor stages: simulate, run, record and judge.",
-        epilog=_FIRST_STEPS if table is _VERBS else None,
+        epilog=_FIRST_STEPS if any(PACKAGE == one.package for one in found.get("doctor", ())) else None,
         formatter_class=_Help,
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
-    verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
-    for name, source in table.items():
-        if name in complete:
-            _add_command(verbs, name, source)
-        else:
-            verbs.add_parser(name, help=_summary(source))
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    commands = parser.add_subparsers(
+        title="commands", description=_listed(headlines), prog=program, dest="verb", metavar="COMMAND", required=True
+    )
+    # The description lists them by purpose.
+    commands.help = argparse.SUPPRESS
+    for name, brought in found.items():
+        summary, _ = headlines[name]
+        if complete is None or name in complete:
+            try:
+                _add_command(commands, name, _loaded(name, brought))
+                continue
+            except CommandFailed:
+                if complete is not None:
+                    raise
+        commands.add_parser(name, help=summary)
     return parser
 
 
-def _add_command(commands: Any, name: str, source: str) -> None:
-    """Add the parser of a verb or tool, from its module, with those of all its tools."""
-    module = importlib.import_module(source)
-    parser = commands.add_parser(name, help=module.SUMMARY, description=module.__doc__, formatter_class=_Help)
-    if not hasattr(module, "TOOLS"):
-        module.add_arguments(parser)
-        parser.set_defaults(run=module.run)
+def _loaded(name: str, brought: Sequence[Verb]) -> Any:
+    """The module of a verb."""
+    if len(brought) > 1:
+        packages = " and ".join(one.package for one in brought)
+        raise CommandFailed(f"'{name}' is a verb of {packages}; remedy: uninstall all but one of them", exit_code=2)
+    (verb,) = brought
+    try:
+        return importlib.import_module(verb.module)
+    except Exception as error:
+        if missing := _missing(error, verb):
+            raise CommandFailed(missing, exit_code=2) from error
+        if verb.package == PACKAGE:
+            raise
+        text = f"'{name}' of {verb.package} cannot be loaded: {type(error).__name__}: {error}"
+        raise CommandFailed(text) from error
+
+
+def _add_command(commands: Any, name: str, command: Any) -> None:
+    """Add the parser of a verb or tool, a module or a :class:`Tool`, with those of all its tools."""
+    text = command.run if isinstance(command, Tool) else command
+    parser = commands.add_parser(name, help=command.SUMMARY, description=inspect.getdoc(text), formatter_class=_Help)
+    if not hasattr(command, "TOOLS"):
+        command.add_arguments(parser)
+        parser.set_defaults(run=command.run)
         return
-    tools = parser.add_subparsers(dest="tool", metavar=getattr(module, "TOOL", "TOOL"), required=True)
-    for tool in module.TOOLS:
-        _add_command(tools, tool, f"{source}_{tool}")
+    tools = parser.add_subparsers(dest="tool", metavar=getattr(command, "TOOL", "TOOL"), required=True)
+    for tool in command.TOOLS:
+        by_name = isinstance(command.TOOLS, Mapping)
+        _add_command(
+            tools, tool, command.TOOLS[tool] if by_name else importlib.import_module(f"{command.__name__}_{tool}")
+        )
 
 
 class _Parser(argparse.ArgumentParser):
@@ -123,33 +201,33 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, printable(f"{self.prog}: {message}; see {self.prog} --help\n"))
 
 
-class _Help(argparse.RawDescriptionHelpFormatter):
-    """Texts as they are written, and room for the longest verb beside its summary."""
-
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, max_help_position=26)
-
-    def add_argument(self, action: argparse.Action) -> None:
-        super().add_argument(action)
-        if isinstance(action, argparse._SubParsersAction):
-            # argparse forgets that verbs are indented further than options, and breaks the line after the longest.
-            self._action_max_length += self._indent_increment
-
-
-class _Version(argparse.Action):
-    """Prints the version of package.xml, the only place where it is written."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        print(f"straightcomp {ElementTree.parse(share_path('package.xml')).findtext('version')}")
-        parser.exit()
+def _headline(brought: Sequence[Verb]) -> tuple[str, str]:
+    """SUMMARY and PURPOSE of a verb, read without importing it; a verb that cannot be read says so."""
+    verb = brought[0]
+    purpose = next((purpose for start, purpose in _OF_FOLDER.items() if verb.module.startswith(start)), PURPOSES[-1])
+    if len(brought) > 1:
+        return f"of {' and '.join(one.package for one in brought)}: uninstall all but one", purpose
+    try:
+        specification = importlib.util.find_spec(verb.module)
+        text = Path(specification.origin).read_text(encoding="utf-8")  # type: ignore[union-attr, arg-type]
+        literals = dict(re.findall(r'^(SUMMARY|PURPOSE) = "(.*)"$', text, re.MULTILINE))
+        return literals["SUMMARY"], literals.get("PURPOSE", purpose)
+    except Exception as error:  # of another package's own import, too
+        return f"cannot be loaded ({verb.package}): {type(error).__name__}: {error}", purpose
 
 
-def _summary(source: str) -> str:
-    """SUMMARY of a verb, read without importing it."""
-    specification = importlib.util.find_spec(source)
-    assert specification is not None and specification.origin is not None
-    text = Path(specification.origin).read_text(encoding="utf-8")
-    return str(re.findall(r'^SUMMARY = "(.*)"$', text, re.MULTILINE)[0])
+def _listed(headlines: Mapping[str, tuple[str, str]]) -> str:
+    """The verbs under their purposes."""
+    width = max(map(len, headlines), default=0)
+    lines = []
+    for purpose in PURPOSES:
+        names = [
+            name
+            for name, (_, its) in headlines.items()
+            if its == purpose or (its not in PURPOSES and purpose == PURPOSES[-1])
+        ]
+        lines += [f"{purpose}:", *(f"  {name:{width}}  {headlines[name][0]}" for name in names)] if names else []
+    return printable("\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 """Reads and writes the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.parameters.declaration import ParameterError, flatten
+import yaml
+
+from straightcomp_ros.parameters.declaration import Declaration, ParameterError, flatten
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, by_node
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
@@ -115,3 +117,20 @@ def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     # rcl refuses an empty section.
     tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
     return dump_yaml(tree)
+
+
+def commented(key: str, declared: Iterable[Declaration], values: Mapping[str, Any] | None = None) -> str:
+    """The section ``key``: each parameter with its description, unit and range; defaults where ``values`` has none."""
+    lines = [f"{key}:\n  ros__parameters:"]
+    for declaration in declared:
+        unit = f" [{declaration.unit}]" if declaration.unit else ""
+        lines.append(f"    # {declaration.description}{unit}; {declaration.allowed()}")
+        lines.append(f"    {declaration.name}: {as_yaml((values or {}).get(declaration.name, declaration.default))}")
+    return "\n".join(lines) + "\n"
+
+
+def as_yaml(value: Any) -> str:
+    """One value as YAML 1.1, which takes 1e-07 for a text: a float needs its point."""
+    if isinstance(value, float) and "e" in repr(value) and "." not in repr(value):
+        return repr(value).replace("e", ".0e")
+    return yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None).splitlines()[0]

@@ -1,4 +1,4 @@
-"""Tables for people: our figures beside the paper's."""
+"""Results of runs on the terminal: tables of figures, and verdicts, also in JSON and as the exit code."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from rich.table import Table
 from rich.text import Text
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.cli.output import styled
+from straightcomp_ros.cli.output import CommandFailed, console, notes, styled
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
 
 if TYPE_CHECKING:
+    from straightcomp_ros.analysis.judgement import Verdict
+    from straightcomp_ros.control.laws import ControlParameters
+
     # The sweep takes longer to import than most verbs run.
     from straightcomp_ros.offline.starts import Spread
+    from straightcomp_ros.stage.description import StageParameters
 
 _ROWS = (
     ("encoder_pp_um", "compensation error p-p, encoder", "µm", 3),
@@ -135,3 +139,32 @@ def can_tables(figures: Mapping[str, Any]) -> list[Table]:
         latched = sum(loop["latched"].values())
         loops.add_row(bus, str(loop["injected"]), str(latched), f"{loop['on']:.0%}", str(loop["unsafe"]))
     return [costs, faults, loops]
+
+
+def print_verdict(verdict: Verdict, of: str = "") -> None:
+    """The verdict as a line below a table; ``of`` names the run where there are several."""
+    style = "green" if verdict.in_order else "red"
+    console.print(f"Verdict{f' on {of}' if of else ''}: {verdict}", style=style, soft_wrap=True, highlight=False)
+
+
+def in_json(verdict: Verdict) -> dict[str, Any]:
+    """The entries ``verdict`` and ``reason``."""
+    return verdict._asdict()
+
+
+def fail_unless_in_order(verdict: Verdict) -> None:
+    """Raise CommandFailed, exit code 1, for a run that is not in order."""
+    if not verdict.in_order:
+        raise CommandFailed(f"not in order: {verdict.verdict}")
+
+
+def warn_of_missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
+    """Say on standard error which margin the law lacks on ``stage``; return the sentence, None if it lacks none."""
+    # Only here: it imports scipy, which takes longer than what most verbs do.
+    from straightcomp_ros.control.least_margins import missing_margin
+
+    missing = missing_margin(control, stage)
+    if missing is not None:
+        text = f"warning: {missing}; the controller of the graph refuses these, unless 'control.margins' is 'warn'"
+        notes.print(text, style="yellow", soft_wrap=True, highlight=False)
+    return missing
