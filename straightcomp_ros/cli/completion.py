@@ -8,6 +8,7 @@
 The script holds all it needs: pressing TAB starts no Python."""
 
 import argparse
+from typing import Any
 
 SUMMARY = "print a script for completion in bash, zsh, tcsh or fish"
 PURPOSE = "set up"
@@ -24,15 +25,15 @@ def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.cli.main import make_parser
 
     parser = make_parser()
-    _complete_files(parser)
+    _complete(parser, shtab.FILE)
     print(shtab.complete(parser, options.shell))
 
 
-def _complete_files(parser: argparse.ArgumentParser) -> None:
-    """Where any text may follow, offer files."""
+def _complete(parser: argparse.ArgumentParser, files: Any) -> None:
+    """Offer ``files`` where any text may follow."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for inner in action.choices.values():
-                _complete_files(inner)
+                _complete(inner, files)
         elif action.nargs != 0 and action.choices is None and action.type not in (int, float):
-            action.complete = {shell: shell_files for shell, shell_files in _FILES.items()}  # type: ignore[attr-defined]
+            action.complete = files  # type: ignore[attr-defined]

@@ -13,14 +13,14 @@ from pathlib import Path
 
 from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
-from straightcomp_ros.cli.law_tables import results_table, timing_table
-from straightcomp_ros.cli.options import add_force, add_namespace, named_files, output_folder
+from straightcomp_ros.cli.options import add_force, add_json, add_namespace, named_files, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
-from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.cli.results import fail_unless_in_order, print_verdict, results_table, timing_table
+from straightcomp_ros.parameters.output_files import making
 
 SUMMARY = "run the node graph for one stroke, record and evaluate it"
+PURPOSE = "run"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     add("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:

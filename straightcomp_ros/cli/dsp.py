@@ -15,6 +15,7 @@ from straightcomp_ros.hardware.can.link import check_interface
 from straightcomp_ros.parameters.node_parameters import node_parameters
 
 SUMMARY = "emulate the DSP board on a CAN bus"
+PURPOSE = "run"
 _MOST_DRIFT_PPM = 1000.0
 _BUSES_OF_THE_FIRMWARE = ("socketcan", INTERFACE)
 

@@ -8,13 +8,12 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
-from xml.etree import ElementTree
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.output import CommandFailed, Terminated, print_in_any_encoding, printable
+from straightcomp_ros.cli.plain_output import CommandFailed, Terminated, print_in_any_encoding, printable
 from straightcomp_ros.parameters.share import PACKAGE, share_path
 
 GROUP = "straightcomp.verbs"
@@ -74,15 +73,19 @@ def main(
     """
     print_in_any_encoding()
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if given == ["--version"]:
+    if given[:1] == ["--version"]:
+        from xml.etree import ElementTree
+
         print(f"{program} {ElementTree.parse(share_path('package.xml')).findtext('version')}")
         return 0
-    found = installed_verbs() if verbs is None else {name: [Verb(module)] for name, module in verbs.items()}
+    found: Verbs = installed_verbs() if verbs is None else {name: [Verb(one)] for name, one in verbs.items()}
     # A verb that is named is imported alone: all of them together take seconds.
     named = given[0] if given and given[0] in found else None
     words = [program]
     try:
-        options = make_parser([named] if named else [], found, program).parse_args(given)
+        if not found:
+            raise CommandFailed("no verb is installed; remedy: pip install straightcomp_ros, in a checkout make setup")
+        options = make_parser(given[:2] if named else [], found, program).parse_args(given)
         words += filter(None, (options.verb, getattr(options, "tool", None)))
         code = int(options.run(options) or 0)
         sys.stdout.flush()
@@ -125,36 +128,40 @@ def _missing(error: Exception, verb: Verb) -> str | None:
 
 
 def make_parser(
-    complete: Collection[str] | None = None, verbs: Verbs | None = None, program: str = "straightcomp"
+    words: Sequence[str] | None = None, verbs: Verbs | None = None, program: str = "straightcomp"
 ) -> argparse.ArgumentParser:
-    """The parser of all verbs; those that are not in ``complete`` with their summary only.
+    """The parser of all verbs; of one alone, where ``words`` begin with it and perhaps its tool; or, where there are no
+    words, of all with their summaries only.
 
     Raises:
-        CommandFailed: a verb of ``complete`` cannot be imported, or two packages have it.
+        CommandFailed: the verb in ``words`` cannot be imported, or two packages have it.
     """
     found = installed_verbs() if verbs is None else verbs
+    if words:
+        found = {words[0]: found[words[0]]}
     headlines = {name: _headline(brought) for name, brought in found.items()}
     parser = _Parser(
         prog=program,
         usage="%(prog)s [-h] [--version] COMMAND ...",
         description="Straightness compensation of linear-motor stages: simulate, run, record and judge.",
-        epilog=_FIRST_STEPS if any(PACKAGE == one.package for one in found.get("doctor", ())) else None,
+        epilog=_FIRST_STEPS if "doctor" in found else None,
         formatter_class=_Help,
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     commands = parser.add_subparsers(
         title="commands", description=_listed(headlines), prog=program, dest="verb", metavar="COMMAND", required=True
     )
-    # The description lists them by purpose.
-    commands.help = argparse.SUPPRESS
+    if words is not None:
+        # The description lists the verbs by purpose; a script for completion needs them here.
+        commands.help = argparse.SUPPRESS
     for name, brought in found.items():
         summary, _ = headlines[name]
-        if complete is None or name in complete:
+        if words is None or words:
             try:
-                _add_command(commands, name, _loaded(name, brought))
+                _add_command(commands, name, _loaded(name, brought), words and words[1:])
                 continue
             except CommandFailed:
-                if complete is not None:
+                if words is not None:
                     raise
         commands.add_parser(name, help=summary)
     return parser
@@ -177,8 +184,9 @@ def _loaded(name: str, brought: Sequence[Verb]) -> Any:
         raise CommandFailed(text) from error
 
 
-def _add_command(commands: Any, name: str, command: Any) -> None:
-    """Add the parser of a verb or tool, a module or a :class:`Tool`, with those of all its tools."""
+def _add_command(commands: Any, name: str, command: Any, words: Sequence[str] | None) -> None:
+    """Add the parser of a verb or tool, a module or a :class:`Tool`, with those of its tools; where the first of
+    ``words`` is one of them, the others with their summary only."""
     text = command.run if isinstance(command, Tool) else command
     parser = commands.add_parser(name, help=command.SUMMARY, description=inspect.getdoc(text), formatter_class=_Help)
     if not hasattr(command, "TOOLS"):
@@ -187,10 +195,14 @@ def _add_command(commands: Any, name: str, command: Any) -> None:
         return
     tools = parser.add_subparsers(dest="tool", metavar=getattr(command, "TOOL", "TOOL"), required=True)
     for tool in command.TOOLS:
-        by_name = isinstance(command.TOOLS, Mapping)
-        _add_command(
-            tools, tool, command.TOOLS[tool] if by_name else importlib.import_module(f"{command.__name__}_{tool}")
-        )
+        if isinstance(command.TOOLS, Mapping):
+            found = command.TOOLS[tool]
+        else:
+            found = importlib.import_module(f"{command.__name__}_{tool}")
+        if words is None or tool in words[:1]:
+            _add_command(tools, tool, found, words and words[1:])
+        else:
+            tools.add_parser(tool, help=found.SUMMARY)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,14 +11,10 @@ from straightcomp_ros.cli.options import PICTURES, add_force, add_json, check_ra
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json
 from straightcomp_ros.cli.results import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
-from straightcomp_ros.parameters.output_files import write_whole
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import Survey, SurveyError, read_survey, write_survey
-from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions, sampled
-from straightcomp_ros.straightness.tables.formats import FORMATS, WRITTEN, format_of
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.map_building import BuiltMap
+    from straightcomp_ros.straightness.tables.error_table import Conventions
 
 SUMMARY = "build the map of the guide from a survey, convert surveys, export a controller's error table"
 PURPOSE = "set up"
@@ -56,6 +51,8 @@ def _build(options: argparse.Namespace) -> None:
 
     Recognises runs and their directions, rejects spikes and runs that do not agree, reports repeatability in the way of
     ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `stage.guide.file`."""
+    from straightcomp_ros.straightness.survey import SurveyError
+
     for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
         check_range(f"--{name}", getattr(options, name), low, high)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
@@ -82,6 +79,7 @@ def _built(options: argparse.Namespace) -> BuiltMap:
     from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
     from straightcomp_ros.bags.fields import Field
     from straightcomp_ros.bags.folder import STORED
+    from straightcomp_ros.straightness.survey import SurveyError, read_survey
 
     choices = Choices(step=options.step * 1e-3, limit=options.outliers, level=options.level)
     source = Path(options.source)
@@ -164,6 +162,9 @@ def _convert(options: argparse.Namespace) -> None:
 
     The signs differ from maker to maker: after a conversion, compare one point with the instrument's own display, and
     use --negate if it has the other sign."""
+    from straightcomp_ros.straightness.survey import Survey, write_survey
+    from straightcomp_ros.straightness.tables.formats import format_of
+
     conventions = _chosen_conventions(options)
     source, output = Path(options.file), output_file(options, "--output")
     found = format_of(source, options.format).read(source, conventions)
@@ -190,8 +191,12 @@ def _convert(options: argparse.Namespace) -> None:
         )
 
 
-def _add_table_options(parser: argparse.ArgumentParser, formats: Collection[str] = tuple(FORMATS)) -> None:
-    """Declare the options of all tools that read or write error tables of controllers, in one of ``formats``."""
+def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False) -> None:
+    """Declare the options of all tools that read error tables of controllers, or those that have them ``written``."""
+    from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions
+    from straightcomp_ros.straightness.tables.formats import FORMATS, WRITTEN
+
+    formats = tuple(WRITTEN if written else FORMATS)
     add = parser.add_argument
     endings = ", ".join(f"{FORMATS[name].ending} {name}" for name in formats)
     add("--format", choices=formats, help=f"format (default: by the file's ending: {endings})")
@@ -207,6 +212,8 @@ def _add_table_options(parser: argparse.ArgumentParser, formats: Collection[str]
 
 def _chosen_conventions(options: argparse.Namespace) -> Conventions:
     """The conventions that the options name; CommandFailed with exit code 2 if an axis is not allowed."""
+    from straightcomp_ros.straightness.tables.error_table import Conventions
+
     for axis in ("stage", "platform"):
         check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
     if options.stage_axis == options.platform_axis:
@@ -215,11 +222,13 @@ def _chosen_conventions(options: argparse.Namespace) -> Conventions:
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    from straightcomp_ros.straightness.guide_map import MapParameters
+
     add = parser.add_argument
     add("--output", "-o", required=True, metavar="FILE", help="error table to write")
     add("--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)")
     add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
-    _add_table_options(parser, tuple(WRITTEN))
+    _add_table_options(parser, written=True)
     add_force(parser)
     add_json(parser)
 
@@ -227,8 +236,13 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
 def _export(options: argparse.Namespace) -> None:
     """Write the map as an error table for a machine controller that corrects by itself.
 
-    The table's correction is the map's reference: what has to be added to the platform's position. Before the first motion
-    compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
+    The table's correction is the map's reference: what has to be added to the platform's position. Before the first
+    motion compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
+    from straightcomp_ros.parameters.output_files import write_whole
+    from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+    from straightcomp_ros.straightness.tables.error_table import sampled
+    from straightcomp_ros.straightness.tables.formats import WRITTEN, format_of
+
     conventions = _chosen_conventions(options)
     check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
     output = output_file(options, "--output")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.parameters.output_folder import same_or_within
+from straightcomp_ros.parameters.output_files import same_or_within
 
 
 def check_range(option: str, value: float, least: float, most: float = math.inf, unit: str = "") -> None:

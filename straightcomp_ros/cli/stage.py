@@ -63,8 +63,9 @@ def _new_arguments(parser: argparse.ArgumentParser) -> None:
 def _new(options: argparse.Namespace) -> None:
     """Write the description of a stage into DIR: a commented stage file, and a copy of the survey of its guide.
 
-    On a terminal the most important facts are asked for; --set gives them without a question, and --yes takes the default
-    of all others. The strokes are those of the survey. What is not known well says so in `stage.uncertainty`."""
+    On a terminal the most important facts are asked for; --set gives them without a question, and --yes takes the
+    default of all others. The strokes are those of the survey. What is not known well says so in
+    `stage.uncertainty`."""
     folder = output_folder("DIR", str(options.folder))
     file, survey = folder / FILE, folder / SURVEY
     declared = {one.name: one for one in declarations(StageParameters)}
@@ -127,8 +128,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
-    """Check the description of a stage as an engineer would read it: survey, travel, reference, stability, force, quanta,
-    and the DBC file of a board on CAN.
+    """Check the description of a stage as an engineer would read it: survey, travel, reference, stability, force,
+    quanta, and the DBC file of a board on CAN.
 
     Each finding is ok, warn (it works, but less well) or fail. The exit code is 1 if one fails."""
     from straightcomp_ros.doctor.stage_findings import stage_findings

@@ -9,7 +9,7 @@ import numpy as np
 
 from straightcomp_ros.control.learned_table import LearnedTable
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 _QUANTITIES = ("correction_m", "speed_m_per_s", "rms_m", "bare_rms_m")
 _DIRECTIONS = (("forward", True), ("backward", False))

@@ -9,7 +9,7 @@ from straightcomp_ros.hardware.can.budget import Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.message_code import Signals
 from straightcomp_ros.hardware.can.wire_gaps import gaps
-from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 
 _FULL = 0.8

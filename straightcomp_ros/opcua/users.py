@@ -6,7 +6,7 @@ import re
 import secrets
 from pathlib import Path
 
-from straightcomp_ros.parameters.whole_file import locked, write_whole
+from straightcomp_ros.parameters.output_files import locked, write_whole
 
 VIEWER, OPERATOR = "viewer", "operator"
 ROLES = (VIEWER, OPERATOR)

@@ -1,5 +1,4 @@
-"""What each node's parameters are, one set for each kind of node, and such a set from values by node: of files, the command
-line, a bag."""
+"""The parameter set of each node, and how it is made of values by node: of files, the command line, a bag."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

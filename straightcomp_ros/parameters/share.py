@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-
 PACKAGE = "straightcomp_ros"
 
 

@@ -22,7 +22,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.survey_columns import DEVIATION, X, read_table
 from straightcomp_ros.straightness.text import SurveyError, decimal
 

@@ -11,9 +11,9 @@ from rich.table import Table
 
 from straightcomp_ros.analysis.html_document import html_plot, line_figure
 from straightcomp_ros.analysis.pictures import as_text
-from straightcomp_ros.cli.law_tables import doubtful, titled_table
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.cli.output import console, notes, printable, styled
+from straightcomp_ros.cli.results import doubtful, titled_table
 
 BAG = Path(__file__).resolve().parents[2] / "bags" / "smc"
 NAMES = ["gantry[left]", "[/x]", "[red]", "a[bold]b[/bold]", ":smile:", "[link=http://x]y[/]", "\\[x]"]

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from straightcomp_ros.parameters.output_folder import UNFINISHED, OutputRefused, making
+from straightcomp_ros.parameters.output_files import UNFINISHED, OutputRefused, making
 
 
 def make(folder, text="new", **how):

@@ -18,8 +18,7 @@ from straightcomp_ros.parameters.declaration import (
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file, read_parameter_file
 from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import stat
 
 import pytest
 
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 
 @pytest.mark.parametrize(

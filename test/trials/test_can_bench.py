@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from straightcomp_ros.cli.law_tables import can_tables
 from straightcomp_ros.cli.main import main
+from straightcomp_ros.cli.results import can_tables
 from straightcomp_ros.hardware.can.bus_faults import KINDS
 
 SHORT = ["--frames", "1000", "--seconds", "0.5", "--cuts", "1"]

@@ -4,9 +4,9 @@ every command."""
 import argparse
 from pathlib import Path
 
-from straightcomp_ros.cli.law_tables import figures_table
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import console, print_json, progress_bar
+from straightcomp_ros.cli.results import figures_table
 
 SUMMARY = "recording, reading, evaluation, SIGKILL, audit"
 _MOST_KILL_RUNS = 10_000

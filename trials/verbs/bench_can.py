@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.cli.bench_options import add_json
-from straightcomp_ros.cli.law_tables import can_tables
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import add_json, check_range
 from straightcomp_ros.cli.output import console, print_json, progress_bar
 from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.results import can_tables
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from trials.bench.bus_faults_found import buses, fault_run
 from trials.bench.codec import codec_costs, per_frame

@@ -4,9 +4,9 @@ of the disk with the folder for temporary files (TMPDIR)."""
 
 import argparse
 
-from straightcomp_ros.cli.law_tables import figures_table
 from straightcomp_ros.cli.options import check_range
 from straightcomp_ros.cli.output import console, print_json, progress_bar
+from straightcomp_ros.cli.results import figures_table
 
 SUMMARY = "adding bags to a history: speed, memory, Dask"
 _MOST_BAGS = 1_000_000

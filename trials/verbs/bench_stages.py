@@ -4,10 +4,9 @@ Each stage has its graph in a namespace of its own, all in one ROS domain, as se
 
 import argparse
 
-from straightcomp_ros.cli.bench_options import add_results
-from straightcomp_ros.cli.law_tables import rounded, titled_table
-from straightcomp_ros.cli.options import add_repeatable
+from straightcomp_ros.cli.options import add_repeatable, add_results
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, require_ros
+from straightcomp_ros.cli.results import rounded, titled_table
 from straightcomp_ros.parameters.parameter_file import DEFAULT_STAGE
 from straightcomp_ros.parameters.share import share_path
 from trials.verbs.rounds import add_rounds, rounds

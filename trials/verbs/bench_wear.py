@@ -8,9 +8,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.law_tables import rounded, titled_table
 from straightcomp_ros.cli.options import check_range, output_folder
 from straightcomp_ros.cli.output import console, print_json, progress_bar
+from straightcomp_ros.cli.results import rounded, titled_table
 
 SUMMARY = "how soon wear is found, and by how many false alarms"
 _STARTS = 8

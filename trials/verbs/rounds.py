@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from straightcomp_ros.cli.bench_options import results_folder
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import check_range, results_folder
 from straightcomp_ros.cli.output import CommandFailed, progress_bar
 from trials.bench.demo_strokes import BenchFailed
 

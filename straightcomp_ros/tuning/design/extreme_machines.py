@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.stage.description import UncertaintyParameters
 from straightcomp_ros.stage.truth import Factors, deviating
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
 
 
 class Extreme(NamedTuple):

@@ -14,8 +14,8 @@ from typing import Any
 from straightcomp_ros.cli.options import add_force, check_range, named_files, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, styled, working
 from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
-from straightcomp_ros.parameters.output_folder import making
-from straightcomp_ros.parameters.parameter_sets import CommissioningNodeParameters
+from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
+from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_check import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.tuning.commissioning import STEP_NAMES
