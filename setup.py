@@ -65,7 +65,7 @@ setup(
         "rich",
         "rosbags>=0.11",
         "scipy",
-        "shtab>=1.7",
+        "shtab>=1.9",
         "zstandard",
     ],
     extras_require={
