@@ -19,7 +19,7 @@ TUNING_VERBS = "commission design frequency-response friction reproduce robustne
 
 
 def _verbs(folder, names, extra=""):
-    """Entry points of the group straightcomp.verbs: the module of each verb, and the extra that brings what it needs."""
+    """Entry points of verbs: the module of each, and the extra that brings what it needs."""
     return [f"{name} = {NAME}.{folder}.{name.replace('-', '_')} {extra}".rstrip() for name in names.split()]
 
 

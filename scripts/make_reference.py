@@ -27,7 +27,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
 SERVES = {"excitation_service": "controller", "recorder_services": "logger", "safety_panel": "driver"}
 """Modules with services of one node, and that node."""
-ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime")]
+ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime", "tuning/graph")]
 HEAD = """\
 # Reference
 

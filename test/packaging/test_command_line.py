@@ -122,7 +122,9 @@ def test_the_servo_imports_nothing_that_only_an_extra_brings():
     """Its verbs with all that they import at their start, and every module of its nodes' parameters."""
     modules = [entry.module for entry in OURS.values() if not entry.extras]
     program = "import importlib, sys\n"
-    program += f"for name in {[*modules, 'straightcomp_ros.parameters.node_parameters']!r}: importlib.import_module(name)\n"
+    program += (
+        f"for name in {[*modules, 'straightcomp_ros.parameters.node_parameters']!r}: importlib.import_module(name)\n"
+    )
     program += f"print(*sorted({set().union(*EXTRAS.values())!r} & sys.modules.keys()))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600, check=True)
     assert done.stdout == "\n"
