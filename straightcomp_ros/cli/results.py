@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -11,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.cli.output import CommandFailed, console, notes, styled
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, styled
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from straightcomp_ros.control.laws import ControlParameters
 
     # The sweep takes longer to import than most verbs run.
+    from straightcomp_ros.doctor.finding import Finding
     from straightcomp_ros.offline.starts import Spread
     from straightcomp_ros.stage.description import StageParameters
 
@@ -38,6 +40,7 @@ _ROWS = (
 )
 
 
+_COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 _ERROR = re.compile(r"((encoder|true|residual|residual_encoder)_(pp|rms)|(straightness_)?after)(_\w+)?_um")
 """Names of the figures that say nothing of the machine when a run is not in order."""
 
@@ -168,3 +171,21 @@ def warn_of_missing_margin(control: ControlParameters, stage: StageParameters) -
         text = f"warning: {missing}; the controller of the graph refuses these, unless 'control.margins' is 'warn'"
         notes.print(text, style="yellow", soft_wrap=True, highlight=False)
     return missing
+
+
+def show_findings(found: Iterable[Finding], *, json: bool) -> int:
+    """Print the findings of a check as they come; returns the exit code: 1 if one fails."""
+    findings = []
+    for finding in found:
+        findings.append(finding)
+        if not json:
+            state = (f"{finding.state:>4}", _COLOURS[finding.state])
+            console.print(styled(state, f"  {finding.name}: {finding.detail}"))
+            if finding.remedy:
+                console.print(f"      {finding.remedy}", style="dim", highlight=False)
+    counts = {state: sum(finding.state == state for finding in findings) for state in _COLOURS}
+    if json:
+        print_json({**counts, "checks": [dataclasses.asdict(finding) for finding in findings]})
+    else:
+        console.print(", ".join(f"{count} {state}" for state, count in counts.items()), highlight=False)
+    return 1 if counts["fail"] else 0
