@@ -51,7 +51,7 @@ CASES = {
 SAME = {"history map --output --plot"}
 """It writes as map build does."""
 LIVE = {"demo --output", "replay --output"}
-"""These start nodes. test/parameters/test_output_folder.py shows how they replace a run, test/nodes that they do."""
+"""These start nodes. test/parameters/test_output_files.py shows how they replace a run, test/nodes that they do."""
 EMPTY = {"bench graph --output"}
 """It writes into a new or empty folder."""
 READ = re.compile(
