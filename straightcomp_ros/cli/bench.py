@@ -6,9 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import add_json, add_results, check_range, results_folder
+from straightcomp_ros.cli.options import (
+    add_json,
+    add_parameter_options,
+    add_results,
+    check_range,
+    chosen_parameters,
+    results_folder,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.results import rounded, titled_table
 
 if TYPE_CHECKING:

@@ -10,15 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, check_range, named_files
-from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
-from straightcomp_ros.cli.parameter_options import (
+from straightcomp_ros.cli.options import (
+    add_force,
+    add_json,
     add_parameter_options,
+    add_repeatable,
     add_setting_option,
     add_stage_argument,
+    check_range,
     chosen_parameters,
+    named_files,
     stage_values,
 )
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
 
 if TYPE_CHECKING:
     import can

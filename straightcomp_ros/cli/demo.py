@@ -13,9 +13,16 @@ from pathlib import Path
 
 from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
-from straightcomp_ros.cli.options import add_force, add_json, add_namespace, named_files, output_folder
+from straightcomp_ros.cli.options import (
+    add_force,
+    add_json,
+    add_namespace,
+    add_parameter_options,
+    chosen_parameters,
+    named_files,
+    output_folder,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.results import fail_unless_in_order, print_verdict, results_table, timing_table
 from straightcomp_ros.parameters.output_files import making
 

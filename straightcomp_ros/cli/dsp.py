@@ -7,9 +7,8 @@ import argparse
 import sys
 
 from straightcomp_ros.cli import main as command_line
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import check_interface
 from straightcomp_ros.parameters.node_parameters import node_parameters

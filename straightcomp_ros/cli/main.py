@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
-from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.plain_output import CommandFailed, Terminated, print_in_any_encoding, printable
+from straightcomp_ros.cli import CommandFailed, Terminated, Tool, print_in_any_encoding, printable
 from straightcomp_ros.parameters.share import PACKAGE, share_path
 
 GROUP = "straightcomp.verbs"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from straightcomp_ros.cli.plain_output import CommandFailed, Terminated, printable
+from straightcomp_ros.cli import CommandFailed, Terminated, printable
 from straightcomp_ros.parameters.output_files import plain
 
 __all__ = ["CommandFailed", "Terminated", "printable"]

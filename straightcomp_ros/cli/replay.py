@@ -75,7 +75,7 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str], given:
 
 
 def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
-    from straightcomp_ros.cli.parameter_options import chosen_changes
+    from straightcomp_ros.cli.options import chosen_changes
     from straightcomp_ros.offline.replay.what_if import what_if
 
     with working("simulating"):

@@ -11,9 +11,16 @@ from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.cli.options import PICTURES, add_force, add_json, check_range, output_file
+from straightcomp_ros.cli.options import (
+    PICTURES,
+    add_force,
+    add_json,
+    add_parameter_options,
+    check_range,
+    chosen_parameters,
+    output_file,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.results import (
     cycles_table,
     fail_unless_in_order,

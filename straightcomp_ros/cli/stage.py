@@ -8,9 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, output_folder
+from straightcomp_ros.cli.options import (
+    add_force,
+    add_json,
+    add_repeatable,
+    add_stage_argument,
+    output_folder,
+    stage_values,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, print_json
-from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
 from straightcomp_ros.cli.results import show_findings, titled_table
 from straightcomp_ros.parameters.declaration import Declaration, ParameterError, declarations, from_mapping
 from straightcomp_ros.parameters.node_parameters import STAGE, node_parameters

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.nightly
 NODES = ("driver", "feedforward", "controller", "logger", "cell")
 NOT_SOURCES = (".*", "build", "install", "log", "demo_output", "__pycache__", "*.egg-info")
 # Generous: Numba compiles in a fresh place, on a machine that others use too.
@@ -70,7 +71,9 @@ def test_colcon_recognises_an_ament_python_package(workspace: Path) -> None:
     assert colcon(workspace, "list").split() == ["straightcomp_ros", "src/straightcomp_ros", "(ros.ament_python)"]
 
 
-@pytest.mark.parametrize("name", [*(f"{node}_node" for node in (*NODES, "player", "opcua")), "straightcomp"])
+@pytest.mark.parametrize(
+    "name", [*(f"{node}_node" for node in (*NODES, "player", "opcua", "commissioning")), "straightcomp"]
+)
 def test_every_executable_is_where_ros2_run_looks(prefix: Path, name: str) -> None:
     assert os.access(executable(prefix, name), os.X_OK)
 
@@ -128,7 +131,7 @@ def test_the_command_line_prints_its_help(prefix: Path, environment: dict[str, s
         timeout=START_S,
     )
     assert done.returncode == 0, done.stderr
-    assert "demo" in done.stdout
+    assert "simulate" in done.stdout and "commission" in done.stdout and "history" in done.stdout
 
 
 @pytest.mark.parametrize("node", NODES)

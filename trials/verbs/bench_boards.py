@@ -6,9 +6,8 @@ built with the frames of each and runs them too."""
 import argparse
 from pathlib import Path
 
-from straightcomp_ros.cli.options import add_repeatable, add_results
+from straightcomp_ros.cli.options import add_repeatable, add_results, add_setting_option
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros
-from straightcomp_ros.cli.parameter_options import add_setting_option
 from straightcomp_ros.cli.results import rounded, titled_table
 from straightcomp_ros.parameters.share import share_path
 from trials.verbs.rounds import add_rounds, rounds

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.cli.options import add_json, check_range
+from straightcomp_ros.cli.options import add_json, add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import console, print_json, progress_bar
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.results import can_tables
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from trials.bench.bus_faults_found import buses, fault_run

@@ -14,9 +14,8 @@ from typing import Any
 from rich.table import Table
 
 from straightcomp_ros.cell.launcher import LaunchError
-from straightcomp_ros.cli.options import check_range, output_folder
+from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros, styled
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.results import rounded
 from trials.faults.rows import summary
 

@@ -12,9 +12,8 @@ from typing import Any
 
 from rich.table import Table
 
-from straightcomp_ros.cli.options import output_folder
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar, require_ros
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.results import rounded, titled_table
 
 SUMMARY = "run the graph for a long time under random actions and check it after each"

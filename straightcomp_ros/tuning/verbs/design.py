@@ -9,9 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.options import add_force, check_range, output_file
+from straightcomp_ros.cli.options import add_force, add_stage_argument, check_range, output_file, stage_values
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
-from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario

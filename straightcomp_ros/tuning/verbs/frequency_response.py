@@ -13,9 +13,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from straightcomp_ros.cli.options import PICTURES, add_force, output_file, output_folder
+from straightcomp_ros.cli.options import (
+    PICTURES,
+    add_force,
+    add_parameter_options,
+    chosen_parameters,
+    output_file,
+    output_folder,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.excitation_parameters import MultisineParameters
 from straightcomp_ros.parameters.declaration import Declaration, declarations, from_mapping

@@ -10,9 +10,17 @@ import argparse
 import time
 
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.cli.options import PICTURES, add_dask, add_force, add_repeatable, output_file, whole_number
+from straightcomp_ros.cli.options import (
+    PICTURES,
+    add_dask,
+    add_force,
+    add_parameter_options,
+    add_repeatable,
+    chosen_parameters,
+    output_file,
+    whole_number,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.results import (
     doubtful,
     fail_unless_in_order,
