@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import (
@@ -16,9 +16,6 @@ from straightcomp_ros.cli.options import (
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.results import rounded, titled_table
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 SUMMARY = "measure the graph's timing, or the cost of its functions"
 PURPOSE = "judge"
@@ -188,7 +185,7 @@ def _step(options: argparse.Namespace) -> None:
         console.print(_costs(figures))
 
 
-def _costs(figures: Mapping[str, Any]) -> "Table":
+def _costs(figures: Mapping[str, Any]) -> Any:
     table = titled_table("Cost of one call", "function", "median [µs]", "min", "max")
     rows = {f"law '{name}'": found for name, found in figures["laws"].items()}
     for topic, both in figures["messages"].items():

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import (
@@ -23,11 +23,6 @@ from straightcomp_ros.cli.options import (
     stage_values,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
-
-if TYPE_CHECKING:
-    import can
-
-    from straightcomp_ros.hardware.can.can_parameters import CanParameters
 
 SUMMARY = "a CAN bus between processes, recorded buses, and frames in C"
 PURPOSE = "set up"
@@ -169,7 +164,7 @@ def _replay(options: argparse.Namespace) -> None:
         notes.print(f"{sent} frames sent")
 
 
-def _without_frames(frames: "Iterator[can.Message]", parameters: "CanParameters") -> str:
+def _without_frames(frames: Iterator[Any], parameters: Any) -> str:
     """Why a log has no frame of the board: the package's own has other frames on the other kind of bus."""
     from straightcomp_ros.hardware.can.frame_log import of_the_board
 

@@ -38,11 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can")
     hardware = "can: the machine is an emulated board in a process of its own, on a CAN bus between processes"
     add("--hardware", choices=("simulated", "can"), help=hardware)
-    add(
-        "--opcua",
-        action="store_true",
-        help="a client of the OPC UA gateway runs the cycle, in place of the cell's node",
-    )
+    opcua = "a client of the OPC UA gateway runs the cycle, in place of the cell's node"
+    add("--opcua", action="store_true", help=opcua)
     add_namespace(parser)
     add("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
     add_force(parser)

@@ -22,9 +22,8 @@ _BUSES_OF_THE_FIRMWARE = ("socketcan", INTERFACE)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
-    add(
-        "--drift-ppm", type=float, default=0.0, metavar="PPM", help="error of the board's quartz (default: %(default)s)"
-    )
+    drift = "error of the board's quartz (default: %(default)s)"
+    add("--drift-ppm", type=float, default=0.0, metavar="PPM", help=drift)
     add("--hub", action="store_true", help="be the hub of interface straightcomp_hub too, at the socket can.channel")
 
 

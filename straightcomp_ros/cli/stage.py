@@ -5,7 +5,7 @@ import itertools
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from straightcomp_ros.cli import Tool
 from straightcomp_ros.cli.options import (
@@ -27,28 +27,14 @@ from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
 from straightcomp_ros.straightness.survey import read_survey
 
-if TYPE_CHECKING:
-    from straightcomp_ros.doctor.consequences import Consequences
-
 SUMMARY = "describe your own stage: write the description, check it, show what follows"
 PURPOSE = "set up"
 FILE, SURVEY = "stage.yaml", "survey.csv"
-_ASKED = (
-    "rate",
-    "motion.speed",
-    "motion.acceleration",
-    "platform.mass",
-    "actuator.turns",
-    "actuator.pole_area",
-    "actuator.air_gap",
-    "actuator.bias_current",
-    "actuator.current_limit",
-    "friction.coulomb",
-    "friction.static",
-    "drive.bandwidth",
-    "drive.dac_bits",
-    "encoder.y_resolution",
-)
+_ASKED = """
+rate motion.speed motion.acceleration platform.mass actuator.turns actuator.pole_area actuator.air_gap
+actuator.bias_current actuator.current_limit friction.coulomb friction.static drive.bandwidth drive.dac_bits
+encoder.y_resolution
+"""
 """What differs on nearly every stage."""
 _HEAD = """\
 # Description of the stage '{name}': each fact is here once, and every node, `straightcomp … --stage` and the launch
@@ -83,7 +69,7 @@ def _new(options: argparse.Namespace) -> None:
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
     values = {"motion.start": first, "motion.stroke": last - first, **values, "guide.file": SURVEY}
     if sys.stdin.isatty() and not options.yes:
-        values |= {name: _asked(declared[name]) for name in _ASKED if name not in values}
+        values |= {name: _asked(declared[name]) for name in _ASKED.split() if name not in values}
     # Refused before anything is written.
     from_mapping(StageParameters, values)
     if not (survey.exists() and survey.samefile(source)):
@@ -160,15 +146,14 @@ def _show(options: argparse.Namespace) -> None:
     if options.json:
         print_json({"name": stage.name, "law": controller.control.law, **{key: value for key, _, _, value in figures}})
         return
-    table = titled_table(
-        f"Stage '{stage.name}', law '{controller.control.law}'", "what follows", "value", "unit", left=("unit",)
-    )
+    title = f"Stage '{stage.name}', law '{controller.control.law}'"
+    table = titled_table(title, "what follows", "value", "unit", left=("unit",))
     for _, words, unit, value in figures:
         table.add_row(words, "the law switches" if value is None else f"{value:.4g}", unit)
     console.print(table)
 
 
-def _figures(found: "Consequences") -> list[tuple[str, str, str, float | None]]:
+def _figures(found: Any) -> list[tuple[str, str, str, float | None]]:
     """Key, words, unit and value of each figure."""
     margins: Any = found.margins
 
@@ -187,12 +172,7 @@ def _figures(found: "Consequences") -> list[tuple[str, str, str, float | None]]:
         ("breakaway_current_A", "current that overcomes static friction", "A", found.breakaway_current),
         ("holding_current_A", "largest current of a stroke", "A", found.holding_current),
         ("dac_force_mN", "force of one D/A step", "mN", found.dac_force * 1e3),
-        (
-            "dac_displacement_nm",
-            "displacement of one D/A step against the bristles",
-            "nm",
-            found.dac_displacement * 1e9,
-        ),
+        ("dac_displacement_nm", "move of one D/A step against the bristles", "nm", found.dac_displacement * 1e9),
         ("encoder_floor_um", "p-p error that the encoder's count leaves", "µm", found.encoder_floor * 1e6),
         ("gain_low", "loop is stable from a gain of", "", of_loop("gain_low")),
         ("gain_high", "loop is stable up to a gain of", "", of_loop("gain_high")),

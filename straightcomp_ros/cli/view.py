@@ -20,12 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     priority = "SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)"
     add("--priority", type=int, default=0, metavar="N", help=priority)
-    add(
-        "--maintenance",
-        default="",
-        metavar="FILE",
-        help="show the advice of `straightcomp history advise` in this file",
-    )
+    advice = "show the advice of `straightcomp history advise` in this file"
+    add("--maintenance", default="", metavar="FILE", help=advice)
     add_json(parser)
 
 

@@ -25,28 +25,19 @@ _FILES = ((STAGE, "guide.file"), ("driver", "simulated.truth.guide"), ("driver",
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """Values of a ROS 2 parameter file by node and dotted name, with a key for each node of this package.
 
-    The description of the stage, which the file gives to all nodes under ``/**``, has the key :data:`STAGE`.
+    A key of the file is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**``
+    for all. The description of the stage, which it gives to all nodes, has the key :data:`STAGE` here.
 
     Raises:
-        ParameterError: the file cannot be read, is not YAML, is empty, or does not have the layout of a parameter file.
+        ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
     """
+    source = f"parameter file {path}"
     try:
         tree = load_yaml(Path(path))
     except OSError as error:
-        raise ParameterError(f"parameter file {path}: cannot be read: {error.strerror}") from error
+        raise ParameterError(f"{source}: cannot be read: {error.strerror}") from error
     except YamlError as error:
-        raise ParameterError(f"parameter file {path}: {error}") from error
-    return _read_tree(tree, f"parameter file {path}")
-
-
-def _read_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
-    """Values in the content of a parameter file; ``source`` names the file in messages.
-
-    A key is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**`` for all.
-
-    Raises:
-        ParameterError: another layout, or an unknown node.
-    """
+        raise ParameterError(f"{source}: {error}") from error
     values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
     if not isinstance(tree, Mapping):
         raise ParameterError(f"{source}: has no 'NODE: ros__parameters:' level")
@@ -133,4 +124,4 @@ def as_yaml(value: Any) -> str:
     """One value as YAML 1.1, which takes 1e-07 for a text: a float needs its point."""
     if isinstance(value, float) and "e" in repr(value) and "." not in repr(value):
         return repr(value).replace("e", ".0e")
-    return yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None).splitlines()[0]
+    return str(yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None).splitlines()[0])
