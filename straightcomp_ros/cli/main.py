@@ -162,7 +162,7 @@ def make_parser(
             except CommandFailed:
                 if words is not None:
                     raise
-        commands.add_parser(name, help=summary)
+        commands.add_parser(name, help=summary.replace("%", "%%"))
     return parser
 
 
@@ -222,23 +222,20 @@ def _headline(brought: Sequence[Verb]) -> tuple[str, str]:
         specification = importlib.util.find_spec(verb.module)
         text = Path(specification.origin).read_text(encoding="utf-8")  # type: ignore[union-attr, arg-type]
         literals = dict(re.findall(r'^(SUMMARY|PURPOSE) = "(.*)"$', text, re.MULTILINE))
-        return literals["SUMMARY"], literals.get("PURPOSE", purpose)
+        purpose = literals.get("PURPOSE", purpose)
+        return literals["SUMMARY"], purpose if purpose in PURPOSES else PURPOSES[-1]
     except Exception as error:  # of another package's own import, too
         return f"cannot be loaded ({verb.package}): {type(error).__name__}: {error}", purpose
 
 
 def _listed(headlines: Mapping[str, tuple[str, str]]) -> str:
-    """The verbs under their purposes."""
+    """The verbs under their purposes; without a heading where they have only one."""
     width = max(map(len, headlines), default=0)
-    lines = []
-    for purpose in PURPOSES:
-        names = [
-            name
-            for name, (_, its) in headlines.items()
-            if its == purpose or (its not in PURPOSES and purpose == PURPOSES[-1])
-        ]
-        lines += [f"{purpose}:", *(f"  {name:{width}}  {headlines[name][0]}" for name in names)] if names else []
-    return printable("\n".join(lines))
+    lines = {purpose: [] for purpose in PURPOSES}
+    for name, (summary, purpose) in headlines.items():
+        lines[purpose].append(f"  {name:{width}}  {summary}")
+    used = [(f"{purpose}:", *listed) for purpose, listed in lines.items() if listed]
+    return printable("\n".join(line for listed in used for line in (listed if len(used) > 1 else listed[1:])))
 
 
 if __name__ == "__main__":
