@@ -1,19 +1,13 @@
 """Measure this computer: the running graph, or the functions that are called in each cycle."""
 
 import argparse
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import (
-    add_json,
-    add_parameter_options,
-    add_results,
-    check_range,
-    chosen_parameters,
-    results_folder,
-)
+from straightcomp_ros.cli.options import add_json, add_parameter_options, check_range, chosen_parameters, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
 from straightcomp_ros.cli.results import rounded, titled_table
 
@@ -41,7 +35,8 @@ def _graph_arguments(parser: argparse.ArgumentParser) -> None:
     triggers = "repeat with the controller's other trigger (sample, timer), and print the ratio of both"
     add("--triggers", action="store_true", help=triggers)
     add("--view", action="store_true", help="repeat with the live view open")
-    add_results(parser)
+    add("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
+    add_json(parser)
 
 
 def _graph(options: argparse.Namespace) -> None:
@@ -60,7 +55,9 @@ def _graph(options: argparse.Namespace) -> None:
         check_range("--soak", options.soak, _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
         seconds = 60.0 * options.soak
     values = bench_parameters(chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.priority)
-    with results_folder(options) as folder:
+    with tempfile.TemporaryDirectory(prefix="straightcomp_bench_") as scratch:
+        kept = output_folder("--output", options.output, empty=True) if options.output else Path(scratch)
+        folder = kept.absolute()
         figures, growth = _measured(values, folder / "graph", seconds, "graph")
         if options.soak is not None:
             figures["soak"] = {"minutes": options.soak, "growth_mb_per_hour": growth}

@@ -4,9 +4,7 @@ import argparse
 import math
 import os
 import re
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -70,22 +68,6 @@ def whole_number(least: int) -> Callable[[str], int]:
 def add_json(parser: argparse._ActionsContainer) -> None:
     """Declare ``--json``."""
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-
-
-def add_results(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--output`` of :func:`results_folder`, and ``--json``."""
-    parser.add_argument("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
-    add_json(parser)
-
-
-@contextmanager
-def results_folder(options: argparse.Namespace) -> Iterator[Path]:
-    """The folder that ``--output`` names, or one that is removed in the end."""
-    if options.output:
-        yield output_folder("--output", options.output, empty=True).absolute()
-        return
-    with tempfile.TemporaryDirectory(prefix="straightcomp_bench_") as folder:
-        yield Path(folder)
 
 
 PICTURES = (".png", ".svg", ".pdf")

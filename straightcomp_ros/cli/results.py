@@ -122,28 +122,6 @@ def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def can_tables(figures: Mapping[str, Any]) -> list[Table]:
-    """Costs and times, faults, and the closed loop under faults; ``figures`` as `straightcomp bench can --json`."""
-    costs = titled_table("CAN path", "part", "µs")
-    for name, cost in figures["codec"].items():
-        costs.add_row(f"pack {name}", rounded(cost["pack_us"], 2))
-        costs.add_row(f"unpack {name}", rounded(cost["unpack_us"], 2))
-    costs.add_row("send a frame to the hub", rounded(figures["send_us"], 1))
-    costs.add_row("receive a frame from the hub", rounded(figures["receive_us"], 1))
-    for key in ("p50", "p99", "max"):
-        costs.add_row(f"round trip {key}", rounded(figures["round_trip_us"][key]))
-    title = f"Faults, {figures['frames']} frames of each kind on each kind of bus"
-    found = [(kind, count["injected"], count["detected"]) for kind, count in figures["faults"].items()]
-    found.append(("wrong samples used unflagged", "", figures["unflagged_wrong"]))
-    faults = titled_table(title, "kind", "injected", "detected", rows=found)
-    columns = ("faults", "latched", "servo on", "on beyond a fault")
-    loops = titled_table("Closed loop under all faults together", "bus", *columns)
-    for bus, loop in figures["closed_loop"].items():
-        latched = sum(loop["latched"].values())
-        loops.add_row(bus, str(loop["injected"]), str(latched), f"{loop['on']:.0%}", str(loop["unsafe"]))
-    return [costs, faults, loops]
-
-
 def print_verdict(verdict: Verdict, of: str = "") -> None:
     """The verdict as a line below a table; ``of`` names the run where there are several."""
     style = "green" if verdict.in_order else "red"

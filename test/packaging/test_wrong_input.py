@@ -21,6 +21,8 @@ CASES = [
     ("simulate --set stage.guide.file=none.csv", "survey none.csv: there is no such file"),
     ("simulate --set stage.guide.file=folder", "survey folder: is no file"),
     ("simulate --set stage.guide.file=wrong_unit.csv", "no column for x; found: x_kg"),
+    ("simulate --set stage.guide.file=~nosuchuser/x.csv", "there is no such file"),
+    ("simulate --set driver.hardware=can --set driver.can.dbc=~nosuchuser/x.dbc", "No such file; name a DBC file"),
     ('simulate --set stage.guide.file="a\\0b"', "has control characters"),
     (f"simulate --set stage.guide.file={'a' * 5000}", "there is no such file"),
     (f"simulate --set driver.hardware=can --set driver.can.dbc={'a' * 5000}", "No such file; name a DBC file"),
@@ -61,6 +63,8 @@ CASES = [
     ("completion csh", "'csh' (choose from"),
     ("doctor now", "unrecognized arguments: now"),
     ("commission --graph running -o found --set stage.platform.mass=3", "--set: not with --graph running, whose nodes"),
+    ("frequency-response --graph running --stage gantry.yaml", "--stage: not with --graph running"),
+    ("frequency-response --graph running --params-file gantry.yaml", "--params-file: not with --graph running"),
     ("frequency-response --graph running --law linear", "--law: not with --graph running, whose nodes"),
 ]
 
