@@ -14,26 +14,22 @@ from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.opcua.gateway_parameters import OpcuaParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, from_mapping, group, parameter
 from straightcomp_ros.safety.watch import WatchParameters
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import true_guide, true_plant
+from straightcomp_ros.stage.description import StageParameters, true_guide, true_plant
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.timing.realtime import RealtimeParameters
 
 
-def _autostart() -> bool:
-    declared: bool = parameter(
-        True, "Configure and activate the node when it starts; false leaves that to a lifecycle manager"
-    )
-    return declared
+def _autostart() -> Any:
+    return parameter(True, "Configure and activate the node when it starts; false leaves that to a lifecycle manager")
 
 
 @dataclass(frozen=True)
 class DriverNodeParameters:
     """Parameters of the node `driver`."""
 
+    # Here and below: parameters and groups that may be changed while the node is configured.
     dynamic: ClassVar[tuple[str, ...]] = ("stage.actuator.current_limit", "watch.travel")
-    """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
     stage: StageParameters = group(StageParameters)
@@ -92,7 +88,6 @@ class FeedforwardNodeParameters:
     """Parameters of the node `feedforward`."""
 
     dynamic: ClassVar[tuple[str, ...]] = ("stage.guide",)
-    """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
     stage: StageParameters = group(StageParameters)
@@ -105,7 +100,6 @@ class ControllerNodeParameters:
     """Parameters of the node `controller`."""
 
     dynamic: ClassVar[tuple[str, ...]] = ("control", "error_limit", "excitation", "stage.actuator.current_limit")
-    """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
     stage: StageParameters = group(StageParameters)
@@ -149,7 +143,6 @@ class LoggerNodeParameters:
     """Parameters of the node `logger`."""
 
     dynamic: ClassVar[tuple[str, ...]] = ("min_free_bytes",)
-    """Parameters and groups that may be changed while the node is configured."""
 
     autostart: bool = _autostart()
     output: str = parameter("", "Folder of the bag; empty: a new one, named after the start time")

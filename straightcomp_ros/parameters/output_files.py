@@ -30,8 +30,8 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
     the link that leads to it; write only where no other user can make one. A pipe or a device gets the content itself.
 
     Args:
-        path: the file.
-        content: text as UTF-8, or bytes.
+        path: of the file.
+        content: a text is written as UTF-8.
         folder: of the new file until it is whole, on the same file system; that of ``path`` by default.
         private: readable for its owner only, whatever it was before.
 
@@ -65,13 +65,9 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
             # The user knows this name, not that of the part.
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
-    sync_folder(target.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Bring a folder's names to the disk, where its file system can do that."""
+    # The folder's names, too, where its file system can do that.
     with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(target.parent, os.O_RDONLY | os.O_CLOEXEC)
         try:
             os.fsync(descriptor)
         finally:

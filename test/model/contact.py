@@ -13,8 +13,7 @@ from straightcomp_ros.model.extended_friction import (
 from straightcomp_ros.model.maxwell_slip import MOST_BLOCKS
 from straightcomp_ros.model.plant import PlantParameters, PlantState, advance, as_array
 from straightcomp_ros.parameters.declaration import from_mapping
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import TruthParameters, true_plant
+from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
 
 STEP = 25e-6
 CHANGES = {
