@@ -9,8 +9,18 @@ NAME = "straightcomp_ros"
 MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
 OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
-HISTORY = ["duckdb>=1.1", "fsspec", "pyarrow>=17", "ruptures>=1.1.9"]
+TUNING = ["cma>=4"]
+FLEET = ["duckdb>=1.1", "fsspec", "pyarrow>=17", "ruptures>=1.1.9"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5"]
+
+
+SERVO_VERBS = "bench can completion demo doctor dsp evaluate map recover replay simulate stage view"
+TUNING_VERBS = "commission design frequency-response friction reproduce robustness"
+
+
+def _verbs(folder, names, extra=""):
+    """Entry points of verbs: the module of each, and the extra that brings what it needs."""
+    return [f"{name} = {NAME}.{folder}.{name.replace('-', '_')} {extra}".rstrip() for name in names.split()]
 
 
 def _installed_files(folder):
@@ -30,7 +40,7 @@ setup(
     maintainer=MANIFEST.findtext("maintainer"),
     maintainer_email=MANIFEST.find("maintainer").get("email"),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.view": ["*.html"]},
+    package_data={"": ["*.html", "*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -41,8 +51,8 @@ setup(
     python_requires=">=3.10",
     install_requires=[
         "cantools>=39",
-        "cma>=4",
         "fastcrc>=0.3.4",
+        "jinja2>=3.1",
         "joblib>=1.4",
         "lz4",
         "matplotlib",
@@ -55,6 +65,7 @@ setup(
         "rich",
         "rosbags>=0.11",
         "scipy",
+        "shtab>=1.9",
         "zstandard",
     ],
     extras_require={
@@ -72,8 +83,10 @@ setup(
         "opcua": OPCUA,
         # Sweeps and histories on other machines' cores.
         "dask": ["dask[distributed]"],
+        # Gains, margins, friction and commissioning of a stage.
+        "tuning": TUNING,
         # Figures of many bags in one store of Parquet files; for stores and bags in S3 also s3fs.
-        "history": HISTORY,
+        "fleet": FLEET,
         # The pages in docs/ as HTML: make docs.
         "docs": DOCS,
         # Changes of the source that tests must notice: make mutants.
@@ -87,7 +100,8 @@ setup(
             # The tests without live nodes, one process a core.
             "pytest-xdist",
             *OPCUA,
-            *HISTORY,
+            *TUNING,
+            *FLEET,
             # Other readers of its files; a server that speaks S3, and the client.
             "pandas",
             "polars",
@@ -118,8 +132,16 @@ setup(
                 f"{node}_node = {NAME}.nodes.{node}_node:main"
                 for node in ("driver", "feedforward", "controller", "logger", "cell", "player", "opcua")
             ),
+            f"commissioning_node = {NAME}.tuning.graph.commissioning_node:main",
             f"dsp_emulator = {NAME}.cli.dsp:main",
             f"straightcomp = {NAME}.cli.main:main",
+        ],
+        # Another package adds a verb by an entry point of the same group: docs/stability.md.
+        "straightcomp.verbs": [
+            *_verbs("cli", SERVO_VERBS),
+            *_verbs("cli", "opcua", "[opcua]"),
+            *_verbs("tuning.verbs", TUNING_VERBS, "[tuning]"),
+            *_verbs("fleet.verbs", "history", "[fleet]"),
         ],
         "can.interface": [f"straightcomp_hub = {NAME}.hardware.can.hub_bus:HubBus"],
     },

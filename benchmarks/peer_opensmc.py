@@ -31,9 +31,8 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
 from straightcomp_ros.offline.comparison import LawFigures, Values, figures_of, with_values
 from straightcomp_ros.offline.starts import Spread
-from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 
 INSTALL = (

@@ -29,9 +29,8 @@ from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import runs_of_starts, spread
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
-from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.output_files import making, write_whole
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.commissioning.procedure import Procedure
 from straightcomp_ros.tuning.commissioning.simulated_machine import SimulatedMachine

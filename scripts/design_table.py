@@ -19,7 +19,7 @@ from scripts.stage_files import STAGES, stage_names, stage_scenario
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import spread
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.tuning.design.automatic_design import Design, closed_form, design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.design.gain_search import search

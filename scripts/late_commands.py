@@ -17,8 +17,8 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate, true_error
 from straightcomp_ros.analysis.record import find_motion
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.offline.compiled_stroke import run_stroke
 from straightcomp_ros.offline.starts import spreads, values_of_starts
 from straightcomp_ros.parameters.declaration import ParameterError

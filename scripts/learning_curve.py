@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import STARTS, Spread, spreads, values_of_starts
 from straightcomp_ros.parameters.declaration import ParameterError

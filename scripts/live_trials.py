@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.tuning.commissioning import STEP_NAMES
 from straightcomp_ros.tuning.commissioning.procedure import RECORD
 from straightcomp_ros.tuning.verbs.graph_option import EMULATED, START

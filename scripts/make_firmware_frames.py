@@ -4,7 +4,7 @@ from pathlib import Path
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 FOLDER = Path(__file__).resolve().parent.parent / "firmware" / "generated"
 

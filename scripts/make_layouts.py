@@ -28,7 +28,7 @@ from straightcomp_ros.contract import (
     TRUTH,
     Stream,
 )
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 # Okabe and Ito's palette: told apart with any colour vision.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")

@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.parameters.commented_file import commented
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
-from straightcomp_ros.parameters.parameter_file import ALL_NODES, DEFAULT_FILE, DEFAULT_STAGE
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.parameter_file import ALL_NODES, DEFAULT_FILE, DEFAULT_STAGE, commented
 from straightcomp_ros.stage.description import StageParameters
 
 FOLDER = Path(__file__).resolve().parent.parent

@@ -19,19 +19,19 @@ from straightcomp_ros.hardware.can import emulator_frames, shipped_wire
 from straightcomp_ros.messages.cdr import BATCH_TYPE
 from straightcomp_ros.parameters.declaration import Declaration, declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE
-from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.stage.description import StageParameters
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 FILE = REPOSITORY / "docs" / "reference.md"
 SERVES = {"excitation_service": "controller", "recorder_services": "logger", "safety_panel": "driver"}
 """Modules with services of one node, and that node."""
-ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime")]
+ROOMS = [REPOSITORY / "straightcomp_ros" / room for room in ("nodes", "runtime", "tuning/graph")]
 HEAD = """\
 # Reference
 
-Made by `scripts/make_reference.py` from `contract.py`, `parameters/parameter_sets.py`, the nodes, the DBC files and
+Made by `scripts/make_reference.py` from `contract.py`, `parameters/node_parameters.py`, the nodes, the DBC files and
 `history/`; a test holds it to them. Numbers are SI where no unit is named. All names of topics, services and nodes are
 relative: a namespace or a remapping moves them.
 

@@ -1,11 +1,10 @@
 """The table of laws in docs/accuracy.md: its arithmetic, and what it refuses."""
 
-import importlib
 import json
-from types import ModuleType
 
 import pytest
 
+from scripts import law_table as script
 from straightcomp_ros.offline.comparison import LawFigures, figures_of, law_of, with_values
 from straightcomp_ros.offline.starts import Spread, spread
 
@@ -23,18 +22,13 @@ LAW = LawFigures(
 )
 
 
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("scripts.law_table")
-
-
-def test_a_row_has_the_readers_units(script):
+def test_a_row_has_the_readers_units():
     row = script.row("smc", LAW)
     assert row["pp_um"] == pytest.approx({"median": 0.5, "min": 0.45, "max": 0.55})
     assert (row["control_rms_step_mA"]["median"], row["step_us"]) == pytest.approx((4.0, 2.0))
 
 
-def test_markdown_shows_median_and_range_and_has_as_many_cells_in_every_line(script):
+def test_markdown_shows_median_and_range_and_has_as_many_cells_in_every_line():
     margins = {"gain_low": 0.22, "gain_high": 3.0, "phase_deg": 15.2, "longest_delay_samples": 1.5}
     swept = {"robust_pp_um": {"p50": 0.4, "p95": 0.7, "max": 1.1}, "not_in_order": 3}
     table, below = script.markdown([{**script.row("smc", LAW), **swept, **margins}, script.row("sgn", LAW)]).split(
@@ -47,15 +41,15 @@ def test_markdown_shows_median_and_range_and_has_as_many_cells_in_every_line(scr
     assert below.splitlines()[-1].endswith("| 0.22 | 3.00 | 15 | 1.50 |")
 
 
-def test_figures_of_a_sweep_are_taken_from_its_file(script, tmp_path):
-    told = {"laws": {"smc": {"pp_um": {"p5": 0.1, "p50": 0.4, "p95": 0.7, "max": 1.1}, "not_in_order": 3}}}
-    (tmp_path / "sweep.json").write_text(json.dumps(told))
+def test_figures_of_a_sweep_are_taken_from_its_file(tmp_path):
+    sweep = {"laws": {"smc": {"pp_um": {"p5": 0.1, "p50": 0.4, "p95": 0.7, "max": 1.1}, "not_in_order": 3}}}
+    (tmp_path / "sweep.json").write_text(json.dumps(sweep))
     taken = script.read_robustness(tmp_path / "sweep.json")
     assert taken == {"smc": {"robust_pp_um": {"p50": 0.4, "p95": 0.7, "max": 1.1}, "not_in_order": 3}}
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"laws": {"smc": {}}}', '{"laws": []}', None])
-def test_another_file_is_refused_in_one_sentence_that_names_it(script, tmp_path, capsys, text):
+def test_another_file_is_refused_in_one_sentence_that_names_it(tmp_path, capsys, text):
     path = tmp_path / "other.json"
     if text is not None:
         path.write_text(text)
@@ -75,7 +69,7 @@ def test_the_law_with_sgn_works_the_coils_harder_and_a_law_that_is_handed_in_is_
     assert SHORT["controller"] == {}
 
 
-def test_margins_are_told_of_laws_that_have_them_only(script):
+def test_margins_are_given_of_laws_that_have_them_only():
     margins = script.margins_of(with_values(SHORT, "controller", {"control.law": "linear"}))
     assert 0.0 < margins["gain_low"] < 1.0 < margins["gain_high"]
     assert margins["longest_delay_samples"] > 0.5

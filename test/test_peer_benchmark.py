@@ -1,13 +1,12 @@
 """The comparison with opensmc, which only the extra `test` installs."""
 
-import importlib
 import re
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
+from benchmarks import peer_opensmc as script
 from straightcomp_ros.offline.comparison import LawFigures, figures_of, with_values
 from straightcomp_ros.offline.starts import spread
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -19,12 +18,7 @@ SHORT = {
 }
 
 
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    return importlib.import_module("benchmarks.peer_opensmc")
-
-
-def test_without_the_peer_one_sentence_says_how_to_install_it(script, monkeypatch, capsys):
+def test_without_the_peer_one_sentence_says_how_to_install_it(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "opensmc", None)
     assert script.main([]) == 2
     said = capsys.readouterr()
@@ -32,10 +26,10 @@ def test_without_the_peer_one_sentence_says_how_to_install_it(script, monkeypatc
     assert "pip install opensmc" in said.err
 
 
-def test_rows_tell_each_machine_in_micrometres(script):
+def test_rows_give_each_machine_in_micrometres():
     by_machine = {name: figures(k * 1e-6) for k, name in enumerate(script.MACHINES, 1)}
     (row,) = script.to_display({"smc": by_machine})
-    assert [told["median"] for told in row["pp_um"].values()] == pytest.approx([1.0, 2.0, 3.0])
+    assert [one["median"] for one in row["pp_um"].values()] == pytest.approx([1.0, 2.0, 3.0])
     assert (row["control_rms_step_mA"]["max"], row["step_us"]) == pytest.approx((5.0, 4.0))
 
 
@@ -43,22 +37,22 @@ def figures(pp: float) -> LawFigures:
     return LawFigures(spread([pp]), spread([1e-7]), spread([80.0]), spread([5e-3]), 4e-6)
 
 
-def test_every_machine_is_one_that_can_be_set(script):
+def test_every_machine_is_one_that_can_be_set():
     for node, changes in script.MACHINES.values():
         figures_of(with_values(SHORT, node, changes), starts=1)
 
 
 @pytest.mark.parametrize("name", ["opensmc, ESO", "opensmc, Levant"])
-def test_the_peer_holds_the_platform_on_the_reference(script, name):
+def test_the_peer_holds_the_platform_on_the_reference(name):
     found = figures_of(SHORT, script.peer_law(name, script.DESIGNS[name], SHORT), starts=2)
     assert 0.0 < found.pp.min < found.pp.max < 1e-6
 
 
-def test_the_published_figure_of_the_peer_is_what_the_benchmark_finds(script):
+def test_the_published_figure_of_the_peer_is_what_the_benchmark_finds():
     """From one of the nine starts."""
     page = (Path(__file__).resolve().parents[1] / "docs" / "accuracy.md").read_text(encoding="utf-8")
-    told = re.search(r"gains searched: [\d.]+ \(([\d.]+) to ([\d.]+)\) µm with its extended state observer", page)
+    published = re.search(r"gains searched: [\d.]+ \(([\d.]+) to ([\d.]+)\) µm with its extended state observer", page)
     shipped = with_values(shipped_parameters(), *script.MACHINES["nominal"])
     name = "opensmc, ESO"
     found = figures_of(shipped, script.peer_law(name, script.DESIGNS[name], shipped), starts=1).pp.median * 1e6
-    assert float(told[1]) - 0.03 < found < float(told[2]) + 0.03
+    assert float(published[1]) - 0.03 < found < float(published[2]) + 0.03

@@ -1,13 +1,12 @@
 """Figures on the pages are made again: all of the table of laws, some of each other table."""
 
-import importlib.util
 import json
 import re
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
+from scripts import late_commands, law_table, tuning_tables
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import Spread, metrics_of_starts, spreads
@@ -22,31 +21,23 @@ ACCURACY = (REPOSITORY / "docs" / "accuracy.md").read_text(encoding="utf-8")
 TUNING = (REPOSITORY / "docs" / "tuning.md").read_text(encoding="utf-8")
 DESIGN = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
 SURVEYS = (REPOSITORY / "docs" / "surveys.md").read_text(encoding="utf-8")
-BESIDE = 0.06
+OTHER_PROCESSOR = 0.06
 """Part of a figure by which another processor may leave the range of nine starts."""
-
-
-def script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, REPOSITORY / "scripts" / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def published(cell: str) -> Spread:
+def spread_of(cell: str) -> Spread:
     """Of ``0.47 (0.45 to 0.49)``, or of ``0.024`` alone."""
     median, *around = (float(number) for number in re.findall(r"[\d.]+", cell))
     return Spread(median, *(around or (median, median)))
 
 
-def lies_within(found: float, told: Spread, digits: int) -> bool:
-    beside = BESIDE * told.median + 10.0**-digits
-    return told.min - beside <= found <= told.max + beside
+def lies_within(found: float, published: Spread, digits: int) -> bool:
+    margin = OTHER_PROCESSOR * published.median + 10.0**-digits
+    return published.min - margin <= found <= published.max + margin
 
 
 @pytest.fixture
@@ -54,24 +45,20 @@ def shipped():
     return shipped_parameters()
 
 
-LAW_TABLE = script("law_table")
-TABLES = script("tuning_tables")
-
-
-@pytest.mark.parametrize("law", [*LAW_TABLE.NAMES, LAW_TABLE.SGN])
+@pytest.mark.parametrize("law", [*law_table.NAMES, law_table.SGN])
 def test_the_table_of_laws_is_what_its_script_finds(law, shipped):
-    (line,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| {LAW_TABLE.NAMES.get(law, law)} |"))
+    (line,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| {law_table.NAMES.get(law, law)} |"))
     _, _, pp, rms, step, *_ = cells(line)
-    found = spreads(one.to_display() for one in metrics_of_starts(LAW_TABLE.chosen_laws(shipped)[law]))
-    assert lies_within(found["true_pp_um"].median, published(pp), 2)
-    assert lies_within(found["true_rms_um"].median, published(rms), 3)
-    assert lies_within(found["control_rms_step_A"].median * 1e3, published(step), 1)
+    found = spreads(one.to_display() for one in metrics_of_starts(law_table.chosen_laws(shipped)[law]))
+    assert lies_within(found["true_pp_um"].median, spread_of(pp), 2)
+    assert lies_within(found["true_rms_um"].median, spread_of(rms), 3)
+    assert lies_within(found["control_rms_step_A"].median * 1e3, spread_of(step), 1)
 
 
 def test_the_margins_of_the_default_law_are_those_of_its_linearised_loop(shipped):
-    told = re.search(r"gain ([\d.]+) to ([\d.]+), phase (\d+)°,\s+longest delay ([\d.]+) samples", ACCURACY)
-    margins = LAW_TABLE.margins_of(LAW_TABLE.chosen_laws(shipped)["smc_observer"])
-    assert [float(number) for number in told.groups()] == pytest.approx(list(margins.values()), rel=0.03)
+    page = re.search(r"gain ([\d.]+) to ([\d.]+), phase (\d+)°,\s+longest delay ([\d.]+) samples", ACCURACY)
+    margins = law_table.margins_of(law_table.chosen_laws(shipped)["smc_observer"])
+    assert [float(number) for number in page.groups()] == pytest.approx(list(margins.values()), rel=0.03)
 
 
 @pytest.mark.parametrize("law", ["linear", "smc_observer"])
@@ -79,45 +66,44 @@ def test_the_first_uncertain_machines_lie_within_the_percentiles_of_the_table(la
     (line,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| `{law}` |"))
     median, _, worst = (float(number) for number in cells(line)[5].split("/"))
     found = sorted(result.pp * 1e6 for result in run_trials(make_scenario(shipped, [law]), 1, range(8)))
-    assert found[-1] <= worst * (1.0 + BESIDE)
+    assert found[-1] <= worst * (1.0 + OTHER_PROCESSOR)
     assert found[0] < median < found[-1]
 
 
-@pytest.mark.parametrize("table", TABLES.TABLES, ids=lambda table: table.head)
+@pytest.mark.parametrize("table", tuning_tables.TABLES, ids=lambda table: table.head)
 def test_a_table_of_the_tuning_guide_is_what_its_script_finds(table, shipped):
     """Its last column, from three of the nine starts."""
     lines = TUNING[TUNING.index(f"| {table.head} | ") :].split("\n\n")[0].splitlines()
     assert [float(head.strip("*")) for head in cells(lines[0])[1:]] == list(table.values)
     assert [cells(line)[0] for line in lines[2:]] == list(table.rows)
-    found = TABLES.over_starts(TABLES.column(shipped, table, table.values[-1]), 3)
+    found = tuning_tables.over_starts(tuning_tables.column(shipped, table, table.values[-1]), 3)
     for line in lines[2:]:
         row, *_, last = cells(line)
-        assert lies_within(found[row].median, published(last), TABLES.FIGURES[row][2]), row
+        assert lies_within(found[row].median, spread_of(last), tuning_tables.FIGURES[row][2]), row
 
 
 def test_the_tuning_guides_laws_are_those_of_the_page_on_accuracy():
     for law in ("linear", "smc", "smc_observer"):
         (line,) = (line for line in TUNING.splitlines() if line.startswith(f"| `{law}` |"))
-        (other,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| {LAW_TABLE.NAMES[law]} |"))
+        (other,) = (line for line in ACCURACY.splitlines() if line.startswith(f"| {law_table.NAMES[law]} |"))
         assert cells(line)[1:4] == cells(other)[2:5]
 
 
-def test_the_page_on_surveys_tells_how_far_an_error_table_lies_beside_the_map(capsys, tmp_path):
-    told = re.search(r"between the\s+points: ([\d.]+) µm for the shipped\s+survey at 10 mm", SURVEYS)
+def test_the_page_on_surveys_says_how_far_an_error_table_lies_from_the_map(capsys, tmp_path):
+    page = re.search(r"between the\s+points: ([\d.]+) µm for the shipped\s+survey at 10 mm", SURVEYS)
     assert main(["map", "export", "-o", str(tmp_path / "table.cal"), "--spacing", "10", "--json"]) == 0
-    assert float(told[1]) == pytest.approx(json.loads(capsys.readouterr().out)["interpolation_error_um"], abs=0.001)
+    assert float(page[1]) == pytest.approx(json.loads(capsys.readouterr().out)["interpolation_error_um"], abs=0.001)
 
 
 def test_the_designs_errors_around_stalls_are_what_their_script_finds(shipped, capsys, monkeypatch):
     """Of the row for 2 ms, the last column: what the board does."""
     (line,) = (line for line in DESIGN.splitlines() if line.startswith("| 2 ms |"))
-    told = [float(number) for number in re.findall(r"[\d.]+", cells(line)[-1])]
-    late = script("late_commands")
-    monkeypatch.setattr(late, "_STALLS_MS", (2,))
+    page = [float(number) for number in re.findall(r"[\d.]+", cells(line)[-1])]
+    monkeypatch.setattr(late_commands, "_STALLS_MS", (2,))
     shipped["stage"]["drive.delay"] = 1.0
-    late.stalls(shipped, 500_000)
+    late_commands.stalls(shipped, 500_000)
     _, _, p98, largest, count = capsys.readouterr().out.splitlines()[-1].split()
-    assert float(p98) == pytest.approx(told[0], rel=0.1)
+    assert float(p98) == pytest.approx(page[0], rel=0.1)
     # One extreme of 551, which another processor's last bits change.
-    assert float(largest) == pytest.approx(told[1], rel=0.25)
+    assert float(largest) == pytest.approx(page[1], rel=0.25)
     assert f"{count} stalls of each length" in DESIGN

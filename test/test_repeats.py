@@ -31,7 +31,7 @@ def run(pytester):
     return run
 
 
-def test_a_repeat_is_told_with_the_last_line_of_its_error(run):
+def test_a_repeat_is_reported_with_the_last_line_of_its_error(run):
     result = run(LIVE.format(tests=2))
     assert result.parseoutcomes() == {"passed": 2, "rerun": 2}
     result.stdout.fnmatch_lines(
@@ -47,13 +47,9 @@ def test_more_than_two_repeats_fail_a_run_in_which_everything_passed(run):
     assert result.ret == pytest.ExitCode.TESTS_FAILED
 
 
-def test_a_test_without_live_nodes_is_not_repeated(run):
+def test_only_live_tests_are_repeated_and_whoever_asks_for_a_graph_is_live(run):
     result = run("def test_wrong(): assert False")
-    assert result.parseoutcomes() == {"failed": 1}
-    assert "tests that were repeated" not in result.stdout.str()
-
-
-def test_whoever_asks_for_a_graph_is_live(run):
+    assert result.parseoutcomes() == {"failed": 1} and "tests that were repeated" not in result.stdout.str()
     graph = "import pytest\n@pytest.fixture\ndef graph(): pass\ndef test_wrong(graph): assert False"
     assert run(graph).parseoutcomes() == {"failed": 1, "rerun": 2}
 

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bench.step_costs import cost
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import print_json
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.hardware.can.bus_faults import KINDS
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report

@@ -17,9 +17,8 @@ from typing import Any
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.cell.launcher import RECORDED, Graph, LaunchError, verb_command
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import print_json, require_ros
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file

@@ -19,8 +19,8 @@ from std_srvs.srv import Trigger
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cell.launcher import RECORDED, LaunchError
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.straightness.guide_map import find_survey
 from trials.faults import trial_parameters

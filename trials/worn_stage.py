@@ -31,7 +31,7 @@ from straightcomp_ros.fleet.maintenance.trend import MONTH, WEEK
 from straightcomp_ros.hardware.interface import Hardware
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 Array = NDArray[np.float64]
 BAGS_A_DAY = 24

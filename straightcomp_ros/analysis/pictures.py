@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.metrics import Metrics, residual_over, true_error
 from straightcomp_ros.analysis.record import Motion, StrokeRecord, find_motion, group_means
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 if TYPE_CHECKING:

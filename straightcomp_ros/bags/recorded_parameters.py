@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.parameters.declaration import ParameterError, belongs_to_ros, flatten
 from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
-from straightcomp_ros.stage.former_names import present_names
 
 if TYPE_CHECKING:
     from straightcomp_ros.bags.writer import BagWriter
@@ -41,7 +40,7 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
             own |= {k: value for k, value in flatten(section["ros__parameters"]).items() if not belongs_to_ros(k)}
         except ParameterError as error:
             raise BagError(f"{where}: {error}; record the bag again") from error
-    return {node: present_names(node, section) for node, section in values.items()}
+    return values
 
 
 def parameters_of(
@@ -54,8 +53,7 @@ def parameters_of(
         return found
     if "controller" in found:
         raise BagError(f"bag {bag}: has the parameters of its run attached; --params-file is for a bag without them")
-    # The file may be of the bag's time, too.
-    return {node: present_names(node, section) for node, section in given.items()}
+    return given
 
 
 def attach_map(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -> str:

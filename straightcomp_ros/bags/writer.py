@@ -17,7 +17,7 @@ from straightcomp_ros.bags.information import ROOT_KEY, BagFile, Topic, as_yaml,
 from straightcomp_ros.bags.intake import Message
 from straightcomp_ros.bags.mcap_output import COMPRESSORS, McapOutput
 from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 CHUNK_SIZE = 512 * 1024
 """Bytes of messages in a chunk: about a fifth of a second of all streams at 2 kHz."""

@@ -29,8 +29,8 @@ from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.opcua.admission import OPERATOR, OpcuaParameters, add_user
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.timing.node_timing import NodeTiming, amplifier_on, blamed, summarise
 

@@ -1,6 +1,200 @@
 """Measure this computer: the running graph, or the functions that are called in each cycle."""
 
+import argparse
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.cli import Tool
+from straightcomp_ros.cli.options import add_json, add_parameter_options, check_range, chosen_parameters, output_folder
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
+from straightcomp_ros.cli.results import rounded, titled_table
+
 SUMMARY = "measure the graph's timing, or the cost of its functions"
-TOOLS = ("graph", "step")
+PURPOSE = "judge"
 TOOL = "BENCH"
 """Placeholder for a tool's name in the help text."""
+_SHORTEST_S, _LONGEST_S = 2.0, 86400.0
+_SIMULATIONS = 3
+_MOST_REPEATS = 10_000
+_LATENCY_WORDS = {"p50": "p50", "p99": "p99", "p99.9": "p999", "max": "max"}
+
+
+def _graph_arguments(parser: argparse.ArgumentParser) -> None:
+    from straightcomp_ros.contract import DEFAULT_RATE
+
+    add_parameter_options(parser)
+    add = parser.add_argument
+    add("--rate", type=int, default=DEFAULT_RATE, help="samples per second (default: %(default)s)")
+    add("--seconds", type=float, default=20.0, help="length of the window (default: %(default)s)")
+    soak = "use a window of this many minutes, to see whether memory grows; the bag takes about 1 MB/s"
+    add("--soak", type=float, metavar="MINUTES", help=soak)
+    priority = "run all nodes at SCHED_FIFO priority N and keep the CPUs awake (default: normal scheduling)"
+    add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
+    triggers = "repeat with the controller's other trigger (sample, timer), and print the ratio of both"
+    add("--triggers", action="store_true", help=triggers)
+    add("--view", action="store_true", help="repeat with the live view open")
+    add("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
+    add_json(parser)
+
+
+def _graph(options: argparse.Namespace) -> None:
+    """Run driver, feedforward, controller and logger as in operation, with the stage moving, and measure them.
+
+    Prints the rate, missed periods, lateness of the loop, CPU and memory of each node, and the graph's latency from
+    sample to command and its losses. The window begins when all nodes are connected and have settled.
+    """
+    from straightcomp_ros.bench.graph_bench import bench_parameters, view_beside
+    from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
+
+    require_ros()
+    check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
+    seconds = options.seconds
+    if options.soak is not None:
+        check_range("--soak", options.soak, _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
+        seconds = 60.0 * options.soak
+    values = bench_parameters(chosen_parameters(options), rate=options.rate, seconds=seconds, priority=options.priority)
+    with tempfile.TemporaryDirectory(prefix="straightcomp_bench_") as scratch:
+        kept = output_folder("--output", options.output, empty=True) if options.output else Path(scratch)
+        folder = kept.absolute()
+        figures, growth = _measured(values, folder / "graph", seconds, "graph")
+        if options.soak is not None:
+            figures["soak"] = {"minutes": options.soak, "growth_mb_per_hour": growth}
+        if options.view:
+            view = view_beside(options.priority)
+            figures["with_view"], _ = _measured(values, folder / "view", seconds, "with view", view)
+        if options.triggers:
+            first = values["controller"].setdefault("trigger", ControllerNodeParameters().trigger)
+            second = values["controller"]["trigger"] = _other(first)
+            figures["trigger"] = first
+            figures[second], _ = _measured(values, folder / second, seconds, second)
+            figures["ratio"] = ratios(figures, figures[second])
+    if options.json:
+        print_json(figures)
+    else:
+        _print_graph(figures, options)
+
+
+def _measured(
+    values: dict[str, dict[str, Any]], folder: Path, seconds: float, words: str, view: Any = None
+) -> tuple[dict[str, Any], dict[str, float]]:
+    """Figures, and the growth of each node's memory in MB/h."""
+    from straightcomp_ros.bench.graph_bench import BenchFailed, measure
+
+    if (folder / "bag").exists():
+        raise CommandFailed(f"--output: {folder} holds a bag; name another folder", exit_code=2)
+    try:
+        with working(f"measuring {words}") as advance:
+            measured = measure(values, folder, seconds, progress=advance, beside=view)
+    except BenchFailed as error:
+        raise CommandFailed(f"{words}: {error}") from error
+    return measured.to_display(), dict(measured.growth_mb_per_hour)
+
+
+def _other(trigger: str) -> str:
+    return "timer" if trigger == "sample" else "sample"
+
+
+def ratios(figures: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, float]:
+    """Figures of one measurement divided by those of another: CPU, latency; NaN where the other has zero."""
+
+    def ratio(a: float, b: float) -> float:
+        return a / b if b else float("nan")
+
+    latency, others = figures["latency_us"], other["latency_us"]
+    return {
+        "cpu_cores": ratio(figures["cpu_cores"], other["cpu_cores"]),
+        **{f"latency_{key}": ratio(latency[key], others[key]) for key in _LATENCY_WORDS.values()},
+    }
+
+
+def _print_graph(figures: Mapping[str, Any], options: argparse.Namespace) -> None:
+    scheduling = f"SCHED_FIFO {options.priority}" if options.priority else "normal scheduling"
+    _print_measurement(figures, f"Graph at {options.rate} Hz, {scheduling}, {figures['seconds']:.1f} s; late in µs")
+    if "soak" in figures:
+        growth = figures["soak"]["growth_mb_per_hour"]
+        console.print("growth of memory [MB/h]: " + ", ".join(f"{node} {slope:.1f}" for node, slope in growth.items()))
+    if "with_view" in figures:
+        _print_measurement(figures["with_view"], "With the live view open")
+    if "trigger" in figures:
+        second = _other(figures["trigger"])
+        _print_measurement(figures[second], f"With trigger '{second}'")
+        shown = ", ".join(f"{name} {rounded(value, 2)}" for name, value in figures["ratio"].items())
+        console.print(f"{figures['trigger']} / {second}: {shown}")
+    if options.output:
+        notes.print(f"bags and logs: {options.output}")
+
+
+def _print_measurement(figures: Mapping[str, Any], title: str) -> None:
+    from straightcomp_ros.cell.launcher import RECORDED
+
+    table = titled_table(title, "node", "Hz", "overruns", "stalls", "p50", "p99", "max", "CPU", "MB")
+    for node in RECORDED:
+        values = figures[node]
+        late = (rounded(values["timer_error_us"][key]) for key in ("p50", "p99", "max"))
+        missed = (str(values[key]) for key in ("overruns", "stalls"))
+        cpu, memory = rounded(values["cpu_cores"], 2), rounded(values["rss_mb"][-1])
+        table.add_row(node, rounded(values["rate_hz"]), *missed, *late, cpu, memory)
+    console.print(table)
+    latency, bag = figures["latency_us"], figures["bag"]
+    shown = ", ".join(f"{name} {rounded(latency[key])}" for name, key in _LATENCY_WORDS.items())
+    missing = ", ".join(f"{topic} {count}" for topic, count in bag["missing"].items() if count) or "nothing"
+    console.print(
+        f"sample → command [µs]: {shown}\n"
+        f"samples without a command: {figures['lost_samples']} of {bag['expected_samples']}; "
+        f"missing in the bag: {missing}\n"
+        f"CPU: {figures['cpu_cores']:.2f} cores; amplifier on in {100 * bag['amplifier_on']:.1f} % of the window",
+        highlight=False,
+    )
+
+
+def _step_arguments(parser: argparse.ArgumentParser) -> None:
+    add_parameter_options(parser)
+    repeats = "repeats of 1000 calls of each function (default: %(default)s)"
+    parser.add_argument("--repeats", type=int, default=25, help=repeats)
+    add_json(parser)
+
+
+def _step(options: argparse.Namespace) -> None:
+    """Time the functions that are called once in each cycle: a step of each control law, packing and unpacking of each
+    stream's messages, and one sample of `straightcomp simulate`. Prints the median, least and largest of repeats."""
+    from straightcomp_ros.bench.step_costs import law_costs, message_costs, simulation_cost
+    from straightcomp_ros.parameters.node_parameters import node_parameters
+
+    check_range("--repeats", options.repeats, 1, _MOST_REPEATS)
+    values = chosen_parameters(options)
+    controller = node_parameters("controller", values)
+    with working("timing"):
+        sample, speed = simulation_cost(values, min(options.repeats, _SIMULATIONS))
+        laws = law_costs(controller.control, controller.stage, options.repeats)
+        messages = message_costs(options.repeats)
+    figures = {
+        "laws": {name: found.to_display() for name, found in laws.items()},
+        "messages": {
+            topic: {verb: found.to_display() for verb, found in both.items()} for topic, both in messages.items()
+        },
+        "simulate": {"simulated_seconds_per_second": speed, "sample": sample.to_display()},
+    }
+    if options.json:
+        print_json(figures)
+    else:
+        console.print(_costs(figures))
+
+
+def _costs(figures: Mapping[str, Any]) -> Any:
+    table = titled_table("Cost of one call", "function", "median [µs]", "min", "max")
+    rows = {f"law '{name}'": found for name, found in figures["laws"].items()}
+    for topic, both in figures["messages"].items():
+        rows |= {f"{verb} '{topic}'": found for verb, found in both.items()}
+    simulate = figures["simulate"]
+    rows[f"simulated sample ({simulate['simulated_seconds_per_second']:.1f} × real time)"] = simulate["sample"]
+    for function, found in rows.items():
+        table.add_row(function, *(f"{found[key]:.2f}" for key in ("median_us", "min_us", "max_us")))
+    return table
+
+
+TOOLS = {
+    "graph": Tool("rate, lateness, latency, losses, CPU and memory of the running graph", _graph_arguments, _graph),
+    "step": Tool("µs per control step, per message, and per simulated sample", _step_arguments, _step),
+}

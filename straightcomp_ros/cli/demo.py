@@ -13,14 +13,21 @@ from pathlib import Path
 
 from straightcomp_ros.analysis.pictures import plot_run
 from straightcomp_ros.cell.demonstration import demonstrate, on_hub
-from straightcomp_ros.cli.law_tables import results_table, timing_table
-from straightcomp_ros.cli.options import add_force, add_namespace, named_files, output_folder
+from straightcomp_ros.cli.options import (
+    add_force,
+    add_json,
+    add_namespace,
+    add_parameter_options,
+    chosen_parameters,
+    named_files,
+    output_folder,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
-from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.cli.results import fail_unless_in_order, print_verdict, results_table, timing_table
+from straightcomp_ros.parameters.output_files import making
 
 SUMMARY = "run the node graph for one stroke, record and evaluate it"
+PURPOSE = "run"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,15 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--lockstep", action="store_true", help="run in lockstep: deterministic, as fast as the machine can")
     hardware = "can: the machine is an emulated board in a process of its own, on a CAN bus between processes"
     add("--hardware", choices=("simulated", "can"), help=hardware)
-    add(
-        "--opcua",
-        action="store_true",
-        help="a client of the OPC UA gateway runs the cycle, in place of the cell's node",
-    )
+    opcua = "a client of the OPC UA gateway runs the cycle, in place of the cell's node"
+    add("--opcua", action="store_true", help=opcua)
     add_namespace(parser)
     add("--strokes", type=int, metavar="N", help="strokes forward and back (default: the parameters')")
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:

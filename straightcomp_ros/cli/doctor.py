@@ -5,23 +5,26 @@ Each check is ok, warn (it runs, but less well, or not in every way) or fail. Th
 import argparse
 import itertools
 
-from straightcomp_ros.cli.findings import show_findings
+from straightcomp_ros.cli.options import add_json
+from straightcomp_ros.cli.results import show_findings
 from straightcomp_ros.doctor.computer import examine
-from straightcomp_ros.doctor.stage_findings import board_findings
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
 
 SUMMARY = "look at this machine and say what to do"
+PURPOSE = "set up"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stage", metavar="FILE", help="stage file: look at its board's frames on CAN too")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     found = examine()
     if options.stage:
+        from straightcomp_ros.doctor.stage_findings import board_findings
+        from straightcomp_ros.parameters.node_parameters import node_parameters
+        from straightcomp_ros.parameters.parameter_file import shipped_parameters
+
         board = board_findings(node_parameters("driver", shipped_parameters(stage=options.stage)))
         found = itertools.chain(found, board)
     return show_findings(found, json=options.json)

@@ -7,14 +7,14 @@ import argparse
 import sys
 
 from straightcomp_ros.cli import main as command_line
-from straightcomp_ros.cli.options import check_range
+from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import check_interface
 from straightcomp_ros.parameters.node_parameters import node_parameters
 
 SUMMARY = "emulate the DSP board on a CAN bus"
+PURPOSE = "run"
 _MOST_DRIFT_PPM = 1000.0
 _BUSES_OF_THE_FIRMWARE = ("socketcan", INTERFACE)
 
@@ -22,9 +22,8 @@ _BUSES_OF_THE_FIRMWARE = ("socketcan", INTERFACE)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
-    add(
-        "--drift-ppm", type=float, default=0.0, metavar="PPM", help="error of the board's quartz (default: %(default)s)"
-    )
+    drift = "error of the board's quartz (default: %(default)s)"
+    add("--drift-ppm", type=float, default=0.0, metavar="PPM", help=drift)
     add("--hub", action="store_true", help="be the hub of interface straightcomp_hub too, at the socket can.channel")
 
 

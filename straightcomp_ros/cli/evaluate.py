@@ -10,16 +10,16 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from straightcomp_ros.cli.law_tables import marked, shown, titled_table
-from straightcomp_ros.cli.options import add_force, add_repeatable, output_file
+from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json, working
-from straightcomp_ros.cli.verdict_output import fail_unless_in_order, print_verdict
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.cli.results import fail_unless_in_order, marked, print_verdict, shown, titled_table
+from straightcomp_ros.parameters.output_files import write_whole
 
 if TYPE_CHECKING:
     from straightcomp_ros.analysis.assessment import Assessment
 
 SUMMARY = "judge a recorded run, against limits if wanted"
+PURPOSE = "judge"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", metavar="FILE", help="also write a report with interactive plots (one HTML file)")
     add_remap_option(parser)
     add_force(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:

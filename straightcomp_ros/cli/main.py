@@ -1,28 +1,26 @@
 """Entry point of `straightcomp`: finds the verb, turns expected errors into one sentence and an exit code."""
 
 import argparse
+import functools
 import importlib
 import importlib.util
+import inspect
 import os
 import re
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
-from xml.etree import ElementTree
+from typing import Any, NamedTuple, NoReturn
 
-from straightcomp_ros.cli.output import CommandFailed, Terminated, print_in_any_encoding, printable
-from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.cli import CommandFailed, Terminated, Tool, print_in_any_encoding, printable
+from straightcomp_ros.parameters.share import PACKAGE, share_path
 
-_NAMES = "bench can completion demo doctor dsp evaluate map opcua recover replay simulate stage view"
-_TUNING = "commission design frequency-response friction reproduce robustness"
-_FOLDERS = {"cli": _NAMES, "tuning.verbs": _TUNING, "fleet.verbs": "history"}
-_VERBS = {
-    name: f"straightcomp_ros.{folder}.{name.replace('-', '_')}"
-    for folder, names in _FOLDERS.items()
-    for name in sorted(names.split())
-}
-"""The module of each verb."""
+GROUP = "straightcomp.verbs"
+"""Entry points whose names are verbs, and whose values are their modules."""
+PURPOSES = ("run", "judge", "set up", "tune", "fleet", "other")
+"""Order of the verbs in the help."""
+_OF_FOLDER = {f"{PACKAGE}.tuning.": "tune", f"{PACKAGE}.fleet.": "fleet"}
+"""Purpose of a verb that names none, by the beginning of its module's name."""
 _FIRST_STEPS = """\
 first steps:
   straightcomp doctor                   can this machine run it, and what would help?
@@ -30,37 +28,73 @@ first steps:
   straightcomp simulate --law linear    the same without a graph
   straightcomp COMMAND --help           what a command takes
 """
-_WRONG_USE = set(
-    ["HardwareError", "HistoryError", "LimitsError", "OutputRefused", "ParameterError", "SurveyError", "UsersError"]
-)
+_WRONG_USE = {
+    *("HardwareError", "HistoryError", "LimitsError", "OutputRefused", "ParameterError", "SurveyError", "UsersError")
+}
 """Those of the package's errors that mean wrong use, by name, since importing all of them takes seconds."""
 _CLOSED_PIPE = 141
 """Exit code that a shell gives a program that SIGPIPE ended."""
 _TERMINATED = 143
 """The same of SIGTERM."""
+_Help = functools.partial(argparse.RawDescriptionHelpFormatter, max_help_position=26)
+
+
+class Verb(NamedTuple):
+    """Where a verb is: its module, the package that brings it, and the extras of that package that it needs."""
+
+    module: str
+    package: str = PACKAGE
+    extras: tuple[str, ...] = ()
+
+
+Verbs = Mapping[str, Sequence[Verb]]
+"""Verbs by name; a name that several packages have given away has one of each."""
+
+
+def installed_verbs() -> dict[str, list[Verb]]:
+    """The verbs of all installed packages, in the order of their names."""
+    # Only here: --version needs it not, and its import takes as long as the rest of the start.
+    from importlib.metadata import entry_points
+
+    verbs: dict[str, list[Verb]] = {}
+    for entry in sorted(entry_points(group=GROUP)):
+        package = entry.dist.name if entry.dist is not None else entry.module.partition(".")[0]
+        verbs.setdefault(entry.name, []).append(Verb(entry.module, package, tuple(entry.extras)))
+    return verbs
 
 
 def main(
-    arguments: Sequence[str] | None = None, verbs: Mapping[str, str] = _VERBS, program: str = "straightcomp"
+    arguments: Sequence[str] | None = None, verbs: Mapping[str, str] | None = None, program: str = "straightcomp"
 ) -> int:
-    """Run one command of ``program``, whose ``verbs`` are in modules of these names; returns its exit code.
+    """Run one command of ``program``; returns its exit code: 0 is done, 1 failed, 2 wrong use.
 
-    0 is done, 1 failed, 2 wrong use.
+    Its verbs are those of the entry points, or ``verbs``, names of modules by verb.
     """
     print_in_any_encoding()
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if given[:1] == ["--version"]:
+        from xml.etree import ElementTree
+
+        print(f"{program} {ElementTree.parse(share_path('package.xml')).findtext('version')}")
+        return 0
+    found: Verbs = installed_verbs() if verbs is None else {name: [Verb(one)] for name, one in verbs.items()}
     # A verb that is named is imported alone: all of them together take seconds.
-    options = make_parser(given[:1], verbs, program).parse_args(given)
+    named = given[0] if given and given[0] in found else None
+    words = [program]
     try:
+        if not found:
+            raise CommandFailed("no verb is installed; remedy: pip install straightcomp_ros, in a checkout make setup")
+        options = make_parser(given[:2] if named else [], found, program).parse_args(given)
+        words += filter(None, (options.verb, getattr(options, "tool", None)))
         code = int(options.run(options) or 0)
         sys.stdout.flush()
         return code
     except CommandFailed as failure:
-        return _ended(options, str(failure), failure.exit_code)
+        return _ended(words, str(failure), failure.exit_code)
     except Terminated:
-        return _ended(options, "terminated", _TERMINATED)
+        return _ended(words, "terminated", _TERMINATED)
     except KeyboardInterrupt:
-        return _ended(options, "interrupted", 130)
+        return _ended(words, "interrupted", 130)
     except BrokenPipeError:
         # The reader of our output has gone (`… | head`): end without a word, also when Python flushes at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -68,51 +102,106 @@ def main(
     except OSError as error:
         # A file or folder that changed during the work, or a full disk: no verb foresees all of these.
         name = f"{error.filename}: " if error.filename else ""
-        return _ended(options, f"{name}{error.strerror or error}", 1)
+        return _ended(words, f"{name}{error.strerror or error}", 1)
     except Exception as error:
+        missing = _missing(error, found[named][0]) if named else None
+        if missing:
+            return _ended(words, missing, 2)
         # The message of an error of the package is for the user; any other error is a bug and shows its traceback.
-        if not type(error).__module__.startswith("straightcomp_ros."):
+        if not type(error).__module__.startswith(f"{PACKAGE}."):
             raise
-        return _ended(options, str(error), 2 if _WRONG_USE & {kind.__name__ for kind in type(error).__mro__} else 1)
+        return _ended(words, str(error), 2 if _WRONG_USE & {kind.__name__ for kind in type(error).__mro__} else 1)
 
 
-def _ended(options: argparse.Namespace, sentence: str, exit_code: int) -> int:
-    words = ("straightcomp", options.verb, getattr(options, "tool", None))
-    print(printable(f"{' '.join(filter(None, words))}: {sentence}"), file=sys.stderr)
+def _ended(words: Sequence[str], sentence: str, exit_code: int) -> int:
+    print(printable(f"{' '.join(words)}: {sentence}"), file=sys.stderr)
     return exit_code
 
 
+def _missing(error: Exception, verb: Verb) -> str | None:
+    """Which extra to install, if ``error`` is the import of what an extra of the verb brings."""
+    name = error.name if isinstance(error, ModuleNotFoundError) else None
+    if not (name and verb.extras) or name.partition(".")[0] == verb.module.partition(".")[0]:
+        return None
+    return f"{name} is not there; remedy: pip install '{verb.package}[{','.join(verb.extras)}]'"
+
+
 def make_parser(
-    complete: Collection[str] = _VERBS.keys(), table: Mapping[str, str] = _VERBS, program: str = "straightcomp"
+    words: Sequence[str] | None = None, verbs: Verbs | None = None, program: str = "straightcomp"
 ) -> argparse.ArgumentParser:
-    """The parser of all verbs; those that are not in ``complete`` with their summary only."""
+    """The parser of all verbs; of one alone, where ``words`` begin with it and perhaps its tool; or, where there are no
+    words, of all with their summaries only.
+
+    Raises:
+        CommandFailed: the verb in ``words`` cannot be imported, or two packages have it.
+    """
+    found = installed_verbs() if verbs is None else verbs
+    if words:
+        found = {words[0]: found[words[0]]}
+    headlines = {name: _headline(brought) for name, brought in found.items()}
     parser = _Parser(
         prog=program,
+        usage="%(prog)s [-h] [--version] COMMAND ...",
         description="Straightness compensation of linear-motor stages: simulate, run, record and judge.",
-        epilog=_FIRST_STEPS if table is _VERBS else None,
+        epilog=_FIRST_STEPS if "doctor" in found else None,
         formatter_class=_Help,
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
-    verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
-    for name, source in table.items():
-        if name in complete:
-            _add_command(verbs, name, source)
-        else:
-            verbs.add_parser(name, help=_summary(source))
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    commands = parser.add_subparsers(
+        title="commands", description=_listed(headlines), prog=program, dest="verb", metavar="COMMAND", required=True
+    )
+    if words is not None:
+        # The description lists the verbs by purpose; a script for completion needs them here.
+        commands.help = argparse.SUPPRESS
+    for name, brought in found.items():
+        summary, _ = headlines[name]
+        if words is None or words:
+            try:
+                _add_command(commands, name, _loaded(name, brought), words and words[1:])
+                continue
+            except CommandFailed:
+                if words is not None:
+                    raise
+        commands.add_parser(name, help=summary.replace("%", "%%"))
     return parser
 
 
-def _add_command(commands: Any, name: str, source: str) -> None:
-    """Add the parser of a verb or tool, from its module, with those of all its tools."""
-    module = importlib.import_module(source)
-    parser = commands.add_parser(name, help=module.SUMMARY, description=module.__doc__, formatter_class=_Help)
-    if not hasattr(module, "TOOLS"):
-        module.add_arguments(parser)
-        parser.set_defaults(run=module.run)
+def _loaded(name: str, brought: Sequence[Verb]) -> Any:
+    """The module of a verb."""
+    if len(brought) > 1:
+        packages = " and ".join(one.package for one in brought)
+        raise CommandFailed(f"'{name}' is a verb of {packages}; remedy: uninstall all but one of them", exit_code=2)
+    (verb,) = brought
+    try:
+        return importlib.import_module(verb.module)
+    except Exception as error:
+        if missing := _missing(error, verb):
+            raise CommandFailed(missing, exit_code=2) from error
+        if verb.package == PACKAGE:
+            raise
+        text = f"'{name}' of {verb.package} cannot be loaded: {type(error).__name__}: {error}"
+        raise CommandFailed(text) from error
+
+
+def _add_command(commands: Any, name: str, command: Any, words: Sequence[str] | None) -> None:
+    """Add the parser of a verb or tool, a module or a :class:`Tool`, with those of its tools; where the first of
+    ``words`` is one of them, the others with their summary only."""
+    text = command.run if isinstance(command, Tool) else command
+    parser = commands.add_parser(name, help=command.SUMMARY, description=inspect.getdoc(text), formatter_class=_Help)
+    if not hasattr(command, "TOOLS"):
+        command.add_arguments(parser)
+        parser.set_defaults(run=command.run)
         return
-    tools = parser.add_subparsers(dest="tool", metavar=getattr(module, "TOOL", "TOOL"), required=True)
-    for tool in module.TOOLS:
-        _add_command(tools, tool, f"{source}_{tool}")
+    tools = parser.add_subparsers(dest="tool", metavar=getattr(command, "TOOL", "TOOL"), required=True)
+    for tool in command.TOOLS:
+        if isinstance(command.TOOLS, Mapping):
+            found = command.TOOLS[tool]
+        else:
+            found = importlib.import_module(f"{command.__name__}_{tool}")
+        if words is None or tool in words[:1]:
+            _add_command(tools, tool, found, words and words[1:])
+        else:
+            tools.add_parser(tool, help=found.SUMMARY)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -123,33 +212,30 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, printable(f"{self.prog}: {message}; see {self.prog} --help\n"))
 
 
-class _Help(argparse.RawDescriptionHelpFormatter):
-    """Texts as they are written, and room for the longest verb beside its summary."""
-
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, max_help_position=26)
-
-    def add_argument(self, action: argparse.Action) -> None:
-        super().add_argument(action)
-        if isinstance(action, argparse._SubParsersAction):
-            # argparse forgets that verbs are indented further than options, and breaks the line after the longest.
-            self._action_max_length += self._indent_increment
-
-
-class _Version(argparse.Action):
-    """Prints the version of package.xml, the only place where it is written."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        print(f"straightcomp {ElementTree.parse(share_path('package.xml')).findtext('version')}")
-        parser.exit()
+def _headline(brought: Sequence[Verb]) -> tuple[str, str]:
+    """SUMMARY and PURPOSE of a verb, read without importing it; a verb that cannot be read says so."""
+    verb = brought[0]
+    purpose = next((purpose for start, purpose in _OF_FOLDER.items() if verb.module.startswith(start)), PURPOSES[-1])
+    if len(brought) > 1:
+        return f"of {' and '.join(one.package for one in brought)}: uninstall all but one", purpose
+    try:
+        specification = importlib.util.find_spec(verb.module)
+        text = Path(specification.origin).read_text(encoding="utf-8")  # type: ignore[union-attr, arg-type]
+        literals = dict(re.findall(r'^(SUMMARY|PURPOSE) = "(.*)"$', text, re.MULTILINE))
+        purpose = literals.get("PURPOSE", purpose)
+        return literals["SUMMARY"], purpose if purpose in PURPOSES else PURPOSES[-1]
+    except Exception as error:  # of another package's own import, too
+        return f"cannot be loaded ({verb.package}): {type(error).__name__}: {error}", purpose
 
 
-def _summary(source: str) -> str:
-    """SUMMARY of a verb, read without importing it."""
-    specification = importlib.util.find_spec(source)
-    assert specification is not None and specification.origin is not None
-    text = Path(specification.origin).read_text(encoding="utf-8")
-    return str(re.findall(r'^SUMMARY = "(.*)"$', text, re.MULTILINE)[0])
+def _listed(headlines: Mapping[str, tuple[str, str]]) -> str:
+    """The verbs under their purposes; without a heading where they have only one."""
+    width = max(map(len, headlines), default=0)
+    lines = {purpose: [] for purpose in PURPOSES}
+    for name, (summary, purpose) in headlines.items():
+        lines[purpose].append(f"  {name:{width}}  {summary}")
+    used = [(f"{purpose}:", *listed) for purpose, listed in lines.items() if listed]
+    return printable("\n".join(line for listed in used for line in (listed if len(used) > 1 else listed[1:])))
 
 
 if __name__ == "__main__":

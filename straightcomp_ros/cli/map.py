@@ -1,4 +1,274 @@
 """Work on the map of the guide: import surveys of instruments and controllers, export the map."""
 
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from straightcomp_ros.cli import Tool
+from straightcomp_ros.cli.options import PICTURES, add_force, add_json, check_range, output_file
+from straightcomp_ros.cli.output import CommandFailed, console, noted_warnings, notes, print_json
+from straightcomp_ros.cli.results import figures_table
+from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
+
+if TYPE_CHECKING:
+    from straightcomp_ros.analysis.map_building import BuiltMap
+    from straightcomp_ros.straightness.tables.error_table import Conventions
+
 SUMMARY = "build the map of the guide from a survey, convert surveys, export a controller's error table"
-TOOLS = ("build", "convert", "export")
+PURPOSE = "set up"
+_SMALLEST_SPACING_MM, _LARGEST_SPACING_MM = 0.1, 1000.0
+
+
+def _build_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("source", metavar="SOURCE", help="bag, or CSV file")
+    add("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
+    add_force(parser)
+    add("--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)")
+    add("--outliers", type=float, default=6.0, metavar="K", help="robust standard deviations (default: %(default)g)")
+    add("--level", action="store_true", help="take the least squares line out, not only the mean")
+    add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    for quantity in ("x", "deviation"):
+        own = f"the CSV file's own name for the column of {quantity}, which ends with its unit"
+        add(f"--{quantity}-column", metavar="NAME", help=own)
+    add_json(parser)
+    add = parser.add_argument_group("what to read from a bag").add_argument
+    stage = f"x of the slider in m (default: {ENCODER.topic}:position[{STAGE}])"
+    add("--stage", metavar="TOPIC[:FIELD]", default=ENCODER.topic, help=stage)
+    sensor = "reading of the displacement sensor, e.g. /probe:range or /probe:point.y"
+    sensor += f" (default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])"
+    add("--sensor", metavar="TOPIC[:FIELD]", default=DISPLACEMENT.topic, help=sensor)
+    add("--unit", choices=("m", "mm", "um", "nm"), default="m", help="of the readings (default: %(default)s)")
+    add("--invert", action="store_true", help="the reading falls when the slider moves towards +y")
+    add("--delay", type=float, default=0.0, metavar="MS", help="age of a reading at its stamp (default: %(default)g)")
+    add("--on-platform", action="store_true", help="the sensor rides on the platform: its y is taken off the reading")
+
+
+def _build(options: argparse.Namespace) -> None:
+    """Make a map from a survey: a bag (stage X and a displacement sensor), a CSV recording over time, or a survey file.
+
+    Recognises runs and their directions, rejects spikes and runs that do not agree, reports repeatability in the way of
+    ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `stage.guide.file`."""
+    from straightcomp_ros.straightness.survey import SurveyError
+
+    for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6), ("delay", -1000.0, 1000.0)):
+        check_range(f"--{name}", getattr(options, name), low, high)
+    output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
+    with noted_warnings(UserWarning) as texts:
+        try:
+            built = _built(options)
+        except SurveyError as error:
+            # The survey is this tool's work, no option: exit code 1.
+            raise CommandFailed(str(error)) from error
+    if output is not None:
+        built.write(output)
+    if plot is not None:
+        from straightcomp_ros.analysis.pictures import plot_map
+
+        plot_map(built, plot)
+    if options.json:
+        print_json({**_built_in_json(built), "output": options.output, "warnings": texts})
+    else:
+        _print_built(built, options.output)
+
+
+def _built(options: argparse.Namespace) -> BuiltMap:
+    from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
+    from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
+    from straightcomp_ros.bags.fields import Field
+    from straightcomp_ros.bags.folder import STORED
+    from straightcomp_ros.straightness.survey import SurveyError, read_survey
+
+    choices = Choices(step=options.step * 1e-3, limit=options.outliers, level=options.level)
+    source = Path(options.source)
+    if not source.exists():
+        raise SurveyError(f"survey {source} does not exist; give a bag or a CSV file")
+    if source.is_dir() or STORED.fullmatch(source.name):
+        try:
+            stage = Field.parsed(options.stage, f"position[{STAGE}]")
+            readings = Field.parsed(options.sensor, Sensor().readings.path)
+        except ValueError as error:
+            raise CommandFailed(f"--stage or --sensor: {error}", exit_code=2) from error
+        sensor = Sensor(readings, options.unit, options.invert, options.delay * 1e-3, options.on_platform)
+        return build_from_series(series_of_bag(source, stage, sensor), source, choices)
+    own = {"x": options.x_column, "deviation": options.deviation_column}
+    names = {quantity: name for quantity, name in own.items() if name is not None}
+    if is_series(source, names):
+        return build_from_series(series_of_csv(source, names), source, choices)
+    parameters = choices.parameters
+    survey = read_survey(source, min_points=parameters.min_points, max_gap=parameters.max_gap, names=names)
+    return build(survey, source, choices)
+
+
+def _built_in_json(built: BuiltMap) -> dict[str, Any]:
+    found = built.repeatability
+
+    def um(values: Any) -> list[float] | None:
+        return None if values is None else (values * 1e6).tolist()
+
+    return {
+        **built.figures(),
+        "provenance": dict(built.provenance),
+        "runs": [
+            {
+                "name": passage.run.name,
+                "direction": passage.run.direction,
+                "start_s": passage.start,
+                "duration_s": passage.duration,
+                "points": int(passage.run.x.size),
+                "at_rest": passage.at_rest,
+                "samples": passage.samples,
+                "rejected_samples": passage.spikes,
+                "rejected": f"{passage.run.name} {passage.run.direction}" in built.rejected_runs,
+            }
+            for passage in built.passages
+        ],
+        "rejected_run_names": list(built.rejected_runs),
+        "rejected_point_list": [{"run": run, "x_mm": x * 1e3} for run, x in built.rejected_points],
+        "x_mm": (found.x * 1e3).tolist(),
+        "mean_um": um(built.mean),
+        "forward_s_um": um(found.forward.s if found.forward else None),
+        "backward_s_um": um(found.backward.s if found.backward else None),
+        "reversal_um": um(found.reversal),
+    }
+
+
+def _print_built(built: BuiltMap, output: str | None) -> None:
+    console.print(figures_table(f"Survey {built.survey.source}", built.figures()))
+    for name in built.rejected_runs:
+        notes.print(f"run {name} is rejected: it differs from the others")
+    for name, x in built.rejected_points[:20]:
+        notes.print(f"run {name}: the point at x = {x * 1e3:.1f} mm is rejected")
+    if len(built.rejected_points) > 20:
+        notes.print(f"and {len(built.rejected_points) - 20} more points")
+    if built.repeatability.short_of_the_standard:
+        notes.print("ISO 230-2 asks for five runs each way: the repeatability is less certain")
+    if output:
+        notes.print(f"map: {output}")
+
+
+def _convert_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", help="what the instrument or the controller has written")
+    parser.add_argument("--output", "-o", required=True, metavar="FILE", help="survey to write (CSV)")
+    _add_table_options(parser)
+    add_force(parser)
+    add_json(parser)
+
+
+def _convert(options: argparse.Namespace) -> None:
+    """Make a survey (CSV) of what an instrument or a controller has written.
+
+    The signs differ from maker to maker: after a conversion, compare one point with the instrument's own display, and
+    use --negate if it has the other sign."""
+    from straightcomp_ros.straightness.survey import Survey, write_survey
+    from straightcomp_ros.straightness.tables.formats import format_of
+
+    conventions = _chosen_conventions(options)
+    source, output = Path(options.file), output_file(options, "--output")
+    found = format_of(source, options.format).read(source, conventions)
+    survey = found if isinstance(found, Survey) else found.to_survey(str(source))
+    if options.negate:
+        survey = survey.negated()
+    write_survey(output, survey, [f"Converted from {source.name}"])
+    first = survey.runs[0]
+    figures = {
+        "output": str(output),
+        "points": len(first.x),
+        "directions": [run.direction for run in survey.runs],
+        "first_x_m": float(first.x[0]),
+        "last_x_m": float(first.x[-1]),
+        "peak_to_peak_um": float(max(run.deviation.max() for run in survey.runs) * 1e6)
+        - float(min(run.deviation.min() for run in survey.runs) * 1e6),
+    }
+    if options.json:
+        print_json(figures)
+    else:
+        console.print(
+            f"{output}: {figures['points']} points from {first.x[0] * 1e3:g} to {first.x[-1] * 1e3:g} mm, "
+            f"{figures['peak_to_peak_um']:.2f} µm peak to peak, {' and '.join(run.direction for run in survey.runs)}"
+        )
+
+
+def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False) -> None:
+    """Declare the options of all tools that read error tables of controllers, or those that have them ``written``."""
+    from straightcomp_ros.straightness.tables.error_table import UNITS, Conventions
+    from straightcomp_ros.straightness.tables.formats import FORMATS, WRITTEN
+
+    formats = tuple(WRITTEN if written else FORMATS)
+    add = parser.add_argument
+    endings = ", ".join(f"{FORMATS[name].ending} {name}" for name in formats)
+    add("--format", choices=formats, help=f"format (default: by the file's ending: {endings})")
+    unit = "length unit of the controller where the file does not say it: linuxcnc, aerotech (default: %(default)s)"
+    add("--unit", choices=UNITS, default=Conventions.unit, help=unit)
+    for axis, default in (("stage", Conventions.stage_axis), ("platform", Conventions.platform_axis)):
+        number = f"the {axis}'s number in the controller, from 1: aerotech, crosscomp (default: %(default)s)"
+        add(f"--{axis}-axis", type=int, default=default, metavar="N", help=number)
+    error = "name of the straightness error after ISO 230-1: etalon (default: %(default)s)"
+    add("--error", default=Conventions.error, metavar="NAME", help=error)
+    add("--negate", action="store_true", help="turn the sign over, for an axis that counts the other way")
+
+
+def _chosen_conventions(options: argparse.Namespace) -> Conventions:
+    """The conventions that the options name; CommandFailed with exit code 2 if an axis is not allowed."""
+    from straightcomp_ros.straightness.tables.error_table import Conventions
+
+    for axis in ("stage", "platform"):
+        check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
+    if options.stage_axis == options.platform_axis:
+        raise CommandFailed(f"--stage-axis and --platform-axis: both {options.stage_axis}; allowed: two", exit_code=2)
+    return Conventions(options.unit, options.stage_axis, options.platform_axis, options.error.upper())
+
+
+def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    from straightcomp_ros.straightness.guide_map import MapParameters
+
+    add = parser.add_argument
+    add("--output", "-o", required=True, metavar="FILE", help="error table to write")
+    add("--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)")
+    add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
+    _add_table_options(parser, written=True)
+    add_force(parser)
+    add_json(parser)
+
+
+def _export(options: argparse.Namespace) -> None:
+    """Write the map as an error table for a machine controller that corrects by itself.
+
+    The table's correction is the map's reference: what has to be added to the platform's position. Before the first
+    motion compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
+    from straightcomp_ros.parameters.output_files import write_whole
+    from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+    from straightcomp_ros.straightness.tables.error_table import sampled
+    from straightcomp_ros.straightness.tables.formats import WRITTEN, format_of
+
+    conventions = _chosen_conventions(options)
+    check_range("--spacing", options.spacing, _SMALLEST_SPACING_MM, _LARGEST_SPACING_MM, "mm")
+    output = output_file(options, "--output")
+    table, error = sampled(load_map(MapParameters(file=options.survey)), options.spacing * 1e-3)
+    write = format_of(output, options.format).write
+    if write is None:
+        raise CommandFailed(f"--output {output}: an instrument's file; allowed: {', '.join(WRITTEN)}", exit_code=2)
+    written = write(table.negated() if options.negate else table, conventions)
+    write_whole(output, written)
+    figures = {
+        "output": str(output),
+        "points": len(table.x),
+        "spacing_mm": float(table.x[1] - table.x[0]) * 1e3,
+        "interpolation_error_um": error * 1e6,
+    }
+    if options.json:
+        print_json(figures)
+    else:
+        console.print(
+            f"{output}: {len(table.x)} points, {figures['spacing_mm']:g} mm apart; a controller that interpolates "
+            f"linearly is at most {figures['interpolation_error_um']:.3f} µm beside the map"
+        )
+
+
+TOOLS = {
+    "build": Tool("map from a bag of survey runs, or from CSV", _build_arguments, _build),
+    "convert": Tool("make a survey of an instrument's or a controller's file", _convert_arguments, _convert),
+    "export": Tool("write the map as a controller's error table", _export_arguments, _export),
+}

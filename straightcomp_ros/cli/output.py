@@ -2,52 +2,23 @@
 
 from __future__ import annotations
 
-import codecs
 import json
-import re
 import sys
-import unicodedata
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from io import TextIOWrapper
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
 
-from straightcomp_ros.parameters.plain_json import plain
+from straightcomp_ros.cli import CommandFailed, Terminated, printable
+from straightcomp_ros.parameters.output_files import plain
+
+__all__ = ["CommandFailed", "Terminated", "printable"]
 
 if TYPE_CHECKING:
     from rich.progress import Progress
-
-_ASCII = str.maketrans({"µ": "u", "–": "-", "−": "-", "±": "+-", "→": "->", "≥": ">=", "≤": "<=", "…": "...", "×": "x"})
-# All but the tab and the end of a line, which tables and texts of several lines need; and what reverses a line's order.
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-
-
-def printable(text: str) -> str:
-    """The text with its control characters, which would steer the terminal, as escapes such as ``\\x1b``."""
-    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
-
-
-def _in_ascii(error: UnicodeError) -> tuple[str, int]:
-    """An error handler of codecs: what the terminal cannot show in similar characters, or as an escape."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    text = error.object[error.start : error.end]
-    known = unicodedata.normalize("NFKD", text.translate(_ASCII)).encode("ascii", "ignore").decode()
-    return known or text.encode("ascii", "backslashreplace").decode(), error.end
-
-
-codecs.register_error("straightcomp", _in_ascii)
-
-
-def print_in_any_encoding() -> None:
-    """From now on no text fails on standard output and error, whatever encoding they have."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="straightcomp")
 
 
 class _Console(Console):
@@ -70,18 +41,6 @@ console = _Console()
 """Standard output: results."""
 notes = _Console(stderr=True)
 """Standard error: progress and remarks, so that results can be piped."""
-
-
-class CommandFailed(Exception):
-    """The command cannot do what was asked; the message says why, and what would help."""
-
-    def __init__(self, message: str, exit_code: int = 1) -> None:
-        super().__init__(message)
-        self.exit_code = exit_code
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM came; what ends the command does so as after Ctrl-C."""
 
 
 def require_ros() -> None:

@@ -7,16 +7,18 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.law_tables import titled_table
+from straightcomp_ros.cli.options import add_json
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
+from straightcomp_ros.cli.results import titled_table
 
 SUMMARY = "make a finished bag from a cut-off or damaged one"
+PURPOSE = "judge"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", metavar="BAG", help="rosbag2 folder or MCAP file")
     parser.add_argument("--output", "-o", metavar="DIR", help="folder of the new bag (default: BAG_recovered)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.cli.evaluate import add_remap_option, parsed_remap
-from straightcomp_ros.cli.law_tables import marked, shown, titled_table
-from straightcomp_ros.cli.options import add_force, add_repeatable, output_folder
+from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, require_ros, working
-from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict
+from straightcomp_ros.cli.results import fail_unless_in_order, in_json, marked, print_verdict, shown, titled_table
 
 SUMMARY = "run a recorded run again: to the bit, or with other laws and parameters"
+PURPOSE = "judge"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--output", "-o", metavar="DIR", default="replay_output", help="folder for --graph (default: %(default)s)")
     add_remap_option(parser)
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -75,7 +75,7 @@ def _audit(options: argparse.Namespace, bag: Path, remap: dict[str, str], given:
 
 
 def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
-    from straightcomp_ros.cli.parameter_options import chosen_changes
+    from straightcomp_ros.cli.options import chosen_changes
     from straightcomp_ros.offline.replay.what_if import what_if
 
     with working("simulating"):
@@ -100,7 +100,7 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], give
 def _graph(options: argparse.Namespace, bag: Path, remap: dict[str, str], given: Any) -> None:
     from straightcomp_ros.cell.launcher import LaunchError
     from straightcomp_ros.offline.replay.graph_replay import replay_through_graph
-    from straightcomp_ros.parameters.output_folder import making
+    from straightcomp_ros.parameters.output_files import making
 
     require_ros()
     output = output_folder("--output", options.output)

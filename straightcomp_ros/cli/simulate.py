@@ -11,11 +11,24 @@ from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_run
 from straightcomp_ros.bags.simulated_run import SimulatedRun
-from straightcomp_ros.cli.law_tables import cycles_table, results_table
-from straightcomp_ros.cli.options import PICTURES, add_force, check_range, output_file
+from straightcomp_ros.cli.options import (
+    PICTURES,
+    add_force,
+    add_json,
+    add_parameter_options,
+    check_range,
+    chosen_parameters,
+    output_file,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict, warn_of_missing_margin
+from straightcomp_ros.cli.results import (
+    cycles_table,
+    fail_unless_in_order,
+    in_json,
+    print_verdict,
+    results_table,
+    warn_of_missing_margin,
+)
 from straightcomp_ros.offline.compiled_stroke import can_run, run_stroke
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
@@ -25,6 +38,7 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import SurveyError
 
 SUMMARY = "run strokes forward and back offline"
+PURPOSE = "run"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--bag", metavar="DIR", help="also write the run as a bag, as the graph would record it")
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
     add_force(parser)
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -1,4 +1,189 @@
 """The description of a stage: write one, check it, and show what follows from it."""
 
+import argparse
+import itertools
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+from straightcomp_ros.cli import Tool
+from straightcomp_ros.cli.options import (
+    add_force,
+    add_json,
+    add_repeatable,
+    add_stage_argument,
+    output_folder,
+    stage_values,
+)
+from straightcomp_ros.cli.output import CommandFailed, console, print_json
+from straightcomp_ros.cli.results import show_findings, titled_table
+from straightcomp_ros.parameters.declaration import Declaration, ParameterError, declarations, from_mapping
+from straightcomp_ros.parameters.node_parameters import STAGE, node_parameters
+from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.parameter_file import ALL_NODES, commented
+from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
+from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
+from straightcomp_ros.straightness.survey import read_survey
+
 SUMMARY = "describe your own stage: write the description, check it, show what follows"
-TOOLS = ("new", "check", "show")
+PURPOSE = "set up"
+FILE, SURVEY = "stage.yaml", "survey.csv"
+_ASKED = """
+rate motion.speed motion.acceleration platform.mass actuator.turns actuator.pole_area actuator.air_gap
+actuator.bias_current actuator.current_limit friction.coulomb friction.static drive.bandwidth drive.dac_bits
+encoder.y_resolution
+"""
+"""What differs on nearly every stage."""
+_HEAD = """\
+# Description of the stage '{name}': each fact is here once, and every node, `straightcomp … --stage` and the launch
+# files (stage:=…) take it from here. SI units. `straightcomp stage check` reads it as an engineer would.
+"""
+
+
+def _new_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("folder", metavar="DIR", type=Path, help="folder of the stage, made if need be; its name is that of the stage")
+    add("--survey", metavar="FILE", help="survey of the guide (default: the synthetic one, to be replaced)")
+    add_repeatable(parser, "--set", "NAME=VALUE", "a fact, e.g. stage.platform.mass=8")
+    add("--yes", action="store_true", help="ask nothing: what --set does not give takes its default")
+    add_force(parser)
+
+
+def _new(options: argparse.Namespace) -> None:
+    """Write the description of a stage into DIR: a commented stage file, and a copy of the survey of its guide.
+
+    On a terminal the most important facts are asked for; --set gives them without a question, and --yes takes the
+    default of all others. The strokes are those of the survey. What is not known well says so in
+    `stage.uncertainty`."""
+    folder = output_folder("DIR", str(options.folder))
+    file, survey = folder / FILE, folder / SURVEY
+    declared = {one.name: one for one in declarations(StageParameters)}
+    values: dict[str, Any] = {"name": folder.resolve().name, **dict(map(_assignment, options.set))}
+    source = find_survey(options.survey or MapParameters().file)
+    for path in (file, survey):
+        if path.exists() and not options.force and not path.samefile(source):
+            raise CommandFailed(f"{path}: is there already; name another folder, or give --force", exit_code=2)
+    x = [run.x for run in read_survey(source).runs]
+    first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
+    values = {"motion.start": first, "motion.stroke": last - first, **values, "guide.file": SURVEY}
+    if sys.stdin.isatty() and not options.yes:
+        values |= {name: _asked(declared[name]) for name in _ASKED.split() if name not in values}
+    # Refused before anything is written.
+    from_mapping(StageParameters, values)
+    if not (survey.exists() and survey.samefile(source)):
+        write_whole(survey, source.read_bytes())
+    described = {f"{STAGE}.{name}": value for name, value in values.items()}
+    text = commented(ALL_NODES, declarations(StageParameters, f"{STAGE}."), described)
+    write_whole(file, _HEAD.format(name=values["name"]) + "\n" + text)
+    given = len(values)
+    console.print(f"{file}: {given} facts given, {len(declared) - given} with their defaults", highlight=False)
+    if options.survey is None:
+        console.print(f"{survey} is the synthetic survey: replace it by that of your guide", highlight=False)
+    console.print(f"next: straightcomp stage check {file}", highlight=False)
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ParameterError(f"--set {text!r}: allowed: NAME=VALUE, e.g. stage.platform.mass=8")
+    return name.removeprefix(f"{STAGE}."), _value(value)
+
+
+def _value(text: str) -> Any:
+    try:
+        return load_yaml(text)
+    except YamlError:
+        # The declaration refuses the text, with what is allowed.
+        return text
+
+
+def _asked(declaration: Declaration) -> Any:
+    """The answer to a question on the terminal, asked again until it is allowed."""
+    unit = f" {declaration.unit}" if declaration.unit else ""
+    while True:
+        try:
+            answer = input(f"{declaration.description}{unit} [{declaration.default}]: ").strip()
+        except EOFError as error:
+            raise CommandFailed("no answer; give facts by --set, or --yes for the defaults", exit_code=2) from error
+        try:
+            return declaration.check(_value(answer)) if answer else declaration.default
+        except ParameterError as error:
+            print(f"  {error}")
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    add_stage_argument(parser)
+    add_json(parser)
+
+
+def _check(options: argparse.Namespace) -> int:
+    """Check the description of a stage as an engineer would read it: survey, travel, reference, stability, force,
+    quanta, and the DBC file of a board on CAN.
+
+    Each finding is ok, warn (it works, but less well) or fail. The exit code is 1 if one fails."""
+    from straightcomp_ros.doctor.stage_findings import board_findings, stage_findings
+
+    values = stage_values(options)
+    controller = node_parameters("controller", values)
+    tracking = node_parameters("feedforward", values).feedforward
+    driver = node_parameters("driver", values)
+    found = stage_findings(controller.stage, controller.control, tracking)
+    return show_findings(itertools.chain(found, board_findings(driver)), json=options.json)
+
+
+def _show(options: argparse.Namespace) -> None:
+    """Show what follows from the description of a stage: stiffnesses, poles, counts, demands, margins, bus load."""
+    from straightcomp_ros.doctor.stage_findings import consequences
+
+    values = stage_values(options)
+    controller = node_parameters("controller", values)
+    stage = controller.stage
+    found = consequences(stage, controller.control, load_map(stage.guide))
+    figures = _figures(found)
+    if options.json:
+        print_json({"name": stage.name, "law": controller.control.law, **{key: value for key, _, _, value in figures}})
+        return
+    title = f"Stage '{stage.name}', law '{controller.control.law}'"
+    table = titled_table(title, "what follows", "value", "unit", left=("unit",))
+    for _, words, unit, value in figures:
+        table.add_row(words, "the law switches" if value is None else f"{value:.4g}", unit)
+    console.print(table)
+
+
+def _figures(found: Any) -> list[tuple[str, str, str, float | None]]:
+    """Key, words, unit and value of each figure."""
+    margins: Any = found.margins
+
+    def of_loop(name: str) -> float | None:
+        return None if margins is None else float(getattr(margins, name))
+
+    return [
+        ("current_stiffness_N_per_A", "K_i, force per current", "N/A", found.current_stiffness),
+        ("position_stiffness_N_per_m", "K_y, negative stiffness of the magnets", "N/m", found.position_stiffness),
+        ("unstable_pole_Hz", "unstable pole of the platform", "Hz", found.unstable_pole / (2.0 * math.pi)),
+        ("dead_time_ms", "dead time: hold, delay, amplifier", "ms", found.dead_time * 1e3),
+        ("difficulty", "unstable pole times dead time (easy below 0.5)", "", found.difficulty),
+        ("correction_um", "largest correction, to each side", "µm", found.correction * 1e6),
+        ("reference_speed_um_per_s", "largest speed of the reference", "µm/s", found.reference_speed * 1e6),
+        ("reference_acceleration", "largest acceleration of the reference", "m/s²", found.reference_acceleration),
+        ("breakaway_current_A", "current that overcomes static friction", "A", found.breakaway_current),
+        ("holding_current_A", "largest current of a stroke", "A", found.holding_current),
+        ("dac_force_mN", "force of one D/A step", "mN", found.dac_force * 1e3),
+        ("dac_displacement_nm", "move of one D/A step against the bristles", "nm", found.dac_displacement * 1e9),
+        ("encoder_floor_um", "p-p error that the encoder's count leaves", "µm", found.encoder_floor * 1e6),
+        ("gain_low", "loop is stable from a gain of", "", of_loop("gain_low")),
+        ("gain_high", "loop is stable up to a gain of", "", of_loop("gain_high")),
+        ("phase_deg", "phase margin", "°", of_loop("phase")),
+        ("longest_delay_s", "longest delay of commands", "s", of_loop("longest_delay")),
+        ("can_load", "classic CAN of 1 Mbit/s busy", "", found.can_load),
+        ("can_fd_load", "CAN FD of 5 Mbit/s busy", "", found.can_fd_load),
+    ]
+
+
+TOOLS = {
+    "new": Tool("write the description of a stage, with a copy of its survey", _new_arguments, _new),
+    "check": Tool("check a description: what does not fit together, why, and what helps", _arguments, _check),
+    "show": Tool("show what follows from a description: stiffnesses, poles, counts, margins", _arguments, _show),
+}

@@ -6,13 +6,11 @@ process of its own and only watches. Where the graph's nodes run with real-time 
 import argparse
 import sys
 
-from straightcomp_ros.cell.launcher import in_namespace
-from straightcomp_ros.cli.options import add_namespace, check_range
+from straightcomp_ros.cli.options import add_json, add_namespace, check_range
 from straightcomp_ros.cli.output import print_json, require_ros
-from straightcomp_ros.parameters.declaration import from_mapping
-from straightcomp_ros.timing.realtime import RealtimeParameters
 
 SUMMARY = "live plots of the running graph in a browser"
+PURPOSE = "run"
 DEFAULT_PORT = 8765
 
 
@@ -22,17 +20,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     priority = "SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)"
     add("--priority", type=int, default=0, metavar="N", help=priority)
-    add(
-        "--maintenance",
-        default="",
-        metavar="FILE",
-        help="show the advice of `straightcomp history advise` in this file",
-    )
-    add("--json", action="store_true", help="print one JSON object and nothing else")
+    advice = "show the advice of `straightcomp history advise` in this file"
+    add("--maintenance", default="", metavar="FILE", help=advice)
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
+    from straightcomp_ros.cell.launcher import in_namespace
+    from straightcomp_ros.parameters.declaration import from_mapping
+    from straightcomp_ros.timing.realtime import RealtimeParameters
+
     require_ros()
     check_range("--port", options.port, 0, 65535)
     realtime = from_mapping(RealtimeParameters, {"priority": options.priority})

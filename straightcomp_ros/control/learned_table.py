@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.message_code import Signals
 from straightcomp_ros.hardware.can.wire_gaps import gaps
-from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map

@@ -20,8 +20,7 @@ from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.model.plant import BIAS, COMMAND, Hold, PlantState, advance_to_sample, commanded_plant
 from straightcomp_ros.parameters.declaration import group, parameter
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import TruthParameters, true_plant
+from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 

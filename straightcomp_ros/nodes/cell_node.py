@@ -15,7 +15,7 @@ from straightcomp_ros.cell.launcher import IN_THE_LOOP
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, State
 from straightcomp_ros.model.motion import cycles
-from straightcomp_ros.parameters.parameter_sets import CellNodeParameters
+from straightcomp_ros.parameters.node_parameters import CellNodeParameters
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.graph_services import GraphServices
 from straightcomp_ros.runtime.graph_watch import GraphWatch

@@ -17,7 +17,7 @@ from straightcomp_ros.control.margins import missing_margin
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.runtime.batch_streams import BatchPublisher, CopiedPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import BesideTheLoop, awaited
 from straightcomp_ros.runtime.excitation_service import ExcitationService

@@ -24,7 +24,7 @@ from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample,
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.messages.joint_trajectory import read_trajectory
 from straightcomp_ros.model.motion import StageLimits, Trajectory
-from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, CopiedPublisher
 from straightcomp_ros.runtime.clock import from_monotonic, now_ns
 from straightcomp_ros.runtime.command_intake import CommandIntake

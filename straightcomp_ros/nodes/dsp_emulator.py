@@ -14,7 +14,7 @@ from straightcomp_ros.hardware.can.firmware import BoardProgram, program_argumen
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.periodic import PeriodicLoop
 from straightcomp_ros.timing import realtime
 from straightcomp_ros.timing.realtime import RealtimeParameters

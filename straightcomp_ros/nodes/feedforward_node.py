@@ -9,7 +9,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.parameter_sets import FeedforwardNodeParameters
+from straightcomp_ros.parameters.node_parameters import FeedforwardNodeParameters
 from straightcomp_ros.runtime.batch_streams import LOOK_AHEAD_S, BatchPublisher, batched_queue
 from straightcomp_ros.runtime.beside_the_loop import awaited
 from straightcomp_ros.runtime.locked_loop import LockedLoop

@@ -20,7 +20,7 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.messages.cdr import header_stamp_ns
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.parameter_sets import LoggerNodeParameters
+from straightcomp_ros.parameters.node_parameters import LoggerNodeParameters
 from straightcomp_ros.runtime.batch_streams import BatchQueue
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics

@@ -16,7 +16,7 @@ from straightcomp_ros.cell.packml import Order
 from straightcomp_ros.opcua.admission import UsersError
 from straightcomp_ros.opcua.snapshot import Alarms, Snapshot
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.parameter_sets import OpcuaNodeParameters
+from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.graph_services import GraphServices
 from straightcomp_ros.runtime.graph_watch import GraphWatch

@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
-from straightcomp_ros.parameters.parameter_sets import PlayerNodeParameters
+from straightcomp_ros.parameters.node_parameters import PlayerNodeParameters
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.periodic import PeriodicLoop

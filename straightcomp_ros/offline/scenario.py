@@ -14,10 +14,8 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import node_set
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.node_parameters import Values
-from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import Factors, deviating
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters, Values
+from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import find_survey
 from straightcomp_ros.straightness.survey import Survey, read_survey

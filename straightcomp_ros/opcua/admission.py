@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
-from straightcomp_ros.parameters.whole_file import locked, write_whole
+from straightcomp_ros.parameters.output_files import locked, write_whole
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 AUTO, NONE, ENCRYPTED = "auto", "none", "encrypted"

@@ -32,7 +32,7 @@ from straightcomp_ros.opcua.address_space import AddressSpace
 from straightcomp_ros.opcua.admission import OpcuaParameters, Users
 from straightcomp_ros.opcua.guard import Access, GuardedServer, LeftToTheSession
 from straightcomp_ros.opcua.snapshot import Snapshot
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 _PERIOD_S = 0.1
 _ANSWER_WITHIN_S = 2.0

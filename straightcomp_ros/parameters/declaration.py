@@ -27,13 +27,10 @@ _GROUP = "{group}"
 
 
 class RefusedParameter(ParameterError):
-    """Raised by the ``__post_init__`` of a set for a parameter that does not fit the set's other parameters.
+    """Raised by the ``__post_init__`` of a set for its parameter ``name``, which does not fit the others.
 
-    The set does not know the name of its group in a node; :func:`from_mapping` completes the parameter's name.
-
-    Args:
-        name: within the set.
-        text: value, reason and what is allowed; refers to other parameters of the set as ``{group}name``.
+    ``text`` has value, reason and what is allowed, and refers to other parameters of the set as ``{group}name``. The
+    set does not know the name of its group in a node; :func:`from_mapping` completes the parameter's name.
     """
 
     def __init__(self, name: str, text: str, group: str = "") -> None:
@@ -76,33 +73,29 @@ class Declaration:
         """Return ``value`` as ``kind`` (an integer is accepted as a float), or raise ParameterError."""
         if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        kind = type(value)
-        if kind is not self.kind:
-            raise self._refused(value, f"is not {_KIND_WORDS[self.kind]}")
-        if self.choices and value not in self.choices:
-            raise self._refused(value, "is not known")
-        if self.kind is str and _CONTROL.search(value):
-            raise self._refused(value, "has control characters")
-        if self.kind in (int, float):
-            self._check_range(value)
+        why = self._wrong(value)
+        if why:
+            unit = f" {self.unit}" if self.unit else ""
+            raise ParameterError(f"parameter '{self.name}': {value!r}{unit} {why}; allowed: {self.allowed()}{unit}")
         return value
 
-    def _check_range(self, value: float) -> None:
+    def _wrong(self, value: Any) -> str:
+        kind = type(value)
+        if kind is not self.kind:
+            return f"is not {_KIND_WORDS[self.kind]}"
+        if self.choices and value not in self.choices:
+            return "is not known"
+        if self.kind is str:
+            return "has control characters" if _CONTROL.search(value) else ""
         if not math.isfinite(value):
-            raise self._refused(value, "is not finite")
-        if self.minimum is not None and (value < self.minimum or (self.exclusive_minimum and value == self.minimum)):
-            raise self._refused(value, "is too small")
-        if self.maximum is not None and value > self.maximum:
-            raise self._refused(value, "is too large")
-
-    def _refused(self, value: Any, why: str) -> ParameterError:
-        unit = f" {self.unit}" if self.unit else ""
-        return ParameterError(f"parameter '{self.name}': {value!r}{unit} {why}; allowed: {self.allowed()}{unit}")
+            return "is not finite"
+        low, high = self.minimum, self.maximum
+        if low is not None and (value < low or (self.exclusive_minimum and value == low)):
+            return "is too small"
+        return "is too large" if high is not None and value > high else ""
 
 
 _KIND_WORDS = {bool: "a truth value", int: "an integer", float: "a number", str: "a text"}
-
-
 _CONTROL = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """No file is called so, and a terminal would obey it."""
 _ALLOWED = re.compile(r"([\[(])(\S+), (\S+)[\])](?: (.+))?")

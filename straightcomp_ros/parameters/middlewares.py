@@ -1,16 +1,15 @@
 """The known ROS 2 middlewares: our profile for each, and what differs under it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from straightcomp_ros.parameters.share import share_path
 
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
-@dataclass(frozen=True)
-class Middleware:
-    """What differs between middlewares.
+class Middleware(NamedTuple):
+    """What differs between middlewares; an unknown one gets no profile, and its reception times are not used.
 
     Attributes:
         variables: environment variables that name a profile; if the user has set one, ours is not used.
@@ -38,17 +37,16 @@ _FAST_DDS = Middleware(
     loopback_range="SYSTEM_DEFAULT",
     stamps_arrival=True,
 )
+_CYCLONE_DDS = Middleware(variables=("CYCLONEDDS_URI",), loopback="config/cyclonedds_loopback.xml", uri="file://")
 MIDDLEWARES = {
     "rmw_fastrtps_cpp": _FAST_DDS,
     "rmw_fastrtps_dynamic_cpp": _FAST_DDS,
-    "rmw_cyclonedds_cpp": Middleware(
-        variables=("CYCLONEDDS_URI",), loopback="config/cyclonedds_loopback.xml", uri="file://"
-    ),
+    "rmw_cyclonedds_cpp": _CYCLONE_DDS,
 }
 
 
 def middleware(identifier: str) -> Middleware:
-    """The middleware of this name; an unknown one gets no profile, and its reception times are not used."""
+    """The middleware of this name."""
     return MIDDLEWARES.get(identifier, Middleware())
 
 
@@ -68,7 +66,6 @@ def description(identifier: str, environment: Mapping[str, str]) -> str:
     chosen, ours = middleware(identifier), profile_variables(identifier, environment)
     names = [name for name in chosen.variables if name in environment]
     profile = next(iter((*names, *ours.values())), "its own default")
-    differs = (
-        "" if chosen.stamps_arrival else "; it does not say when a message arrived: latencies end when it was sent"
-    )
+    unknown = "; it does not say when a message arrived: latencies end when it was sent"
+    differs = "" if chosen.stamps_arrival else unknown
     return f"{identifier}, profile: {profile}{differs}"

@@ -1,11 +1,13 @@
 """Reads and writes the ROS 2 parameter file that sets the parameters of all nodes; offline runs read the same file."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.parameters.declaration import ParameterError, flatten
+import yaml
+
+from straightcomp_ros.parameters.declaration import Declaration, ParameterError, flatten
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, by_node
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
@@ -23,28 +25,19 @@ _FILES = ((STAGE, "guide.file"), ("driver", "simulated.truth.guide"), ("driver",
 def read_parameter_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """Values of a ROS 2 parameter file by node and dotted name, with a key for each node of this package.
 
-    The description of the stage, which the file gives to all nodes under ``/**``, has the key :data:`STAGE`.
+    A key of the file is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**``
+    for all. The description of the stage, which it gives to all nodes, has the key :data:`STAGE` here.
 
     Raises:
-        ParameterError: the file cannot be read, is not YAML, is empty, or does not have the layout of a parameter file.
+        ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
     """
+    source = f"parameter file {path}"
     try:
         tree = load_yaml(Path(path))
     except OSError as error:
-        raise ParameterError(f"parameter file {path}: cannot be read: {error.strerror}") from error
+        raise ParameterError(f"{source}: cannot be read: {error.strerror}") from error
     except YamlError as error:
-        raise ParameterError(f"parameter file {path}: {error}") from error
-    return _read_tree(tree, f"parameter file {path}")
-
-
-def _read_tree(tree: Any, source: str) -> dict[str, dict[str, Any]]:
-    """Values in the content of a parameter file; ``source`` names the file in messages.
-
-    A key is a node's name, with or without a namespace before it (``/**/driver``, ``driver``), or ``/**`` for all.
-
-    Raises:
-        ParameterError: another layout, or an unknown node.
-    """
+        raise ParameterError(f"{source}: {error}") from error
     values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
     if not isinstance(tree, Mapping):
         raise ParameterError(f"{source}: has no 'NODE: ros__parameters:' level")
@@ -115,3 +108,20 @@ def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
     # rcl refuses an empty section.
     tree = {key: {_PARAMETERS: section} for key, section in sections.items() if section}
     return dump_yaml(tree)
+
+
+def commented(key: str, declared: Iterable[Declaration], values: Mapping[str, Any] | None = None) -> str:
+    """The section ``key``: each parameter with its description, unit and range; defaults where ``values`` has none."""
+    lines = [f"{key}:\n  ros__parameters:"]
+    for declaration in declared:
+        unit = f" [{declaration.unit}]" if declaration.unit else ""
+        lines.append(f"    # {declaration.description}{unit}; {declaration.allowed()}")
+        lines.append(f"    {declaration.name}: {as_yaml((values or {}).get(declaration.name, declaration.default))}")
+    return "\n".join(lines) + "\n"
+
+
+def as_yaml(value: Any) -> str:
+    """One value as YAML 1.1, which takes 1e-07 for a text: a float needs its point."""
+    if isinstance(value, float) and "e" in repr(value) and "." not in repr(value):
+        return repr(value).replace("e", ".0e")
+    return str(yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None).splitlines()[0])

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from straightcomp_ros.contract import PACKAGE
+PACKAGE = "straightcomp_ros"
 
 
 def _candidates() -> Iterator[Path]:

@@ -7,12 +7,10 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 
 from straightcomp_ros.parameters.declaration import Declaration, belongs_to_ros, declarations, from_mapping
-from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE, refuse_former_names
+from straightcomp_ros.parameters.node_parameters import STAGE
 
 T = TypeVar("T")
 
-
-_NAMES = {parameter_set: name for name, parameter_set in NODE_PARAMETERS.items()}
 _FIXED = ("autostart", "realtime")
 """Parameters that are used once, when the process starts."""
 
@@ -33,7 +31,6 @@ def declare(node: Node, parameter_set: type[T], *, changeable: bool = False) -> 
         for name in described:
             node.undeclare_parameter(name)
             del given[name]
-    refuse_former_names(_NAMES.get(parameter_set, ""), given)
     parameters = from_mapping(parameter_set, given)
     for declaration in declarations(parameter_set):
         value = declaration.check(given.get(declaration.name, declaration.default))

@@ -11,8 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.share import private_folder
-from straightcomp_ros.parameters.whole_file import write_whole
 
 
 class FirstParameters:

@@ -1,25 +1,78 @@
-"""The description of a stage: each fact about the machine once, and how well it is known.
+"""The description of a stage: each fact about the machine once, and how well it is known; and how a simulated machine
+differs from it.
 
 Nodes declare it as the parameters `stage.*`; a stage file sets them under the wildcard node `/**`, for all at once.
 """
 
+import dataclasses
 import hashlib
 import json
 import math
 from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
-from straightcomp_ros.model.friction import LuGreParameters
+from straightcomp_ros.model.friction import ContactParameters, LuGreParameters
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
-from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter, to_mapping
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
-from straightcomp_ros.straightness.guide_map import MapParameters
+from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 
+T = TypeVar("T", ActuatorParameters, LuGreParameters)
 _CHANGEABLE = ("motion.", "guide.", "actuator.current_limit")
 """Facts that may differ between nodes: the strokes, and what a single node may be given anew while it runs."""
+
+
+@dataclass(frozen=True)
+class UncertaintyParameters:
+    """How far a machine may be from its description: ranges of a sweep. The converters and the guide stay nominal."""
+
+    mass: float = parameter(0.2, "Mass: uniform within ± this fraction of it", "[0, 0.9]")
+    force: float = parameter(
+        0.2,
+        "Force of the magnets at the same gap and currents (turns² times pole area, and so K̄_i and K̄_y): uniform "
+        "within ± this fraction of it",
+        "[0, 0.9]",
+    )
+    air_gap: float = parameter(0.1, "Air gap: uniform within ± this fraction of it", "[0, 0.9]")
+    friction: float = parameter(
+        2.0,
+        "Coulomb, static and viscous friction: log-uniform between one over this factor and this factor; bristles "
+        "keep their stiffness and damping",
+        "[1, 100]",
+    )
+    amplifier: float = parameter(
+        1.0, "Amplifier's bandwidth: log-uniform between one over this factor and this factor", "[1, 100]"
+    )
+    sensor_noise: float = parameter(
+        0.5,
+        "Noise on y before the encoder rounds: normal, white; its standard deviation is uniform from 0 to this",
+        "[0, 1000] counts",
+    )
+    shortest_delay: float = parameter(
+        0.2, "Command delay, constant in a trial: uniform from this, relative to drive.delay", "[0, 10]"
+    )
+    longest_delay: float = parameter(
+        1.5, "Command delay, constant in a trial: uniform up to this, relative to drive.delay", "[0, 10]"
+    )
+    jitter: float = parameter(
+        0.04,
+        "Time from each sample's place on the grid: uniform within ± this; the stamp tells the true time",
+        "[0, 0.4] samples",
+    )
+    map_noise: float = parameter(
+        0.02e-6, "Standard deviation of an error of each point of the survey: normal", "[0, 1e-5] m"
+    )
+
+    def __post_init__(self) -> None:
+        if self.longest_delay < self.shortest_delay:
+            raise RefusedParameter(
+                "longest_delay",
+                f"{self.longest_delay!r} is below the shortest; allowed: >= {self.shortest_delay!r} "
+                "('{group}shortest_delay')",
+            )
 
 
 @dataclass(frozen=True)
@@ -81,3 +134,67 @@ class StageParameters:
             drive=self.drive,
             encoder=self.encoder,
         )
+
+
+class Factors(NamedTuple):
+    """A machine relative to its description; each field as the parameter of :class:`TruthParameters`."""
+
+    mass: float = 1.0
+    force: float = 1.0
+    air_gap: float = 1.0
+    friction: float = 1.0
+    amplifier: float = 1.0
+
+
+@dataclass(frozen=True)
+class TruthParameters:
+    """How the simulated machine differs from its description."""
+
+    mass: float = parameter(1.0, "Mass relative to the description", "[0.01, 100]")
+    force: float = parameter(1.0, "Magnets' force, at the same gap and currents, relative to it", "[0.01, 100]")
+    air_gap: float = parameter(1.0, "Air gap relative to it", "[0.01, 100]")
+    friction: float = parameter(
+        1.0, "Coulomb, static and viscous friction relative to it; bristles keep stiffness and damping", "[0.001, 1000]"
+    )
+    amplifier: float = parameter(1.0, "Bandwidth of the amplifier relative to it", "[0.01, 100]")
+    guide: str = parameter("", "Survey file of the true guide; empty: that of the description")
+    contact: ContactParameters = group(ContactParameters)
+
+    @property
+    def factors(self) -> Factors:
+        """The factors as :func:`deviating` takes them."""
+        return Factors(self.mass, self.force, self.air_gap, self.friction, self.amplifier)
+
+
+def true_plant(stage: StageParameters, truth: TruthParameters) -> PlantParameters:
+    """The simulated machine; ParameterError if its air gap does not hold the mechanical stop."""
+    return dataclasses.replace(deviating(stage.plant, truth.factors), contact=truth.contact)
+
+
+def true_guide(stage: StageParameters, truth: TruthParameters) -> StraightnessMap:
+    """The simulated guide; SurveyError if its survey is refused."""
+    return load_map(dataclasses.replace(stage.guide, file=truth.guide or stage.guide.file))
+
+
+def deviating(plant: PlantParameters, factors: Factors) -> PlantParameters:
+    """``plant`` with ``factors``.
+
+    Raises:
+        ParameterError: the narrower air gap does not hold the mechanical stop.
+    """
+    gap, stop = plant.actuator.air_gap * factors.air_gap, plant.platform.stop
+    if stop >= gap:
+        raise ParameterError(
+            f"air gap × {factors.air_gap:.4g}: {gap:.4g} m does not hold the stop; "
+            f"allowed: > {stop!r} m ('stage.platform.stop')"
+        )
+    platform = dataclasses.replace(plant.platform, mass=plant.platform.mass * factors.mass)
+    # The area stands for turns² times area, the product in (2), and scales it exactly.
+    actuator = _scaled(_scaled(plant.actuator, factors.force, "pole_area"), factors.air_gap, "air_gap")
+    friction = _scaled(plant.friction, factors.friction, "coulomb", "static", "viscous")
+    drive = dataclasses.replace(plant.drive, bandwidth=plant.drive.bandwidth * factors.amplifier)
+    return dataclasses.replace(plant, platform=platform, actuator=actuator, friction=friction, drive=drive)
+
+
+def _scaled(parameters: T, factor: float, *names: str) -> T:
+    return dataclasses.replace(parameters, **{name: getattr(parameters, name) * factor for name in names})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -41,10 +42,8 @@ def read_advice(path: Path) -> DueMaintenance:
     except OSError as error:
         raise MaintenanceError(f"maintenance file {path}: cannot be read: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise MaintenanceError(
-            f"maintenance file {path}: is no file of advice ({type(error).__name__}: {error}); write it by "
-            "`straightcomp history advise`"
-        ) from error
+        why = f"is no file of advice ({type(error).__name__}: {error}); write it by `straightcomp history advise`"
+        raise MaintenanceError(f"maintenance file {path}: {why}") from error
 
 
 class WatchedAdvice:
@@ -60,27 +59,23 @@ class WatchedAdvice:
 
     def __init__(self, file: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._path, self._clock = Path(file) if file else None, clock
-        self._looked: float | None = None
+        self._next_look = -math.inf
         self._seen: tuple[int, int, int] | None = None
         self._due = DueMaintenance()
 
     def due(self) -> DueMaintenance:
         """What is due, by a look at the file at most once a second."""
         now = self._clock()
-        if self._path is not None and (self._looked is None or now - self._looked >= _LOOK_EVERY_S):
-            self._looked = now
-            self._look(self._path)
-        return self._due
-
-    def _look(self, path: Path) -> None:
+        if self._path is None or now < self._next_look:
+            return self._due
+        self._next_look = now + _LOOK_EVERY_S
         try:
-            status = path.stat()
+            status = self._path.stat()
             seen = (status.st_mtime_ns, status.st_size, status.st_ino)
-            if seen == self._seen:
-                return
-            self._due = read_advice(path)
-            self._seen = seen
+            if seen != self._seen:
+                self._due, self._seen = read_advice(self._path), seen
         except FileNotFoundError:
             self._seen, self._due = None, DueMaintenance()
         except (OSError, MaintenanceError) as error:
             self._seen, self._due = None, DueMaintenance(as_of="now", sentences=(str(error),))
+        return self._due

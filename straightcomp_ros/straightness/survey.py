@@ -25,7 +25,7 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 Direction = Literal["forward", "backward"]
 _DIRECTIONS = ("forward", "backward")

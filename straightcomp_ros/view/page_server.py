@@ -18,7 +18,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any
 
-from straightcomp_ros.parameters.plain_json import plain
+from straightcomp_ros.parameters.output_files import plain
 
 _KEEP_S = 20.0
 _NEWS_EVERY_S = 0.1

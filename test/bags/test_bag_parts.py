@@ -23,7 +23,7 @@ from straightcomp_ros.bags.topics import chosen_topics, resolved
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.parameters.declaration import declarations
-from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 
 MESSAGE, OTHER = 5, 4
 

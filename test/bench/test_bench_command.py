@@ -6,7 +6,7 @@ import math
 import pytest
 
 from straightcomp_ros.bench.step_costs import cost
-from straightcomp_ros.cli.bench_graph import ratios
+from straightcomp_ros.cli.bench import ratios
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.control.laws import LAWS

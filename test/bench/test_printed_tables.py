@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from straightcomp_ros.cli.law_tables import timing_table
+from straightcomp_ros.cli.results import timing_table
 
 LATE = {"p50": 2.0, "p99": 102.0, "max": 56276.0}
 

@@ -43,8 +43,7 @@ from straightcomp_ros.model.plant import (
     commanded_plant,
 )
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import TruthParameters, true_plant
+from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
 
 STEP = 25e-6
 CHANGES = {

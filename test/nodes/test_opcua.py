@@ -11,8 +11,7 @@ import pytest
 from waiting import wait_for_line
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.parameter_sets import OpcuaNodeParameters
+from straightcomp_ros.parameters.node_parameters import OpcuaNodeParameters, node_parameters
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION
 
 if importlib.util.find_spec("asyncua") is None:

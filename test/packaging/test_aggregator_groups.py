@@ -17,19 +17,19 @@ GROUPS = {
     ]["ros__parameters"].items()
     if name != "path"
 }
-NODES = Path(straightcomp_ros.__file__).parent / "nodes"
+NODES = [Path(straightcomp_ros.__file__).parent / folder for folder in ("nodes", "tuning/graph")]
 
 
 def reporting() -> list[str]:
     """Names of the nodes that publish diagnostics, from the calls in their modules."""
     found = []
-    for module in sorted(NODES.glob("*.py")):
+    for module in sorted(path for folder in NODES for path in folder.glob("*.py")):
         calls = [node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
         names = {call.func.id: call for call in calls if isinstance(call.func, ast.Name)}
         if "Diagnostics" in names:
             run = names.get("run") or names["run_managed"]
             found.append(ast.literal_eval(run.args[0]))
-    return found
+    return sorted(found)
 
 
 def matching(status: str) -> list[str]:
@@ -54,7 +54,7 @@ def test_each_status_falls_into_one_group(namespace: str, node: str) -> None:
 
 
 @pytest.mark.parametrize("status", ["controller_manager: Controllers Activity", "line_3/camera_driver", "driver/laser"])
-def test_a_status_of_somebody_else_falls_into_none(status: str) -> None:
+def test_a_status_of_other_software_falls_into_none(status: str) -> None:
     assert matching(status) == []
 
 

@@ -1,14 +1,22 @@
-"""First contact: help that reads well, completion, version, and a pipe that is closed early."""
+"""First contact: verbs of our own and of other packages, help that reads well, completion, version, a closed pipe."""
 
 import os
 import shutil
 import subprocess
 import sys
+from importlib.metadata import distribution
+from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.cli import main as entry
-from straightcomp_ros.cli.main import main, make_parser
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, main, make_parser
+from straightcomp_ros.control.learned_table import LearningFileError
+from straightcomp_ros.straightness.survey import SurveyError
+
+OURS = {entry.name: entry for entry in distribution("straightcomp_ros").entry_points if entry.group == GROUP}
+EXTRAS = {"tuning": {"cma"}, "fleet": {"duckdb", "fsspec", "pyarrow", "ruptures"}, "opcua": {"asyncua"}}
+"""What an extra brings, by what is imported; test_dependencies.py compares them with setup.py."""
 
 
 @pytest.fixture(scope="module")
@@ -24,82 +32,174 @@ def parsers(parser, path=""):
             yield from parsers(inner, f"{path} {name}".strip())
 
 
-def test_the_help_names_every_verb_with_its_summary_and_imports_none(capsys):
+def run(words, capsys):
+    """Exit code, standard output and standard error of a command."""
+    try:
+        code = main(words)
+    except SystemExit as ended:  # argparse
+        code = ended.code
+    return code, *capsys.readouterr()
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Installs another package with one verb, as pip would."""
+
+    def installed(package, verb, text, extra=""):
+        module = package.replace("-", "_")
+        (tmp_path / f"{module}.py").write_text(text)
+        metadata = tmp_path / f"{module}-1.0.dist-info"
+        metadata.mkdir()
+        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+        (metadata / "entry_points.txt").write_text(f"[{GROUP}]\n{verb} = {module} {extra}\n")
+        monkeypatch.delitem(sys.modules, module, raising=False)
+
+    monkeypatch.syspath_prepend(tmp_path)
+    return installed
+
+
+VERB = '''"""Weigh the platform."""
+SUMMARY = "weigh it"
+PURPOSE = "set up"
+from straightcomp_ros.cli import Tool
+def _arguments(parser): parser.add_argument("--mass", type=float, default=3.0)
+def _platform(options):
+    """Of the platform alone."""
+    print(options.mass, options.verb, options.tool)
+TOOLS = {"platform": Tool("its mass", _arguments, _platform)}
+'''
+
+
+def test_another_package_adds_a_verb_by_an_entry_point(install, capsys):
+    install("scales", "weigh", VERB)
+    assert run(["weigh", "platform", "--mass", "4"], capsys) == (0, "4.0 weigh platform\n", "")
+    _, printed, _ = run(["--help"], capsys)
+    listed = printed[printed.index("set up:") : printed.index("tune:")]
+    assert "weigh it" in listed
+    _, printed, _ = run(["weigh", "platform", "--help"], capsys)
+    assert "Of the platform alone." in printed and "--mass" in printed
+
+
+@pytest.mark.parametrize("text", ["import nowhere_to_be_found", "SUMMARY =", 'SUMMARY = "100 %s"\n1 / 0'])
+def test_a_verb_that_cannot_be_loaded_leaves_the_others_alone(install, capsys, text):
+    install("scales", "weigh", text)
+    code, printed, said = run(["--help"], capsys)
+    assert code == 0 and "simulate" in printed and said == ""
+    code, printed, said = run(["weigh"], capsys)
+    assert code == 1 and printed == "" and said.count("\n") == 1 and "'weigh' of scales cannot be loaded: " in said
+    assert run(["completion", "bash"], capsys)[0] == 0
+
+
+def test_a_verb_of_two_packages_is_refused_with_the_names_of_both(install, capsys):
+    install("scales", "weigh", VERB)
+    install("other-scales", "weigh", VERB)
+    code, _, said = run(["weigh", "platform"], capsys)
+    assert code == 2 and "other-scales and scales" in said
+    code, printed, _ = run(["--help"], capsys)
+    assert code == 0 and "other-scales and scales" in printed
+
+
+def test_a_verb_whose_extra_is_missing_says_which_to_install(install, capsys):
+    install("scales", "weigh", "import not_installed", "[heavy]")
+    code, _, said = run(["weigh"], capsys)
+    assert (code, said) == (2, "straightcomp: not_installed is not there; remedy: pip install 'scales[heavy]'\n")
+
+
+@pytest.mark.parametrize("verb", [name for name, entry in OURS.items() if entry.extras])
+def test_without_its_extra_a_verb_of_a_wing_works_or_says_which_to_install(verb, capsys, monkeypatch):
+    (extra,) = OURS[verb].extras
+    for name in list(sys.modules):
+        ours = name.startswith(("straightcomp_ros.tuning", "straightcomp_ros.fleet", "straightcomp_ros.opcua"))
+        if ours or name.split(".")[0] in EXTRAS[extra]:
+            monkeypatch.delitem(sys.modules, name)
+    for name in EXTRAS[extra]:
+        monkeypatch.setitem(sys.modules, name, None)
+    code, _, said = run([verb, "--help"], capsys)
+    assert code == 0 or (code == 2 and f"pip install 'straightcomp_ros[{extra}]'" in said)
+
+
+def test_the_servo_imports_nothing_that_only_an_extra_brings():
+    """Its verbs with all that they import at their start, and every module of its nodes' parameters."""
+    modules = [entry.module for entry in OURS.values() if not entry.extras]
+    program = "import importlib, sys\n"
+    program += (
+        f"for name in {[*modules, 'straightcomp_ros.parameters.node_parameters']!r}: importlib.import_module(name)\n"
+    )
+    program += f"print(*sorted({set().union(*EXTRAS.values())!r} & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600, check=True)
+    assert done.stdout == "\n"
+
+
+def test_the_help_names_every_verb_under_its_purpose_and_imports_none():
     program = "import sys; from straightcomp_ros.cli.main import main; sys.argv[1:] = ['--help']\n"
     program += "try: main()\nexcept SystemExit: assert 'straightcomp_ros.cli.simulate' not in sys.modules\n"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
-    for verb in entry._VERBS:
-        assert any(line.split()[:1] == [verb] and len(line.split()) > 2 for line in done.stdout.splitlines()), verb
+    lines = [line.split() for line in done.stdout.splitlines()]
+    for verb in installed_verbs():
+        assert any(line[:1] == [verb] and len(line) > 2 for line in lines), verb
+    purposes = [" ".join(line)[:-1] for line in lines if line and line[-1].endswith(":")]
+    assert [purpose for purpose in purposes if purpose in PURPOSES] == [*PURPOSES[:-1]]
     assert "straightcomp doctor" in done.stdout
 
 
-def test_every_option_of_every_verb_is_explained(complete):
-    for path, parser in parsers(complete):
-        for action in parser._actions:
-            assert action.help or hasattr(action, "add_parser"), f"{path}: {action.option_strings or action.dest}"
-        parser.format_help()  # a stray % in a text would raise here
-
-
-def test_the_same_option_has_the_same_name_everywhere(complete):
-    """--output is -o and --json says what it does in the same words, wherever they are."""
+def test_every_option_of_every_verb_is_explained_and_has_one_name_everywhere(complete):
     texts = set()
     for path, parser in parsers(complete):
         for action in parser._actions:
+            assert action.help or hasattr(action, "add_parser"), f"{path}: {action.option_strings or action.dest}"
             if "--output" in action.option_strings:
                 assert "-o" in action.option_strings, path
             if "--json" in action.option_strings:
                 texts.add(action.help)
+        parser.format_help()  # a stray % in a text would raise here
     assert len(texts) == 1, texts
 
 
 def test_every_verb_with_a_result_gives_it_as_json(complete):
     """The others print a script, are a board until they are stopped, or write a file and say nothing else."""
-    families = {"bench", "can", "history", "map", "opcua", "stage", ""}
-    without = {path for path, one in parsers(complete) if "--json" not in one._option_string_actions}
+    found = dict(parsers(complete))
+    families = {path for path, one in found.items() if any(hasattr(action, "add_parser") for action in one._actions)}
+    without = {path for path, one in found.items() if "--json" not in one._option_string_actions}
     assert without - families == {"completion", "dsp", "opcua user", "stage new"}
 
 
 def test_the_version_is_the_manifests(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["--version"])
-    assert ended.value.code == 0
-    assert capsys.readouterr().out.startswith("straightcomp 0.")
+    code, printed, _ = run(["--version"], capsys)
+    assert code == 0 and printed.startswith("straightcomp 0.")
 
 
-def _completed(script: str, *words: str) -> set[str]:
+def completed(script: Path, *words: str) -> set[str]:
     """What bash offers after the words, the last of which is being typed."""
     quoted = " ".join(f"'{word}'" for word in ("straightcomp", *words))
-    ask = f"COMP_WORDS=({quoted}); COMP_CWORD={len(words)}; _straightcomp"
-    program = f"{script}\n{ask}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+    ask = f"COMP_WORDS=({quoted}); COMP_CWORD={len(words)}; _shtab_straightcomp"
+    program = f"source '{script}'\n{ask}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
     done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, timeout=600, check=False)
     assert not done.stderr
     return set(done.stdout.split())
 
 
-def test_bash_completes_verbs_tools_options_and_values(capsys):
-    assert main(["completion", "bash"]) == 0
-    script = capsys.readouterr().out
-    assert _completed(script, "") >= set(entry._VERBS)
-    assert _completed(script, "sim") == {"simulate"}
-    assert _completed(script, "map", "") >= {"convert", "export"}
-    assert _completed(script, "map", "ex") == {"export"}
-    assert "--survey" in _completed(script, "map", "export", "--su")
-    assert _completed(script, "simulate", "--law", "smc_") == {"smc_observer"}
-    assert _completed(script, "map", "export", "--unit", "i") == {"inch"}
-    assert _completed(script, "simulate", "--plot", "x") == set()  # a file: left to the shell
+def test_bash_completes_verbs_tools_options_values_and_files(capsys, tmp_path, monkeypatch):
+    script = tmp_path / "script"
+    script.write_text(run(["completion", "bash"], capsys)[1])
+    (tmp_path / "xy.png").touch()
+    monkeypatch.chdir(tmp_path)
+    assert completed(script, "") >= set(OURS)
+    assert completed(script, "sim") == {"simulate"}
+    assert completed(script, "map", "") >= {"convert", "export"}
+    assert "--survey" in completed(script, "map", "export", "--su")
+    assert completed(script, "simulate", "--law", "smc_") == {"smc_observer"}
+    assert completed(script, "map", "export", "--unit", "i") == {"inch"}
+    assert completed(script, "simulate", "--plot", "x") == {"xy.png"}
 
 
-@pytest.mark.parametrize("shell", ["zsh", "fish"])
+@pytest.mark.parametrize("shell", ["zsh", "tcsh", "fish"])
 def test_the_scripts_of_other_shells_name_every_verb_and_parse(shell, capsys, tmp_path):
-    assert main(["completion", shell]) == 0
-    script = capsys.readouterr().out
-    for verb in entry._VERBS:
-        assert f"{verb}" in script
+    code, script, _ = run(["completion", shell], capsys)
+    assert code == 0 and all(verb in script for verb in OURS)
     if shutil.which(shell):
-        file = tmp_path / "script"
-        file.write_text(script)
-        subprocess.run([shell, "-n", str(file)], check=True, timeout=60)
+        (tmp_path / "script").write_text(script)
+        subprocess.run([shell, "-n", str(tmp_path / "script")], check=True, timeout=60)
 
 
 def test_a_reader_that_goes_away_ends_a_command_without_a_word():
@@ -108,5 +208,38 @@ def test_a_reader_that_goes_away_ends_a_command_without_a_word():
     command = [sys.executable, "-m", "straightcomp_ros.cli.main", "completion", "bash"]
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
     os.close(write)
-    assert done.stderr == ""
-    assert done.returncode == 141
+    assert (done.stderr, done.returncode) == ("", 141)
+
+
+def raising(error):
+    def function(*_):
+        raise error
+
+    return function
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (BagError("cut"), 1, "straightcomp map convert: cut"),
+        (LearningFileError("cut"), 2, "straightcomp map convert: cut"),
+        (SurveyError("cut"), 2, "straightcomp map convert: cut"),
+        (OSError(28, "No space left on device", "map.csv"), 1, "map.csv: No space left on device"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_an_error_of_the_package_or_of_a_file_is_a_sentence_with_its_exit_code(
+    capsys, monkeypatch, tmp_path, error, code, words
+):
+    monkeypatch.setattr("straightcomp_ros.straightness.survey.write_survey", raising(error))
+    table = str(tmp_path / "t.cal")
+    assert main(["map", "export", "-o", table]) == 0
+    capsys.readouterr()
+    found, _, said = run(["map", "convert", table, "-o", str(tmp_path / "s.csv")], capsys)
+    assert found == code and words in said and said.count("\n") == 1
+
+
+def test_an_error_that_is_not_the_packages_shows_where_it_comes_from(monkeypatch, tmp_path):
+    monkeypatch.setattr("straightcomp_ros.straightness.guide_map.load_map", raising(ValueError("a bug")))
+    with pytest.raises(ValueError, match="a bug"):
+        main(["map", "export", "-o", str(tmp_path / "t.cal")])

@@ -1,5 +1,6 @@
-"""Dependencies are told once: what is imported, setup.py and package.xml agree, by the names in dependencies.yaml."""
+"""What is imported, setup.py and package.xml name the same dependencies, by the names in dependencies.yaml."""
 
+import ast
 import re
 import runpy
 import sys
@@ -12,17 +13,21 @@ from xml.etree import ElementTree
 import pytest
 import setuptools
 import yaml
-from test_imports_point_inward import PACKAGE, SOURCE, belongs_to_ros, imported
 
-REPOSITORY = SOURCE.parent
+REPOSITORY = Path(__file__).resolve().parents[2]
+PACKAGE = "straightcomp_ros"
 LISTED: dict[str, dict[str, str]] = yaml.safe_load(
     (Path(__file__).parent / "dependencies.yaml").read_text(encoding="utf-8")
 )
 MANIFEST = (REPOSITORY / "package.xml").read_text(encoding="utf-8")
+OURS = {PACKAGE, "scripts", "trials", "benchmarks", *(path.stem for path in (REPOSITORY / "test").rglob("*.py"))}
+"""Tests import their neighbours by their bare names."""
 NOT_NEEDED = {"mcap_ros2", "pandas"}
-"""What a bench measures beside our reader where somebody has installed it; pandas also reads a store in a test."""
+"""What a bench measures next to our reader where it is installed; pandas also reads a store in a test."""
+ROS_MODULES = ("rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_runtime_py")
+ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
 NO_WHEELS = {"launch", "launch_ros"}
-"""Parts of ROS that PyPI has not: the launch files need an installed Jazzy."""
+"""Components of ROS that PyPI has not: the launch files need an installed Jazzy."""
 WITH_RCLPY = {"builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_msgs"}
 """What rclpy's wheel brings along."""
 ONLY_ON_ROS = {"ros2launch"}
@@ -30,29 +35,25 @@ ONLY_ON_ROS = {"ros2launch"}
 
 
 @cache
-def foreign_imports(*folders: str) -> set[str]:
+def foreign_imports(*folders: str) -> frozenset[str]:
     """Top names that the Python files below import, apart from the standard library and files of ours."""
     found: set[str] = set()
-    for folder in folders:
-        files = sorted((REPOSITORY / folder).rglob("*.py"))
-        # Tests import their neighbours by their bare names.
-        ours = {PACKAGE, "scripts", *(path.stem for path in files if folder == "test")}
-        for path in files:
-            names = imported(path.read_text(encoding="utf-8"), (PACKAGE,))
-            found |= {name.split(".")[0] for name in names} - ours
-    return found - set(sys.stdlib_module_names) - NOT_NEEDED
+    for path in (path for folder in folders for path in (REPOSITORY / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.split(".")[0])
+    return frozenset(found - OURS - sys.stdlib_module_names - NOT_NEEDED)
 
 
-def of_pypi(names: Iterable[str]) -> set[str]:
-    return {name for name in names if not belongs_to_ros(name)}
+def of_ros(names: Iterable[str]) -> set[str]:
+    return {name for name in names if name in ROS_MODULES or name.endswith(ROS_ENDINGS)}
 
 
-def by_the_package() -> set[str]:
-    return foreign_imports(PACKAGE, "launch")
-
-
-def by_tests() -> set[str]:
-    return foreign_imports("test", "benchmarks")
+BY_PACKAGE = foreign_imports(PACKAGE, "launch")
+BY_TESTS = foreign_imports("test", "benchmarks", "trials")
+FROM_PYPI, TESTS_FROM_PYPI = BY_PACKAGE - of_ros(BY_PACKAGE), BY_TESTS - of_ros(BY_TESTS)
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +72,8 @@ def names_of(requirements: Iterable[str]) -> set[str]:
     return {re.split(r"[<>=!~; ]", requirement)[0].lower() for requirement in requirements}
 
 
-def pip_name(name: str) -> str:
-    return LISTED[name].get("pip", name)
+def pip_names(names: Iterable[str]) -> set[str]:
+    return {LISTED[name].get("pip", name) for name in names}
 
 
 def depends(*kinds: str) -> set[str]:
@@ -80,56 +81,35 @@ def depends(*kinds: str) -> set[str]:
     return {str(child.text) for child in root if child.tag in (*(f"{kind}_depend" for kind in kinds), "depend")}
 
 
-def pip_line() -> set[str]:
-    """Names in the pip command of package.xml's comment."""
-    said = re.search(r"python3 -m pip install ([^;]*);", MANIFEST)
-    assert said, "package.xml has no pip line that ends with a semicolon"
-    return names_of(word.strip("'") for word in said[1].split())
-
-
-def test_everything_that_is_imported_is_listed() -> None:
-    assert of_pypi(by_the_package() | by_tests()) <= set(LISTED)
-    assert set(LISTED) <= by_the_package() | by_tests() | {"psutil"}, "psutil: in the text of a test's process"
+def test_everything_that_is_imported_is_listed_with_a_key_or_the_reason_why_not() -> None:
+    assert set(LISTED) >= FROM_PYPI | TESTS_FROM_PYPI
+    assert set(LISTED) <= FROM_PYPI | TESTS_FROM_PYPI | {"psutil"}, "psutil: in the text of a test's process"
+    assert [name for name, entry in LISTED.items() if ("rosdep" in entry) == ("no_key" in entry)] == []
 
 
 def test_setup_requires_what_the_package_imports_and_nothing_else(setup_arguments: dict[str, Any]) -> None:
     optional = {name for name in LISTED if "extra" in LISTED[name]}
-    assert {pip_name(name) for name in of_pypi(by_the_package()) - optional} == names_of(
-        setup_arguments["install_requires"]
-    )
-    for name in optional:
-        assert pip_name(name) in names_of(setup_arguments["extras_require"][LISTED[name]["extra"]])
+    required, extras = setup_arguments["install_requires"], setup_arguments["extras_require"]
+    assert pip_names(FROM_PYPI - optional) == names_of(required)
+    for extra in ("tuning", "fleet", "opcua"):
+        assert pip_names(name for name in optional if LISTED[name]["extra"] == extra) == names_of(extras[extra])
+    assert pip_names(TESTS_FROM_PYPI) <= names_of([*required, *extras["test"]])
+    ros = {name.split("[")[0].removeprefix("ros-jazzy-").replace("-", "_") for name in names_of(extras["ros"])}
+    assert ros == of_ros(BY_PACKAGE) - NO_WHEELS - WITH_RCLPY
 
 
-def test_the_extra_for_tests_brings_what_tests_import(setup_arguments: dict[str, Any]) -> None:
-    brought = names_of([*setup_arguments["install_requires"], *setup_arguments["extras_require"]["test"]])
-    assert {pip_name(name) for name in of_pypi(by_tests())} <= brought
-
-
-def test_the_extra_for_ros_brings_what_is_imported_from_it(setup_arguments: dict[str, Any]) -> None:
-    extra = {name.split("[")[0] for name in names_of(setup_arguments["extras_require"]["ros"])}
-    from_ros = {name for name in by_the_package() if belongs_to_ros(name)}
-    assert {name.removeprefix("ros-jazzy-").replace("-", "_") for name in extra} == from_ros - NO_WHEELS - WITH_RCLPY
-
-
-def test_the_manifest_names_what_is_imported_from_ros() -> None:
-    assert {name for name in by_the_package() if belongs_to_ros(name)} <= depends("exec")
-    assert {name for name in by_tests() if belongs_to_ros(name)} <= depends("exec", "test")
+@pytest.mark.parametrize("extra", ["tuning", "fleet"])
+def test_what_an_extra_of_a_wing_brings_is_imported_by_that_wing_alone(extra: str) -> None:
+    servo = set(foreign_imports(*(str(path) for path in (REPOSITORY / PACKAGE).iterdir() if path.name != extra)))
+    assert servo & {name for name, entry in LISTED.items() if entry.get("extra") == extra} == set()
 
 
 def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line() -> None:
     by_key = {name for name in LISTED if "rosdep" in LISTED[name]}
-    package, tests = of_pypi(by_the_package()), of_pypi(by_tests())
-    assert {LISTED[name]["rosdep"] for name in package & by_key} <= depends("exec")
-    assert {LISTED[name]["rosdep"] for name in tests & by_key} <= depends("exec", "test")
-    assert {pip_name(name) for name in package - by_key} <= pip_line()
-
-
-def test_every_key_of_the_manifest_is_one_that_is_known_to_exist_and_is_imported() -> None:
+    assert of_ros(BY_PACKAGE) | {LISTED[name]["rosdep"] for name in FROM_PYPI & by_key} <= depends("exec")
+    assert of_ros(BY_TESTS) | {LISTED[name]["rosdep"] for name in TESTS_FROM_PYPI & by_key} <= depends("exec", "test")
+    line = re.search(r"python3 -m pip install ([^;]*);", MANIFEST)
+    assert line, "package.xml has no pip line that ends with a semicolon"
+    assert pip_names(FROM_PYPI - by_key) <= names_of(word.strip("'") for word in line[1].split())
     known = {entry["rosdep"] for entry in LISTED.values() if "rosdep" in entry}
-    imports_of_ros = {name for name in by_the_package() | by_tests() if belongs_to_ros(name)}
-    assert depends("exec", "test") <= known | imports_of_ros | ONLY_ON_ROS
-
-
-def test_each_entry_has_a_key_or_the_reason_why_not() -> None:
-    assert [name for name, entry in LISTED.items() if ("rosdep" in entry) == ("no_key" in entry)] == []
+    assert depends("exec", "test") <= known | of_ros(BY_PACKAGE | BY_TESTS) | ONLY_ON_ROS

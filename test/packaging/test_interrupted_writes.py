@@ -51,10 +51,9 @@ CASES = {
 SAME = {"history map --output --plot"}
 """It writes as map build does."""
 LIVE = {"demo --output", "replay --output"}
-"""These start nodes. test/parameters/test_output_folder.py shows how they replace a run, test/nodes that they do."""
-EMPTY = {"bench boards --output", "bench graph --output", "bench stages --output", "bench wear --store"}
-EMPTY |= {"faults --output", "soak --output"}
-"""They write into a new or empty folder."""
+"""These start nodes. test/parameters/test_output_files.py shows how they replace a run, test/nodes that they do."""
+EMPTY = {"bench graph --output"}
+"""It writes into a new or empty folder."""
 READ = re.compile(
     "--(bag|board|certificates|check-survey|compare|firmware|limits|maintenance|map|params-file|server-certificate|"
     "socket|stage|survey)|bag|bags|file|log|source|stage|store"
@@ -62,7 +61,7 @@ READ = re.compile(
 PATHS = {"BAG", "BAG2", "CSV", "DIR", "FILE", "FOLDER", "LOG", "PATH", "SOURCE", "STAGE", "STORE"}
 LONG = {"reproduce --output": 5}
 """So many of its writes are spoiled, evenly spread: each takes half a minute of computing."""
-QUICK = ("can firmware -o", "map convert --output", "opcua user file", "stage new folder")
+QUICK = ("opcua user file", "map convert --output")
 
 
 def commands(parser, words=""):

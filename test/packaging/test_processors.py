@@ -1,36 +1,23 @@
 """The script that runs tests as on other processors: what it sets, and what it reads of pytest's last line."""
 
-import importlib.util
 import platform
 import subprocess
 import sys
-from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    path = REPOSITORY / "scripts" / "processors.py"
-    spec = importlib.util.spec_from_file_location("processors", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from scripts import processors
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="NOT TESTED: other processors are simulated on x86-64 only")
-def test_numpy_knows_every_instruction_that_it_is_told_to_do_without(script: ModuleType) -> None:
+def test_numpy_knows_every_instruction_that_it_is_to_do_without() -> None:
     # Of a name that it does not know NumPy only warns, and uses its newest instructions.
     program = (
         "import numpy as np; umath = getattr(np, '_core', None) or np.core; umath = umath._multiarray_umath\n"
         "print([name for name in umath.__cpu_dispatch__ if umath.__cpu_features__[name]])"
     )
     command = [sys.executable, "-W", "error", "-c", program]
-    environment = script.environment("PRESCOTT")
+    environment = processors.environment("PRESCOTT")
     printed = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=120).stdout
     assert printed.strip() == "[]"
 
@@ -43,5 +30,5 @@ def test_numpy_knows_every_instruction_that_it_is_told_to_do_without(script: Mod
         ("2 errors in 0.10s", {"error": 2}),
     ],
 )
-def test_the_table_has_the_counts_of_the_last_line(script: ModuleType, line: str, found: dict[str, int]) -> None:
-    assert script.counts(f"FAILED test_one.py - 3 passed\n{line}\n") == found
+def test_the_table_has_the_counts_of_the_last_line(line: str, found: dict[str, int]) -> None:
+    assert processors.counts(f"FAILED test_one.py - 3 passed\n{line}\n") == found

@@ -11,11 +11,11 @@ from rich.table import Table
 
 from straightcomp_ros.analysis.html_document import html_plot, line_figure
 from straightcomp_ros.analysis.pictures import as_text
-from straightcomp_ros.cli.law_tables import doubtful, titled_table
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.cli.output import console, notes, printable, styled
+from straightcomp_ros.cli.results import doubtful, titled_table
 
-BAG = Path(__file__).resolve().parents[2] / "bags" / "smc"
+ROOT = Path(__file__).resolve().parents[2]
 NAMES = ["gantry[left]", "[/x]", "[red]", "a[bold]b[/bold]", ":smile:", "[link=http://x]y[/]", "\\[x]"]
 
 
@@ -46,8 +46,8 @@ def test_a_text_is_printed_as_it_is(name, of, printed):
 @pytest.mark.parametrize("control", ["\x1b[2J", "\x1b]0;x\x07", "\r", "\x08", "\x9b2J", "\u202e", "\x7f"])
 def test_no_text_controls_the_terminal(control, printed, capsys):
     table = titled_table(f"a{control}b", f"a{control}b", rows=[(f"a{control}b",), (doubtful(f"a{control}b"),)])
-    told = printed(f"a{control}b", styled(f"a{control}b"), table)
-    assert control not in told and printable(f"a{control}b") in told
+    shown = printed(f"a{control}b", styled(f"a{control}b"), table)
+    assert control not in shown and printable(f"a{control}b") in shown
     for words in (["evaluate", f"a{control}b"], ["simulate", "--plot", f"a{control}b/run.png"]):
         assert main(words) in (1, 2)
         assert control not in capsys.readouterr().err
@@ -56,31 +56,19 @@ def test_no_text_controls_the_terminal(control, printed, capsys):
     assert control not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
-@pytest.mark.parametrize(
-    "words",
-    [
-        "evaluate BAG",
-        "evaluate none-µ-\udcff-轴",
-        "map show",
-        "doctor --json",
-        "history query SELECT",
-        "stage show SHIPPED",
-    ],
-)
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
+@pytest.mark.parametrize("words", ["evaluate none-µ-\udcff-轴", "stage show SHIPPED"])
 def test_every_text_prints_in_every_encoding(words, encoding, tmp_path):
-    stage = Path(__file__).resolve().parents[2] / "config" / "stage_synthetic.yaml"
-    command = words.replace("BAG", str(BAG)).replace("SHIPPED", str(stage)).split()
-    told = subprocess.run(
+    command = words.replace("SHIPPED", str(ROOT / "config" / "stage_synthetic.yaml")).split()
+    done = subprocess.run(
         [sys.executable, "-m", "straightcomp_ros.cli.main", *map(os.fsencode, command)],
         env={**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"},
         capture_output=True,
         cwd=tmp_path,
         timeout=120,
     )
-    assert b"Traceback" not in told.stderr and told.returncode in (0, 1, 2)
-    assert told.stdout or told.stderr
-    (told.stdout + told.stderr).decode(encoding)
+    assert b"Traceback" not in done.stderr and done.returncode in (0, 1)
+    (done.stdout + done.stderr).decode(encoding)
 
 
 def test_plotly_takes_no_text_for_html():

@@ -18,8 +18,7 @@ from straightcomp_ros.parameters.declaration import (
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file, read_parameter_file
 from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 
 
 @dataclass(frozen=True)
@@ -42,13 +41,10 @@ def test_groups_are_addressed_with_a_dot_and_may_have_defaults_of_their_own():
         ("inner.gain", 5.0),
         ("inner.name", "a"),
     ]
+    # `ros2 param describe` shows one parameter alone.
+    assert [d.description for d in declarations(Outer)] == ["Count", "On", "Coil: Gain", "Coil: Name"]
     assert from_mapping(Outer, {}) == Outer()
     assert from_mapping(Outer, {"inner.gain": 4}).inner.gain == 4.0
-
-
-def test_a_description_in_a_group_says_of_what_it_is():
-    """`ros2 param describe` shows one parameter alone."""
-    assert [d.description for d in declarations(Outer)] == ["Count", "On", "Coil: Gain", "Coil: Name"]
 
 
 def test_a_set_and_its_mapping_are_inverse():
@@ -120,9 +116,6 @@ def test_a_bad_parameter_file_is_refused_with_its_name(tmp_path, text, words):
     with pytest.raises(ParameterError, match=words) as refusal:
         read_parameter_file(path)
     assert str(path) in str(refusal.value)
-
-
-def test_a_missing_parameter_file_is_refused_with_its_name(tmp_path):
     with pytest.raises(ParameterError, match=r"none\.yaml"):
         read_parameter_file(tmp_path / "none.yaml")
 
@@ -159,12 +152,12 @@ TOGETHER = [
     ("opcua", {"opcua.trusted": "folder"}, "opcua.trusted", {"opcua.security"}),
     ("uncertainty", {"longest_delay": 0.1, "shortest_delay": 0.2}, "longest_delay", {"shortest_delay"}),
 ]
-"""Values that are refused beside others: node, values, the name that the message begins with, others that it names."""
+"""Node, values of which one is refused because of others, the name that the message begins with, others in it."""
 SETS = {**NODE_PARAMETERS, "uncertainty": UncertaintyParameters}
 
 
 @pytest.mark.parametrize(("node", "values", "name", "others"), TOGETHER)
-def test_what_is_refused_beside_other_parameters_is_named_as_it_is_set(node, values, name, others):
+def test_what_is_refused_together_with_other_parameters_is_named_as_it_is_set(node, values, name, others):
     with pytest.raises(ParameterError) as refused:
         from_mapping(SETS[node], values)
     message = str(refused.value)
@@ -176,7 +169,7 @@ def test_what_is_refused_beside_other_parameters_is_named_as_it_is_set(node, val
 
 
 def checking(parameter_set):
-    """The set and its groups that judge parameters beside others."""
+    """The set and its groups that judge parameters together with others."""
     found = {parameter_set} if {"__post_init__", "check"} & set(vars(parameter_set)) else set()
     kinds = get_type_hints(parameter_set)
     return found.union(
@@ -184,7 +177,7 @@ def checking(parameter_set):
     )
 
 
-def test_each_refusal_beside_other_parameters_is_among_those():
+def test_each_refusal_together_with_other_parameters_is_among_those():
     judges = set().union(*map(checking, SETS.values()))
     written = sum(len(re.findall(r"\braise \w+\(", inspect.getsource(judge))) for judge in judges)
     assert written == len(TOGETHER)

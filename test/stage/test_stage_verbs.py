@@ -1,4 +1,4 @@
-"""`straightcomp stage`: a description is written, checked, and tells what follows from it."""
+"""`straightcomp stage`: a description is written, checked, and shown with what follows from it."""
 
 import json
 
@@ -82,9 +82,9 @@ def checked(capsys, folder, *options):
     assert new(folder, "--force", *options) == 0
     capsys.readouterr()
     code = main(["stage", "check", str(folder / "stage.yaml"), "--json"])
-    told = json.loads(capsys.readouterr().out)
-    assert code == (1 if told["fail"] else 0)
-    return {check["name"]: check for check in told["checks"]}
+    found = json.loads(capsys.readouterr().out)
+    assert code == (1 if found["fail"] else 0)
+    return {check["name"]: check for check in found["checks"]}
 
 
 def test_the_shipped_stage_is_in_order(tmp_path, capsys):
@@ -121,13 +121,13 @@ def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, capsys):
     assert new(tmp_path / "one") == 0
     capsys.readouterr()
     assert main(["stage", "show", str(tmp_path / "one" / "stage.yaml"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    found = json.loads(capsys.readouterr().out)
     # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0; two significant digits of docs/plant.md.
-    assert told["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
-    assert told["position_stiffness_N_per_m"] == pytest.approx(44.68 / 1.5e-3, rel=1e-3)
-    assert told["dead_time_ms"] == pytest.approx(0.75 + 1e3 / (2 * 3.14159 * 500), rel=1e-4)
-    assert told["dac_force_mN"] == pytest.approx(44.68 * 2.0 / 4.096, rel=1e-3)
-    assert told["correction_um"] == pytest.approx(11.2, abs=0.1)
+    assert found["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
+    assert found["position_stiffness_N_per_m"] == pytest.approx(44.68 / 1.5e-3, rel=1e-3)
+    assert found["dead_time_ms"] == pytest.approx(0.75 + 1e3 / (2 * 3.14159 * 500), rel=1e-4)
+    assert found["dac_force_mN"] == pytest.approx(44.68 * 2.0 / 4.096, rel=1e-3)
+    assert found["correction_um"] == pytest.approx(11.2, abs=0.1)
     assert main(["stage", "show", str(tmp_path / "one" / "stage.yaml")]) == 0
     assert "dead time" in capsys.readouterr().out
 
@@ -138,7 +138,16 @@ def test_a_verb_takes_the_stage_and_finds_its_survey_beside_it(tmp_path, survey,
     capsys.readouterr()
     monkeypatch.chdir("/")
     assert main(["simulate", "--stage", str(folder / "stage.yaml"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["duration_s"] == pytest.approx(2 * (0.6 / 0.1 + 0.1 / 0.5) + 0.5, abs=0.1)
+    found = json.loads(capsys.readouterr().out)
+    assert found["duration_s"] == pytest.approx(2 * (0.6 / 0.1 + 0.1 / 0.5) + 0.5, abs=0.1)
     # In a simulation of one's own stage the guide is the surveyed one, not that of the shipped stage.
-    assert told["residual_pp_um"] < 0.5 < told["uncompensated_pp_um"]
+    assert found["residual_pp_um"] < 0.5 < found["uncompensated_pp_um"]
+
+
+def test_the_identity_differs_between_machines_and_not_with_their_strokes():
+    shipped = StageParameters()
+    assert shipped.identity == StageParameters().identity
+    assert shipped.identity.startswith("synthetic ")
+    assert from_mapping(StageParameters, {"platform.mass": 3.01}).identity != shipped.identity
+    assert from_mapping(StageParameters, {"name": "gantry"}).identity.startswith("gantry ")
+    assert from_mapping(StageParameters, {"motion.stroke": 0.2}).identity == shipped.identity

@@ -27,7 +27,7 @@ def survey(folder, start, stop, *, back=False):
 
 @pytest.fixture
 def tried(capsys):
-    """Runs `straightcomp simulate --json` with these words; returns exit code, figures, and what was said beside."""
+    """Runs `straightcomp simulate --json` with these words; returns exit code, figures, standard error."""
 
     def simulate(*words):
         code = main(["simulate", "--json", *words])
@@ -59,12 +59,12 @@ def test_a_survey_of_ones_own_is_followed_by_the_simulated_guide(tried, describe
     assert figures["true_pp_um"] < 0.5
 
 
-def test_a_survey_of_another_guide_than_the_simulated_one_is_told_and_no_success(tried, tmp_path):
+def test_a_survey_of_another_guide_than_the_simulated_one_is_named_and_no_success(tried, tmp_path):
     code, figures, _ = tried("--set", f"stage.guide.file={survey(tmp_path, 0, 1760)}")
     assert code == 1 and figures["verdict"] == "wrong_guide" and "use a survey of this guide" in figures["reason"]
 
 
-def test_a_survey_that_ends_before_the_stroke_is_told_and_no_success(tried, tmp_path):
+def test_a_survey_that_ends_before_the_stroke_is_named_and_no_success(tried, tmp_path):
     code, figures, _ = tried("--set", f"stage.guide.file={survey(tmp_path, 0, 600)}")
     assert code == 1 and figures["verdict"] == "left_map"
     assert "1760 mm; allowed: -20 mm to 620 mm" in figures["reason"] and "survey the whole guide" in figures["reason"]

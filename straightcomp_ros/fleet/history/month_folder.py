@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from straightcomp_ros.fleet.history.recorded_facts import checksum_of
 from straightcomp_ros.fleet.history.row_columns import schema_of
 from straightcomp_ros.fleet.history.stroke_row import StrokeRow
-from straightcomp_ros.parameters.whole_file import exchange, locked, write_whole
+from straightcomp_ros.parameters.output_files import exchange, locked, write_whole
 
 if TYPE_CHECKING:
     import pyarrow

@@ -13,7 +13,7 @@ from straightcomp_ros.fleet.history.bag_row import BagRow
 from straightcomp_ros.fleet.history.row_columns import schema_of
 from straightcomp_ros.fleet.history.store import BAGS, STROKES, Store
 from straightcomp_ros.fleet.history.stroke_row import BIN_MM, PARTITIONS, StrokeRow
-from straightcomp_ros.parameters.output_folder import same_or_within
+from straightcomp_ros.parameters.output_files import same_or_within
 
 if TYPE_CHECKING:
     import pyarrow

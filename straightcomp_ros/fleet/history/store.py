@@ -29,7 +29,7 @@ from straightcomp_ros.fleet.history.month_folder import KEYS
 from straightcomp_ros.fleet.history.recorded_facts import checksum_of, stored_name
 from straightcomp_ros.fleet.history.row_columns import arrow, schema_of
 from straightcomp_ros.fleet.history.stroke_row import PARTITIONS, StrokeRow
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 
 if TYPE_CHECKING:
     import pyarrow

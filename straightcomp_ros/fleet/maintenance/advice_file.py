@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.fleet.maintenance.advice import Advice
-from straightcomp_ros.parameters.plain_json import plain
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import plain, write_whole
 
 
 def advice_json(stage: str, as_of: date, advice: Sequence[Advice]) -> dict[str, Any]:

@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.fleet.maintenance.advice_file import advice_json, write_advice
     from straightcomp_ros.fleet.maintenance.day_levels import COLUMNS, day_levels
     from straightcomp_ros.fleet.maintenance.level_change import BASELINE
-    from straightcomp_ros.parameters.output_folder import making
+    from straightcomp_ros.parameters.output_files import making
 
     folder = output_folder("--output", options.output) if options.output else None
     told: dict[str, Any] = {}

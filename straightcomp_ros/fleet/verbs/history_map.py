@@ -10,9 +10,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from straightcomp_ros.cli.law_tables import figures_table
 from straightcomp_ros.cli.options import PICTURES, add_force, check_range, output_file
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json
+from straightcomp_ros.cli.results import figures_table
 
 SUMMARY = "propose a map from the strokes of the last days"
 

@@ -16,9 +16,9 @@ import argparse
 from datetime import date
 from typing import Any
 
-from straightcomp_ros.cli.law_tables import figures_table, shown, titled_table
 from straightcomp_ros.cli.options import add_force
 from straightcomp_ros.cli.output import console, print_json
+from straightcomp_ros.cli.results import figures_table, shown, titled_table
 from straightcomp_ros.fleet.verbs.history_add import DEFAULT_STORE
 
 SUMMARY = "ask a store in SQL"

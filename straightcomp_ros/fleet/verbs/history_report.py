@@ -24,8 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.fleet.maintenance.stage_report import COLUMNS, stage_report
-    from straightcomp_ros.parameters.output_folder import making
-    from straightcomp_ros.parameters.whole_file import write_whole
+    from straightcomp_ros.parameters.output_files import making, write_whole
 
     folder = output_folder("--output", options.output)
     pages = {stage: stage_report(stage, strokes) for stage, strokes in stored_stages(options, COLUMNS)}

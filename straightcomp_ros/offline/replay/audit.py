@@ -19,8 +19,7 @@ from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.pairing import extrapolated
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
 
 _AUDITED = (ENCODER, REFERENCE, COMMAND, CONTROLLER_STATE)
 _COLUMNS = ("control_current", *CONTROLLER_STATE.layout.columns[:-1])

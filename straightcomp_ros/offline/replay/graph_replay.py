@@ -17,8 +17,8 @@ from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_s
 from straightcomp_ros.bags.recorded_parameters import parameters_of, unpacked_map
 from straightcomp_ros.cell.launcher import Graph, LaunchError, exit_words, isolated_environment
 from straightcomp_ros.contract import COMMAND, ENCODER
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from straightcomp_ros.parameters.whole_file import write_whole
 
 _PLAYED_TO = ("feedforward", "controller", "logger")
 _NAMESPACE = "replay"

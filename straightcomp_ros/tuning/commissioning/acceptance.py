@@ -19,7 +19,7 @@ from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_bag
 from straightcomp_ros.parameters.node_parameters import Values, by_node
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map, survey_check
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.tuning.commissioning import LeftTravel

@@ -9,9 +9,8 @@ from typing import Any
 
 from straightcomp_ros.bags.origin import origin
 from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
-from straightcomp_ros.parameters.plain_json import plain
-from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.tuning.commissioning.certificate_page import certificate_page
 from straightcomp_ros.tuning.commissioning.checks import Check, at_least, at_most, stroke_checks
 from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work

@@ -8,8 +8,7 @@ import math
 from typing import Any
 
 from straightcomp_ros.analysis import IdentificationError
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.commissioning import LeftTravel
 from straightcomp_ros.tuning.commissioning.outcome import Outcome, Work

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
-from straightcomp_ros.parameters.plain_json import plain
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import plain, write_whole
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.tuning.commissioning import STEP_NAMES, CommissioningError
 from straightcomp_ros.tuning.commissioning.acceptance import acceptance

@@ -15,8 +15,7 @@ from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import to_mapping
-from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
-from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
 from straightcomp_ros.tuning.commissioning import LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import COASTING, Array, Series
 from straightcomp_ros.tuning.frequency_response.simulated_measurement import ComparedResponse, measure_simulated

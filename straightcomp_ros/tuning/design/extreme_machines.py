@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.stage.truth import Factors, deviating
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.stage.description import Factors, UncertaintyParameters, deviating
 
 
 class Extreme(NamedTuple):

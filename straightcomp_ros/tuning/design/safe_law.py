@@ -18,9 +18,7 @@ from straightcomp_ros.control.margins import StateSpace, closed_loop, linearised
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import Factors, deviating
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.design.prepared_stroke import prepared_stroke, shortened
 from straightcomp_ros.tuning.design.searched_gains import SEARCHED, rule, starts, with_gains

@@ -24,8 +24,7 @@ from straightcomp_ros.control.margins import (
     sampled_plant,
     spectral_radius,
 )
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import Factors, deviating
+from straightcomp_ros.stage.description import Factors, StageParameters, deviating
 
 _GRID = 400
 """Frequencies at which the phase margin is looked for: off by less than a degree."""

@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import COMMISSIONING_STATE
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.parameter_sets import CommissioningNodeParameters
+from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
 from straightcomp_ros.runtime.declare import declare
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import Runnable, run

@@ -15,9 +15,9 @@ from straightcomp_ros.cell.demonstration import emulated_machine, on_hub
 from straightcomp_ros.cell.launcher import IN_THE_LOOP, RECORDED, Graph, LaunchError, isolated_environment
 from straightcomp_ros.parameters.declaration import belongs_to_ros
 from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.parameters.share import make_private
-from straightcomp_ros.parameters.whole_file import write_whole
 from straightcomp_ros.runtime.first_parameters import FirstParameters
 from straightcomp_ros.runtime.graph_client import GraphClient, GraphError
 from straightcomp_ros.tuning.commissioning import CommissioningError

@@ -10,8 +10,7 @@ from typing import Any
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.model.plant import PlantParameters
-from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters, DriverNodeParameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, DriverNodeParameters, node_parameters
 from straightcomp_ros.stage.description import StageParameters
 
 DELAY = 0.5

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import Factors
+from straightcomp_ros.stage.description import Factors, StageParameters
 from straightcomp_ros.straightness.survey import Survey
 
 

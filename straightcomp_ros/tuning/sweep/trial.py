@@ -18,7 +18,7 @@ from straightcomp_ros.model.plant import PlantState
 from straightcomp_ros.offline.kernel import Conditions, Cycle, run_cycle
 from straightcomp_ros.offline.references import readings, references, served
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.stage.truth import deviating
+from straightcomp_ros.stage.description import deviating
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.tuning.sweep.draws import Streams, draw, mismeasured, sample_times, streams
 

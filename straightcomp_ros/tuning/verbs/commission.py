@@ -11,11 +11,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.options import add_force, check_range, named_files, output_folder
+from straightcomp_ros.cli.options import (
+    add_force,
+    add_setting_option,
+    check_range,
+    named_files,
+    output_folder,
+    stage_values,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, styled, working
-from straightcomp_ros.cli.parameter_options import add_setting_option, stage_values
-from straightcomp_ros.parameters.output_folder import making
-from straightcomp_ros.parameters.parameter_sets import CommissioningNodeParameters
+from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
+from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.straightness.guide_map import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.tuning.commissioning import STEP_NAMES

@@ -9,16 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.options import add_force, check_range, output_file
+from straightcomp_ros.cli.options import add_force, add_stage_argument, check_range, output_file, stage_values
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, progress_bar
-from straightcomp_ros.cli.parameter_options import add_stage_argument, stage_values
+from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import Spread
-from straightcomp_ros.parameters.commented_file import as_yaml
-from straightcomp_ros.parameters.parameter_file import ALL_NODES
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.parameter_file import ALL_NODES, as_yaml
 from straightcomp_ros.parameters.yaml_text import load_yaml
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, Design, DesignFigures, design_gains
 from straightcomp_ros.tuning.sweep.many_trials import PERCENTILES

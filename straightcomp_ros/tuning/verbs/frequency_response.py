@@ -13,14 +13,20 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.options import PICTURES, add_force, output_file, output_folder
+from straightcomp_ros.cli.options import (
+    PICTURES,
+    add_force,
+    add_parameter_options,
+    chosen_parameters,
+    output_file,
+    output_folder,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.excitation import MultisineParameters
 from straightcomp_ros.parameters.declaration import Declaration, declarations, from_mapping
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
-from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.tuning.frequency_response.response_margins import ResponseMargins, response_margins
 from straightcomp_ros.tuning.frequency_response.simulated_measurement import (
     WITHIN_DB,

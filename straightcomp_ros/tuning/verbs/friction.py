@@ -15,12 +15,17 @@ import math
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.cli.law_tables import titled_table
-from straightcomp_ros.cli.options import add_force, add_repeatable, output_file
+from straightcomp_ros.cli.options import (
+    add_force,
+    add_parameter_options,
+    add_repeatable,
+    chosen_parameters,
+    output_file,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
+from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.whole_file import write_whole
+from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.identification.estimate import (
     UNITS,

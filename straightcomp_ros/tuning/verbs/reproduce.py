@@ -5,10 +5,10 @@ A number that does not agree is no failure of the command: the note of that numb
 import argparse
 from pathlib import Path
 
-from straightcomp_ros.cli.law_tables import shown, titled_table
 from straightcomp_ros.cli.options import add_force, output_folder
 from straightcomp_ros.cli.output import console, notes, print_json, working
-from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.cli.results import shown, titled_table
+from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.paper.all_figures import PICTURES, Reproduction, reproduce
 from straightcomp_ros.tuning.paper.ideal_machine import DELAY, machine_from

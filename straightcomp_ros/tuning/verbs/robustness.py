@@ -10,14 +10,28 @@ import argparse
 import time
 
 from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.cli.law_tables import doubtful, titled_table
-from straightcomp_ros.cli.options import PICTURES, add_dask, add_force, add_repeatable, output_file, whole_number
+from straightcomp_ros.cli.options import (
+    PICTURES,
+    add_dask,
+    add_force,
+    add_parameter_options,
+    add_repeatable,
+    chosen_parameters,
+    output_file,
+    whole_number,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, working
-from straightcomp_ros.cli.parameter_options import add_parameter_options, chosen_parameters
-from straightcomp_ros.cli.verdict_output import fail_unless_in_order, in_json, print_verdict, warn_of_missing_margin
+from straightcomp_ros.cli.results import (
+    doubtful,
+    fail_unless_in_order,
+    in_json,
+    print_verdict,
+    titled_table,
+    warn_of_missing_margin,
+)
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.stage.description import UncertaintyParameters
 from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.tuning.sweep.many_trials import OUTLIER, PERCENTILES, LawSummary, summarise, sweep
 from straightcomp_ros.tuning.sweep.sweep_plot import plot_sweep

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.parameters.output_folder import MARK
+from straightcomp_ros.parameters.output_files import MARK
 from straightcomp_ros.stage.due_maintenance import read_advice
 
 

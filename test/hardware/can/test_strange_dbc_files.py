@@ -17,7 +17,7 @@ from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
 from straightcomp_ros.hardware.can.wire_parameters import WireParameters
 from straightcomp_ros.parameters.declaration import RefusedParameter, from_mapping
-from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
+from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 REAL = sorted((Path(__file__).resolve().parents[2] / "cases" / "dbc" / "opendbc").glob("*.dbc"))

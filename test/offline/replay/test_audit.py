@@ -19,8 +19,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.offline.replay.audit import audit
 from straightcomp_ros.offline.replay.what_if import what_if
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
-from straightcomp_ros.parameters.parameter_sets import ControllerNodeParameters
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, by_node, node_parameters
 
 CYCLE = {"motion.stroke": 0.03, "motion.settle": 0.1, "motion.pause": 0.05}
 LAYOUTS = {stream.topic: stream.layout for stream in STREAMS}

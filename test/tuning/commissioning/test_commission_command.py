@@ -8,7 +8,7 @@ import pytest
 from roughly_known import ROUGH
 
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.parameters.output_folder import making
+from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.commissioning import STEP_NAMES
 from straightcomp_ros.tuning.commissioning.outcome import Outcome

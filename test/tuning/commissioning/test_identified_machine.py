@@ -9,8 +9,7 @@ import pytest
 from roughly_known import TRUTH, values_of, work_on
 
 from straightcomp_ros.parameters.declaration import to_mapping
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
 from straightcomp_ros.tuning.commissioning.identified_machine import facts_found, identification, strangeness
 from straightcomp_ros.tuning.commissioning.outcome import Outcome
 from straightcomp_ros.tuning.commissioning.simulated_machine import sound

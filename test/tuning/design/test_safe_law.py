@@ -11,7 +11,7 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant
 from straightcomp_ros.offline.scenario import Scenario, make_scenario
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.stage.truth import Factors, deviating
+from straightcomp_ros.stage.description import Factors, deviating
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
 from straightcomp_ros.tuning.design.safe_law import LAW, SafeLaw, _corners, _growths, safe_law
 from straightcomp_ros.tuning.design.searched_gains import with_gains

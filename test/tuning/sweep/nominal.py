@@ -1,7 +1,7 @@
 """A sweep without uncertainty."""
 
 from straightcomp_ros.parameters.declaration import to_mapping
-from straightcomp_ros.stage.uncertainty import UncertaintyParameters
+from straightcomp_ros.stage.description import UncertaintyParameters
 
 EXACT = UncertaintyParameters(
     mass=0.0, force=0.0, air_gap=0.0, friction=1.0, sensor_noise=0.0, shortest_delay=1.0, longest_delay=1.0, jitter=0.0,

@@ -10,8 +10,7 @@ from numpy.random import SeedSequence, default_rng
 from straightcomp_ros.model.plant import PlantParameters
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
-from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.stage.truth import deviating
+from straightcomp_ros.stage.description import StageParameters, deviating
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.survey import read_survey
 from straightcomp_ros.tuning.sweep.draws import draw, mismeasured, sample_times, streams

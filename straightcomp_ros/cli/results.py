@@ -1,7 +1,8 @@
-"""Tables for people: our figures beside the paper's."""
+"""Results of runs on the terminal: tables of figures, and verdicts, also in JSON and as the exit code."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -11,12 +12,17 @@ from rich.table import Table
 from rich.text import Text
 
 from straightcomp_ros.analysis.judgement import IN_ORDER
-from straightcomp_ros.cli.output import styled
+from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, styled
 from straightcomp_ros.offline.published import PEAK_TO_PEAK_UM
 
 if TYPE_CHECKING:
+    from straightcomp_ros.analysis.judgement import Verdict
+    from straightcomp_ros.control.laws import ControlParameters
+
     # The sweep takes longer to import than most verbs run.
+    from straightcomp_ros.doctor import Finding
     from straightcomp_ros.offline.starts import Spread
+    from straightcomp_ros.stage.description import StageParameters
 
 _ROWS = (
     ("encoder_pp_um", "compensation error p-p, encoder", "µm", 3),
@@ -34,6 +40,7 @@ _ROWS = (
 )
 
 
+_COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 _ERROR = re.compile(r"((encoder|true|residual|residual_encoder)_(pp|rms)|(straightness_)?after)(_\w+)?_um")
 """Names of the figures that say nothing of the machine when a run is not in order."""
 
@@ -115,23 +122,48 @@ def cycles_table(law: str, cycles: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def can_tables(figures: Mapping[str, Any]) -> list[Table]:
-    """Costs and times, faults, and the closed loop under faults; ``figures`` as `straightcomp bench can --json`."""
-    costs = titled_table("CAN path", "part", "µs")
-    for name, cost in figures["codec"].items():
-        costs.add_row(f"pack {name}", rounded(cost["pack_us"], 2))
-        costs.add_row(f"unpack {name}", rounded(cost["unpack_us"], 2))
-    costs.add_row("send a frame to the hub", rounded(figures["send_us"], 1))
-    costs.add_row("receive a frame from the hub", rounded(figures["receive_us"], 1))
-    for key in ("p50", "p99", "max"):
-        costs.add_row(f"round trip {key}", rounded(figures["round_trip_us"][key]))
-    title = f"Faults, {figures['frames']} frames of each kind on each kind of bus"
-    found = [(kind, count["injected"], count["detected"]) for kind, count in figures["faults"].items()]
-    found.append(("wrong samples used unflagged", "", figures["unflagged_wrong"]))
-    faults = titled_table(title, "kind", "injected", "detected", rows=found)
-    columns = ("faults", "latched", "servo on", "on beyond a fault")
-    loops = titled_table("Closed loop under all faults together", "bus", *columns)
-    for bus, loop in figures["closed_loop"].items():
-        latched = sum(loop["latched"].values())
-        loops.add_row(bus, str(loop["injected"]), str(latched), f"{loop['on']:.0%}", str(loop["unsafe"]))
-    return [costs, faults, loops]
+def print_verdict(verdict: Verdict, of: str = "") -> None:
+    """The verdict as a line below a table; ``of`` names the run where there are several."""
+    style = "green" if verdict.in_order else "red"
+    console.print(f"Verdict{f' on {of}' if of else ''}: {verdict}", style=style, soft_wrap=True, highlight=False)
+
+
+def in_json(verdict: Verdict) -> dict[str, Any]:
+    """The entries ``verdict`` and ``reason``."""
+    return verdict._asdict()
+
+
+def fail_unless_in_order(verdict: Verdict) -> None:
+    """Raise CommandFailed, exit code 1, for a run that is not in order."""
+    if not verdict.in_order:
+        raise CommandFailed(f"not in order: {verdict.verdict}")
+
+
+def warn_of_missing_margin(control: ControlParameters, stage: StageParameters) -> str | None:
+    """Say on standard error which margin the law lacks on ``stage``; return the sentence, None if it lacks none."""
+    # Only here: it imports scipy, which takes longer than what most verbs do.
+    from straightcomp_ros.control.margins import missing_margin
+
+    missing = missing_margin(control, stage)
+    if missing is not None:
+        text = f"warning: {missing}; the controller of the graph refuses these, unless 'control.margins' is 'warn'"
+        notes.print(text, style="yellow", soft_wrap=True, highlight=False)
+    return missing
+
+
+def show_findings(found: Iterable[Finding], *, json: bool) -> int:
+    """Print the findings of a check as they come; returns the exit code: 1 if one fails."""
+    findings = []
+    for finding in found:
+        findings.append(finding)
+        if not json:
+            state = (f"{finding.state:>4}", _COLOURS[finding.state])
+            console.print(styled(state, f"  {finding.name}: {finding.detail}"))
+            if finding.remedy:
+                console.print(f"      {finding.remedy}", style="dim", highlight=False)
+    counts = {state: sum(finding.state == state for finding in findings) for state in _COLOURS}
+    if json:
+        print_json({**counts, "checks": [dataclasses.asdict(finding) for finding in findings]})
+    else:
+        console.print(", ".join(f"{count} {state}" for state, count in counts.items()), highlight=False)
+    return 1 if counts["fail"] else 0
