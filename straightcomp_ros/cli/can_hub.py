@@ -9,8 +9,7 @@ from contextlib import closing
 
 from straightcomp_ros.cli.options import add_repeatable, check_range
 from straightcomp_ros.cli.output import CommandFailed, print_json
-from straightcomp_ros.hardware.can.bus_faults import KINDS, Faults
-from straightcomp_ros.hardware.can.hub import Hub
+from straightcomp_ros.hardware.can.hub import KINDS, Faults, Hub
 from straightcomp_ros.timing import realtime
 
 SUMMARY = "be a bus between processes, with faults if wanted"

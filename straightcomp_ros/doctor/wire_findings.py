@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from straightcomp_ros.doctor.finding import Finding
+from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.budget import Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.message_code import Signals
-from straightcomp_ros.hardware.can.wire_gaps import gaps
+from straightcomp_ros.hardware.can.frames import Frames
 from straightcomp_ros.parameters.parameter_sets import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 
@@ -26,13 +26,13 @@ def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Findin
     wire, motion, actuator = can.make_wire(), stage.motion, stage.actuator
     yield Finding("wire", "ok", f"{wire.dbc.file}: {', '.join(_names(can))}")
     ends = motion.start, motion.start + motion.stroke
-    yield _range("wire x", wire.sample.signals, "x", ends, stage.encoder.x_resolution, "m")
+    yield _range("wire x", wire.sample, "x", ends, stage.encoder.x_resolution, "m")
     stop = stage.platform.stop
-    yield _range("wire y", wire.homes["y"].signals, "y", (-stop, stop), stage.encoder.y_resolution, "m")
+    yield _range("wire y", wire.homes["y"], "y", (-stop, stop), stage.encoder.y_resolution, "m")
     limit = actuator.current_limit
-    yield _range("wire command", wire.command.signals, "current", (-limit, limit), stage.drive.current_step, "A")
+    yield _range("wire command", wire.command, "current", (-limit, limit), stage.drive.current_step, "A")
     if wire.current is not None:
-        yield _range("wire current", wire.current.signals, "current", (-limit, limit), stage.drive.current_step, "A")
+        yield _range("wire current", wire.current, "current", (-limit, limit), stage.drive.current_step, "A")
     missing = gaps(wire)
     for gap in missing:
         yield Finding("wire protection", "warn", gap, "Ask the maker of the board, or accept what follows.")
@@ -43,13 +43,13 @@ def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Findin
 
 def _names(can: CanParameters) -> list[str]:
     wire = can.make_wire()
-    return [frames.signals.message.name for frames in (*wire.reports.values(), *wire.commands)]
+    return [frames.name for frames in (*wire.reports.values(), *wire.commands)]
 
 
-def _range(name: str, signals: Signals, field: str, ends: tuple[float, float], resolution: float, unit: str) -> Finding:
-    least, largest = signals.span(field)
-    step = _step(signals, field, ends)
-    signal = signals.signals[field].name
+def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], resolution: float, unit: str) -> Finding:
+    least, largest = frames.spans[field]
+    step = _step(frames, field, ends)
+    signal = frames.fields[field].name
     detail = (
         f"'{signal}' from {least:.6g} to {largest:.6g} {unit} in steps of {step:.3g} {unit}; the stage needs "
         f"{ends[0]:.6g} to {ends[1]:.6g} {unit} in steps of {resolution:.3g} {unit}"
@@ -64,11 +64,11 @@ def _range(name: str, signals: Signals, field: str, ends: tuple[float, float], r
     return Finding(name, "ok", detail)
 
 
-def _step(signals: Signals, field: str, ends: tuple[float, float]) -> float:
+def _step(frames: Frames, field: str, ends: tuple[float, float]) -> float:
     """Resolution in SI units; of a float where the stage needs the largest number."""
-    signal, factor = signals.signals[field], signals.factors[field]
+    signal, factor = frames.fields[field], frames.factors[field]
     if not signal.is_float:
-        return signals.step(field)
+        return frames.step(field)
     scale = abs(signal.scale * factor)
     kind = {16: np.float16, 32: np.float32, 64: np.float64}[signal.length]
     return float(np.spacing(kind(max(abs(end) for end in ends) / scale))) * scale

@@ -6,7 +6,7 @@ import pytest
 
 from straightcomp_ros.cli.law_tables import can_tables
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.hardware.can.bus_faults import KINDS
+from straightcomp_ros.hardware.can.hub import KINDS
 
 SHORT = ["--frames", "1000", "--seconds", "0.5", "--cuts", "1"]
 # The board's process at the priority of the nodes would take the computer from the other tests.

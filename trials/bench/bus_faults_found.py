@@ -5,8 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.hardware.can.bus_faults import KINDS
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.hub import KINDS
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from trials.bench.can_fault_trial import run_trial
 from trials.bench.can_servo_trial import run_servo_trial

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from straightcomp_ros.bench.step_costs import cost
+from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
-from straightcomp_ros.hardware.can.wire import Wire
 
 _CALLS = 1000
 _REPORT = Report(4, 4, 1.2345678, -67.8e-6, -0.09, Amplifier.ON, 0, True)
@@ -18,9 +18,9 @@ def codec_costs(wires: Iterable[Wire], repeats: int) -> dict[str, dict[str, floa
     frames: dict[str, tuple[Callable[[Any], bytes], Callable[[bytes], object], Any]] = {}
     for wire in wires:
         for one in wire.reports.values():
-            frames[one.signals.message.name] = _first_page(one.pack), one.unpack, _REPORT
+            frames[one.name] = _first_page(one.pack), one.unpack, _REPORT
         for asked in wire.commands:
-            frames[asked.signals.message.name] = asked.pack, asked.unpack, _COMMAND
+            frames[asked.name] = asked.pack, asked.unpack, _COMMAND
     return {
         name: {
             "pack_us": cost(_calls(pack, frame), _CALLS, repeats).median,
@@ -32,7 +32,7 @@ def codec_costs(wires: Iterable[Wire], repeats: int) -> dict[str, dict[str, floa
 
 def per_frame(costs: dict[str, dict[str, float]], key: str, wire: Wire) -> float:
     """Mean of ``key`` in :func:`codec_costs` over the frames of a control cycle: those of a sample and of a command."""
-    return statistics.mean(costs[frames.signals.message.name][key] for frames in (*wire.parts, *wire.commands))
+    return statistics.mean(costs[frames.name][key] for frames in (*wire.parts, *wire.commands))
 
 
 def _first_page(pack: Callable[[Report, int], bytes]) -> Callable[[Report], bytes]:

@@ -191,7 +191,7 @@ def _costs(parameters: CanParameters) -> tuple[float, float]:
 
 
 def _times(parameters: CanParameters, host: _Host, seconds: float) -> NDArray[np.float64]:
-    command = next(frames for frames in host.wire.commands if "echo" in frames.signals.signals)
+    command = next(frames for frames in host.wire.commands if "echo" in frames.fields)
     times = []
     with _bus(parameters, command.identifier) as node:
         end = time.monotonic() + seconds

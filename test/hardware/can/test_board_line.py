@@ -6,9 +6,9 @@ import types
 import can
 import pytest
 
-from straightcomp_ros.hardware.can import board_line
-from straightcomp_ros.hardware.can.board_line import BusLine
+from straightcomp_ros.hardware.can import link
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.link import BusLine
 
 
 class Bus:
@@ -50,8 +50,8 @@ class World:
 @pytest.fixture
 def world(monkeypatch):
     world = World()
-    monkeypatch.setattr(board_line, "time", types.SimpleNamespace(monotonic=lambda: world.now_s))
-    monkeypatch.setattr(board_line, "opened_bus", world.open)
+    monkeypatch.setattr(link, "time", types.SimpleNamespace(monotonic=lambda: world.now_s))
+    monkeypatch.setattr(link, "opened_bus", world.open)
     return world
 
 

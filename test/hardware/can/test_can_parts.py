@@ -5,7 +5,6 @@ import struct
 
 import pytest
 
-from straightcomp_ros.hardware.can.bus_faults import Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
 from straightcomp_ros.hardware.can.hub import (
@@ -14,13 +13,14 @@ from straightcomp_ros.hardware.can.hub import (
     FD_FRAME,
     LONGEST,
     REMOTE,
+    Faults,
     Frame,
     from_packet,
     priority,
     to_packet,
 )
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
-from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.model.motion import Waypoint
 from straightcomp_ros.parameters.declaration import ParameterError

@@ -18,15 +18,13 @@ from hypothesis import strategies as st
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.hardware.can.board import Board
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
 from straightcomp_ros.hardware.can.dbc_file import DbcError
+from straightcomp_ros.hardware.can.emulator import Board, FirmwareBoard
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.firmware import FirmwareBoard
-from straightcomp_ros.hardware.can.frame_sets import together
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
-from straightcomp_ros.hardware.can.shipped_wire import shipped_wire
+from straightcomp_ros.hardware.can.sample_numbers import together
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters

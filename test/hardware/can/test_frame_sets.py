@@ -2,8 +2,8 @@
 
 import pytest
 
-from straightcomp_ros.hardware.can.frame_sets import OPEN, FrameSets, together
 from straightcomp_ros.hardware.can.frames import Report
+from straightcomp_ros.hardware.can.sample_numbers import OPEN, FrameSets, together
 
 PERIOD = 500_000
 

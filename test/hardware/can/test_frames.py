@@ -74,7 +74,7 @@ def test_what_the_board_reports_is_what_the_dbc_says_and_comes_back(report, wire
     seen = set()
     for frames in wire.reports.values():
         payload = frames.pack(report, 0)
-        seen |= shown(decoded(frames.signals.message.name, payload), report)
+        seen |= shown(decoded(frames.name, payload), report)
         back = frames.unpack(payload)
         for field, value in zip(Report._fields, back, strict=True):
             assert value is None or field == "good" or value == pytest.approx(getattr(report, field), rel=1e-12)
@@ -87,7 +87,7 @@ def test_what_the_board_reports_is_what_the_dbc_says_and_comes_back(report, wire
 def test_a_command_is_what_the_dbc_says_and_comes_back(command, wire):
     command = command._replace(echo=command.echo % wire.echo_modulus)
     payload = wire.command.pack(command)
-    told = decoded(wire.command.signals.message.name, payload)
+    told = decoded(wire.command.name, payload)
     assert shown(told, command) == {"alive", "current", "echo"}
     assert (told["Enable"], told["ResetFault"]) == (1 + command.enable, 1 + command.reset)
     assert wire.command.unpack(payload) == command
@@ -103,12 +103,12 @@ def test_an_fd_sample_begins_as_the_classic_one():
 def test_what_does_not_fit_its_frame_is_refused_by_name(wire, sign):
     report = Report(0, 0, 0.0, 0.0, 0.0, Amplifier.OFF, 0, True)
     for field, limit, step in (("x", 2**25 - 1, 1e-7), ("y", 2**19 - 1, 1e-7), ("current", 2**15 - 1, 1e-4)):
-        (frames,) = (one for one in wire.reports.values() if field in one.signals.signals)
+        (frames,) = (one for one in wire.reports.values() if field in one.fields)
         frames.pack(report._replace(**{field: sign * limit * step}), 0)
         beyond = sign * (limit + 1) * step
         with pytest.raises(ValueError, match=rf"{field} of {beyond} [mA] does not fit signal.*allowed: -.* to "):
             frames.pack(report._replace(**{field: beyond}), 0)
-    assert wire.command.fits(sign * 3.2767) and not wire.command.fits(sign * 3.2768)
+    assert wire.command.fits("current", sign * 3.2767) and not wire.command.fits("current", sign * 3.2768)
 
 
 @BUSES

@@ -9,12 +9,10 @@ import pytest
 from waiting import comes_true
 
 from straightcomp_ros.hardware.can import hub_bus
-from straightcomp_ros.hardware.can.board_line import HubLine
-from straightcomp_ros.hardware.can.bus_faults import KINDS, Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import FD_FRAME, Flag, Frame, Hub, priority, to_packet
+from straightcomp_ros.hardware.can.hub import FD_FRAME, KINDS, Faults, Flag, Frame, Hub, priority, to_packet
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
-from straightcomp_ros.hardware.can.link import Link
+from straightcomp_ros.hardware.can.link import HubLine, Link
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.parameters.declaration import ParameterError
@@ -233,7 +231,7 @@ def test_requests_for_the_boards_frames_are_counted_on_the_hub_and_none_is_used(
         until(lambda: link.wait(0.0) >= 0 and receiver.counts["remote"] >= len(identifiers))
     # Neither one refused for its length, nor one of an identifier that nobody here reads.
     assert {reason: count for reason, count in receiver.counts.items() if count} == {"remote": len(identifiers)}
-    assert receiver.received == receiver.strikes == receiver.boot_ups == 0 and not receiver.heartbeat_ns
+    assert receiver.received == receiver.error_counter == receiver.boot_ups == 0 and not receiver.heartbeat_ns
 
 
 def test_a_link_waits_for_a_hub_that_comes_later(tmp_path):

@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.hardware.can.dbc_file import DbcError
-from straightcomp_ros.hardware.can.frames import FrameError
-from straightcomp_ros.hardware.can.message_code import Signals
-from straightcomp_ros.hardware.can.protection import Crc, alive_modulus, data_ids
+from straightcomp_ros.hardware.can.frames import Crc, FrameError, Frames, alive_modulus, data_ids
 
 IDS_OF_2 = list(range(0x40, 0x50))
 DBC = """VERSION ""
@@ -40,9 +38,8 @@ def protected(message, profile, ids):
     signals = {"alive": described.get_signal_by_name("Alive"), "value": described.get_signal_by_name("Value")}
     crc = Crc(described, described.get_signal_by_name("Crc"), signals["alive"], profile, ids)
     counts = alive_modulus(signals["alive"], profile)
-    found = Signals(described, 1, signals, {}, {}, counts, crc)
-    (pack,) = found.packings(["alive", "value"])
-    return pack, found.unpacking(["alive", "value"])
+    found = Frames(described, 1, signals, alive_modulus=counts, crc=crc)
+    return found.pack, found.unpack
 
 
 def profile_1(payload, place, data_id):

@@ -7,7 +7,7 @@ import pytest
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Amplifier, Report
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.stage.description import StageParameters
 from trials.bench.bus_faults_found import COUNTED
 from trials.bench.can_fault_trial import position, run_trial
@@ -105,7 +105,7 @@ def test_many_bad_frames_in_a_row_strike_out_and_begin_anew(receiver):
     feed(receiver, range(500))
     for _ in range(4):
         receiver.receive(receiver.wire.sample.identifier, bytes(receiver.wire.sample.size), 10**18 + 500 * PERIOD)
-    assert receiver.strike_outs == 1 and receiver.amplifier is None
+    assert receiver.error_limit_hits == 1 and receiver.amplifier is None
     feed(receiver, range(520, 1000))
     assert receiver.samples[-1][0] == 999
 

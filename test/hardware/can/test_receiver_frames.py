@@ -10,7 +10,7 @@ from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Report
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import Truth
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.stage.description import StageParameters
@@ -46,7 +46,7 @@ class Board:
     def settled(self):
         for _ in range(BLOCK):
             self.sample()
-        assert self.receiver.clock.settled and not self.receiver.strikes
+        assert self.receiver.clock.settled and not self.receiver.error_counter
         return self
 
     def refused(self):
@@ -85,7 +85,7 @@ def test_a_frame_of_no_state_strikes_and_a_state_with_a_fault_is_told(board):
     frames = board.receiver.wire.sample
     payload = frames.pack(Report(8, 128, 0.0, 0.0, 0.0, Amplifier.OFF, 0, True), 0)
     board.hear(frames.identifier, forged(frames, payload, Amplifier=0))
-    assert board.refused() == {"state": 1} and board.receiver.strikes == 4
+    assert board.refused() == {"state": 1} and board.receiver.error_counter == 4
     board.sample(amplifier=Amplifier.FAULT, fault=BoardFault.SUPPLY)
     assert board.receiver.amplifier is Amplifier.FAULT and board.receiver.board_fault == BoardFault.SUPPLY
     assert math.isnan(board.receiver.samples[-1][1].current)
@@ -104,18 +104,18 @@ def test_a_bad_frame_adds_four_strikes_a_good_one_takes_one_off_and_the_limit_be
     bad = board.receiver.wire.sample.identifier, bytes(16)
     board.hear(*bad)
     board.hear(*bad)
-    assert board.receiver.strikes == 8 and board.refused() == {"crc": 2}
+    assert board.receiver.error_counter == 8 and board.refused() == {"crc": 2}
     board.sample()
     board.sample()
-    assert (board.receiver.strikes, board.receiver.strike_outs) == (6, 0)
+    assert (board.receiver.error_counter, board.receiver.error_limit_hits) == (6, 0)
     board.hear(*bad)
-    assert (board.receiver.strikes, board.receiver.strike_outs) == (10, 0)
+    assert (board.receiver.error_counter, board.receiver.error_limit_hits) == (10, 0)
     board.hear(*bad)
-    assert (board.receiver.strikes, board.receiver.strike_outs) == (0, 1)
+    assert (board.receiver.error_counter, board.receiver.error_limit_hits) == (0, 1)
     assert board.receiver.amplifier is None and not board.receiver.clock.settled
     for _ in range(20):
         board.sample()
-    assert board.receiver.strikes == 0
+    assert board.receiver.error_counter == 0
 
 
 def test_a_sample_that_is_older_than_the_timeout_when_it_comes_is_stale_and_delivered():
@@ -126,7 +126,7 @@ def test_a_sample_that_is_older_than_the_timeout_when_it_comes_is_stale_and_deli
 
 def test_a_frame_of_another_board_is_foreign_and_no_strike(board):
     board.hear(0x7E5, b"\1\2")
-    assert board.refused() == {"foreign": 1} and board.receiver.strikes == 0
+    assert board.refused() == {"foreign": 1} and board.receiver.error_counter == 0
 
 
 def test_errors_that_the_interface_reports_are_counted_by_their_classes(board):
@@ -140,20 +140,20 @@ def test_errors_that_the_interface_reports_are_counted_by_their_classes(board):
     ):
         board.receiver.receive_error_frame(classes, details)
     assert board.refused() == {"error_frames": 6, "bus_off": 1, "error_passive": 2}
-    assert board.receiver.strikes == 0
+    assert board.receiver.error_counter == 0
 
 
 def test_a_heartbeat_tells_the_boards_state_and_its_time(board):
     heartbeat = board.receiver.wire.heartbeat.identifier
     # The highest bit is CiA 301's toggle bit of node guarding.
-    operational = board.receiver.wire.heartbeat.operational
+    operational = board.receiver.wire.meaning.heartbeat.operational_value
     for payload in (bytes([operational]), bytes([operational | 0x80])):
         board.hear(heartbeat, payload, late_ns=7)
         assert board.receiver.node_state == operational
         assert board.receiver.heartbeat_ns == START + board.number * PERIOD + 7
     assert board.receiver.boot_ups == 0 and board.receiver.amplifier is Amplifier.ON
     board.hear(heartbeat, b"\5\5")
-    assert board.refused() == {"length": 1} and board.receiver.strikes == 4
+    assert board.refused() == {"length": 1} and board.receiver.error_counter == 4
 
 
 def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
@@ -172,7 +172,7 @@ def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
         told.hear(identifier, damaged)
     assert told.sample()[2] is None
     # Nobody acts on it: it is counted, and no strike.
-    assert told.refused() == {"truth": 2} and told.receiver.strikes == 0
+    assert told.refused() == {"truth": 2} and told.receiver.error_counter == 0
 
 
 def test_a_classic_bus_has_the_coil_current_in_a_frame_of_its_own_and_no_truth():

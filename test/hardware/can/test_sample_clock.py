@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from straightcomp_ros.hardware.can.sample_clock import BLOCK, SampleClock
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK, SampleClock
 
 PERIOD = 500_000
 START = 1_700_000_000_123_456_789

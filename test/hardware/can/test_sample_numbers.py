@@ -5,7 +5,7 @@ import random
 import pytest
 
 from straightcomp_ros.hardware.can.frames import Report
-from straightcomp_ros.hardware.can.sequence import Sequence
+from straightcomp_ros.hardware.can.sample_numbers import SampleNumbers
 
 PERIOD = 500_000
 ALIVE_MODULUS, COUNTER_MODULUS = 15, 15 * 2**28
@@ -13,7 +13,7 @@ ALIVE_MODULUS, COUNTER_MODULUS = 15, 15 * 2**28
 
 def sequence(modulus=ALIVE_MODULUS, full_modulus=COUNTER_MODULUS):
     """By a clock at which sample n comes at n periods; a full counter comes in frames of its own."""
-    return Sequence(lambda index, arrival_ns: arrival_ns / PERIOD - index, PERIOD, modulus, full_modulus)
+    return SampleNumbers(lambda index, arrival_ns: arrival_ns / PERIOD - index, PERIOD, modulus, full_modulus)
 
 
 def waiting(number):

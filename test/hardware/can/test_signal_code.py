@@ -11,9 +11,8 @@ from generated_dbc import dbc_text, messages
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.hardware.can.dbc_file import limits
-from straightcomp_ros.hardware.can.message_code import Signals
-from straightcomp_ros.hardware.can.signal_code import in_page, pages
+from straightcomp_ros.hardware.can.dbc_file import in_page, limits, pages
+from straightcomp_ros.hardware.can.frames import Frames
 
 MESSAGES = 2000
 MESSAGES_OF_A_RUN = settings(
@@ -34,22 +33,20 @@ def compare(drawn, seed):
             continue
         fields = [one.name for one in shown]
         by_name = {one.name: one for one in shown}
-        raw = Signals(message, 1, by_name, {}, {})
-        scaled = Signals(message, 1, by_name, dict.fromkeys(fields, 1.0), {})
+        raw = Frames(message, 1, by_name, {}, {})
+        scaled = Frames(message, 1, by_name, dict.fromkeys(fields, 1.0), {})
         values = {one.name: raw_value(one, chance) for one in shown}
         expected = message.encode({**values, **page}, scaling=False, strict=False)
-        (pack,) = raw.packings(fields)
-        assert pack(tuple(values.values())) == expected
+        assert raw.pack(tuple(values.values())) == expected
         decoded = message.decode(expected, scaling=False, decode_choices=False)
-        assert list(raw.unpacking(fields)(expected)) == [decoded[name] for name in fields]
+        assert list(raw.unpack(expected)) == [decoded[name] for name in fields]
         physical = message.decode(expected, decode_choices=False)
-        told = scaled.unpacking(fields)(expected)
+        told = scaled.unpack(expected)
         assert list(told) == pytest.approx([physical[name] for name in fields], rel=1e-12, abs=1e-300)
         # A number that has no more digits than a double comes back to the same bits.
         exact = [one.is_float or one.length <= 48 for one in shown]
         if all(exact) and not any(one.is_float for one in shown):
-            (pack_scaled,) = scaled.packings(fields)
-            assert pack_scaled(told) == expected
+            assert scaled.pack(told) == expected
         COMPARED["big_endian"] += any(one.byte_order == "big_endian" for one in shown)
         COMPARED["signed"] += any(one.is_signed for one in shown)
         COMPARED["float"] += any(one.is_float for one in shown)
@@ -93,8 +90,8 @@ def one():
 
 
 def test_a_value_beyond_the_files_limits_is_refused_with_message_signal_value_and_limits(one):
-    signals = Signals(one, 1, {"x": one.get_signal_by_name("Small")}, {"x": 1.0}, {})
-    (pack,) = signals.packings(["x"])
+    signals = Frames(one, 1, {"x": one.get_signal_by_name("Small")}, {"x": 1.0}, {})
+    pack = signals.pack
     for value in (-5.0, 20.0, 20.2):
         pack((value,))
     for value in (-5.3, 20.3, math.nan):
@@ -104,7 +101,7 @@ def test_a_value_beyond_the_files_limits_is_refused_with_message_signal_value_an
 
 
 def test_a_float_beyond_its_limits_or_not_a_number_is_refused(one):
-    (pack,) = Signals(one, 1, {"y": one.get_signal_by_name("Real")}, {"y": 1.0}, {}).packings(["y"])
+    pack = Frames(one, 1, {"y": one.get_signal_by_name("Real")}, {"y": 1.0}).pack
     pack((2.0,))
     for value in (2.5, math.nan, math.inf):
         with pytest.raises(ValueError, match="allowed: -2 to 2 m"):

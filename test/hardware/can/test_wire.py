@@ -62,7 +62,7 @@ def test_physical_values_of_another_board_are_in_si_units():
     assert wire.command.unpack(wire.command.pack(command)) == command
     turned = foreign(**{"wire/y/factor": -1.0, "wire/command/factor": 0.5})
     assert turned.sample.unpack(wire.sample.pack(REPORT, 0)).y == pytest.approx(22e-6, rel=1e-7)
-    assert turned.command.span == (-1.0, 1.0)
+    assert turned.command.spans["current"] == (-1.0, 1.0)
 
 
 def test_pages_of_a_multiplexed_status_take_turns_and_tell_what_they_have():
@@ -174,7 +174,7 @@ def split(**changes):
 
 
 def names(several):
-    return [frames.signals.message.name for frames in several]
+    return [frames.name for frames in several]
 
 
 def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():

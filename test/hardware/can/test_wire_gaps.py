@@ -5,14 +5,18 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.board_dbc import gaps
+from straightcomp_ros.hardware.can.can_parameters import (
+    SHIPPED_DBC,
+    CanParameters,
+    ProtectedMessages,
+    ProtectionParameters,
+    SignalParameters,
+    shipped_wire,
+)
 from straightcomp_ros.hardware.can.frames import Amplifier, Report
-from straightcomp_ros.hardware.can.protection import ProtectionParameters
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.can.sample_clock import BLOCK
-from straightcomp_ros.hardware.can.shipped_wire import FILE, shipped_wire
-from straightcomp_ros.hardware.can.wire_gaps import gaps
-from straightcomp_ros.hardware.can.wire_parameters import ProtectedMessages, SignalParameters
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -89,7 +93,7 @@ def test_what_a_message_between_the_samples_says_without_a_crc_is_told():
     assert "DSP_I has no CRC: a damaged measured current is believed" in gaps(SPLIT.make_wire())
     wire = shipped_wire(fd=False)
     bare = replace(wire, protection=replace(wire.protection, current=ProtectionParameters()))
-    classic = CanParameters(dbc=str(share_path(FILE)), wire=bare, fd=False)
+    classic = CanParameters(dbc=str(share_path(SHIPPED_DBC)), wire=bare, fd=False)
     assert gaps(classic.make_wire()) == [
         "CoilCurrent has no CRC: a damaged number of a sample or measured current is believed"
     ]
@@ -126,7 +130,7 @@ def test_a_fault_that_only_the_code_tells_is_latched_and_cleared():
 def feed(receiver, numbers):
     wire = receiver.wire
     for number in numbers:
-        alive = number % (wire.sample.signals.counts("alive") or 1)
+        alive = number % (wire.sample.counts("alive") or 1)
         payload = wire.sample.pack(Report(alive, None, 1e-5, 0.0, 0.0, Amplifier.ON, 0, True), 0)
         receiver.receive(wire.sample.identifier, payload, 10**18 + number * PERIOD)
 
