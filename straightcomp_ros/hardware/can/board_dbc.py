@@ -240,7 +240,7 @@ class Wire:
             if names.get(role) in of_board:
                 text = f"'{names[role]}' is a message of the board already; allowed: one that the host sends"
                 raise RefusedParameter(f"wire.{self._message_parameter(role)}.message", text)
-        if names.get("heartbeat") in (names[role] for role in names if role != "heartbeat"):
+        if names.get("heartbeat") in [names[role] for role in names if role != "heartbeat"]:
             text = f"'{names['heartbeat']}' has other signals of the board; allowed: a message of its own"
             raise RefusedParameter("wire.heartbeat.message", text)
         readings = {names[role] for role in READINGS if role in names}

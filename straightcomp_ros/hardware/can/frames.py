@@ -18,11 +18,12 @@ J1850: CRC-8 of polynomial 0x1D, start and final XOR 0xFF, over the payload; it 
 from __future__ import annotations
 
 import enum
+import math
 import operator
 import struct
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 from fastcrc import crc8, crc16
 
@@ -95,7 +96,7 @@ class Report(NamedTuple):
     good: bool = True
 
     @property
-    def count(self) -> int | None:
+    def number(self) -> int | None:
         """What numbers the sample: the counter of the samples if the frame has it, else that of the frames."""
         return self.alive if self.counter is None else self.counter
 
@@ -220,20 +221,20 @@ class Crc:
 
 
 class _Table(NamedTuple):
-    """What unpacking goes through, by the places of the values: bits first, then what is said by them."""
+    """What unpacking goes through, by the places of the values: their bits, then what is said by them."""
 
     bits: list[tuple[int, int]]
     """Shift and mask."""
-    floats: list[tuple[int, int, Callable[[bytes], tuple[float]]]]
+    floats: list[tuple[int, int, Any]]
     """Bytes, and the function from them."""
     counted: list[tuple[int, int]]
     """Number of counts, where not all that the bits hold are allowed."""
+    numbers: list[tuple[int, int, float, float, tuple[float, float] | None]]
+    """Sign bit, scale, offset, and least and largest raw value of a good reading."""
     code: tuple[int, int] | None
     """Places of state and fault code, where the code alone says that there is a fault."""
     said: list[tuple[int, Callable[[Any, Any], Any], Any, str]]
     """Meaning of each raw value, that of any other, and the error where it has none."""
-    numbers: list[tuple[int, int, float, float, tuple[float, float] | None]]
-    """Sign bit, scale, offset, and least and largest raw value of a good reading."""
     good: int
     """Place of "both readings are good"."""
     pick: Callable[[list[Any]], tuple[Any, ...]]
@@ -274,29 +275,26 @@ class Frames:
         crc: Crc | None = None,
         no_fault: int = 0,
     ) -> None:
-        self.message, self.identifier, self.fields = message, identifier, fields
-        self.factors, self.values, self.crc = factors or {}, values or {}, crc
+        self.message, self.identifier, self.fields, self.crc = message, identifier, fields, crc
+        self.factors = factors or {}
+        self.values = {field: raw for field, raw in (values or {}).items() if field in fields}
         self.name, self.size, self.fd = message.name, message.length, is_fd(message)
-        self.alive_modulus = alive_modulus or 1
-        self.period = (message.cycle_time or 0) * 1e-3
+        self.alive_modulus, self.period = alive_modulus or 1, (message.cycle_time or 0) * 1e-3
         self.spans = {field: self._span(field) for field in self.factors}
-        self.kind, order = kind or tuple, kind._fields if kind else list(fields)
+        self.kind, self._no_fault = kind or tuple, no_fault
+        self._order: list[str] = list(kind._fields if kind else fields)
         orders = {byte_order(signal) for signal in message.signals}
-        self._order = "big" if orders == {"big"} else "little"
+        self._bytes: Literal["little", "big"] = "big" if orders == {"big"} else "little"
         # Bits of a signal of the other order are counted behind those of the payload, in the payload turned round.
         self._behind = 8 * self.size if len(orders) > 1 else 0
-        self.pages = pages(message, fields.values())
-        self._order_of_fields, self._no_fault = list(order), no_fault
-        self._chains = {
-            field: [
-                (self._shift(one), (1 << one.length) - 1, 1 << one.length - 1 if one.is_signed else 0, ids)
-                for one, ids in selectors(message, signal)
-            ]
+        self._selectors = {
+            field: [(*self._bits(one), _sign(one), ids) for one, ids in selectors(message, signal)]
             for field, signal in fields.items()
         }
         self._page_tables: dict[tuple[str, ...], _Table] = {}
-        self._whole_table = None if any(self._chains.values()) else self._table(fields)
-        self._packings = [self._packing(self._order_of_fields, page) for page in self.pages]
+        self._whole_table = None if any(self._selectors.values()) else self._table(fields)
+        self.pages = pages(message, fields.values())
+        self._packings = [self._packing(page) for page in self.pages]
 
     def counts(self, field: str) -> int:
         """Modulus of the counter in ``field``, 0 without one."""
@@ -321,39 +319,21 @@ class Frames:
 
     def _span(self, field: str) -> tuple[float, float]:
         signal, factor = self.fields[field], self.factors[field]
-        ends = sorted((raw * signal.scale + signal.offset) * factor for raw in limits(signal))
-        return ends[0], ends[1]
+        least, largest = sorted((raw * signal.scale + signal.offset) * factor for raw in limits(signal))
+        return least, largest
 
-    def _shift(self, signal: Signal) -> int:
-        return shift(signal, self.size) + (self._behind if byte_order(signal) != self._order else 0)
+    def _bits(self, signal: Signal) -> tuple[int, int]:
+        """Shift and mask of a signal."""
+        behind = self._behind if byte_order(signal) != self._bytes else 0
+        return shift(signal, self.size) + behind, (1 << signal.length) - 1
 
     def _table(self, shown: Collection[str]) -> _Table:
         """The table of the frames that have the fields ``shown``."""
-        fields = {field: self.fields[field] for field in self.fields if field in shown}
+        fields = {field: signal for field, signal in self.fields.items() if field in shown}
         at = {field: place for place, field in enumerate(fields)}
         # Behind the values of the fields stand None, for those that the frame does not have, and True.
-        good = at.get("good", len(at) if "good" in self.fields else len(at) + 1)
-        said: list[tuple[int, Callable[[Any, Any], Any], Any, str]] = []
-        code: tuple[int, int] | None = None
-        for field in (one for one in ("amplifier", "good", "enable", "reset") if one in at and one in self.values):
-            mask = (1 << fields[field].length) - 1
-            meanings: dict[Any, Any] = {raw & mask: said for said, raw in self.values[field].items() if raw >= 0}
-            other, reason = None, "pattern"
-            if field == "good":
-                meanings, other = {self.values[field][True] & mask: True}, False
-            elif field == "amplifier":
-                other, reason = Amplifier.OFF if self.values[field][Amplifier.OFF] < 0 else None, "state"
-                if self.values[field][Amplifier.FAULT] < 0:
-                    meanings[_BY_CODE], code = Amplifier.FAULT, (at[field], at["fault"])
-            said.append((at[field], meanings.get, other, reason))
-        spoken = {place for place, *_ in said}
-        numbers = []
-        for field, signal in fields.items():
-            scale, offset = _line(signal, self.factors[field]) if field in self.factors else (1, 0)
-            limited = field in ("x", "y") and self.kind is Report and good != len(at) and _is_limited(signal)
-            sign = 1 << signal.length - 1 if signal.is_signed and not signal.is_float else 0
-            if at[field] not in spoken and (sign or field in self.factors or limited):
-                numbers.append((at[field], sign, scale, offset, limits(signal) if limited else None))
+        absent = len(at)
+        good = at.get("good", absent if "good" in self.fields else absent + 1)
         floats = [
             (at[field], one.length // 8, struct.Struct(f"<{FLOATS[one.length]}").unpack)
             for field, one in fields.items()
@@ -364,11 +344,37 @@ class Frames:
             for field in ("alive", "counter")
             if field in at and self.counts(field) < 2 ** fields[field].length
         ]
-        picked = [good if field == "good" else at.get(field, len(at)) for field in self._order_of_fields]
+        numbers = []
+        for field, signal in fields.items():
+            bounds = limits(signal) if self.kind is Report and field in ("x", "y") and good != absent else None
+            if (_sign(signal) or field in self.factors or bounds) and field not in self.values:
+                numbers.append((at[field], _sign(signal), *self._line(field), bounds))
+        code, by_code = None, self.values.get("amplifier", {}).get(Amplifier.FAULT, 0) < 0
+        if "amplifier" in at and by_code:
+            code = at["amplifier"], at["fault"]
+        said = [(at[field], *self._meanings(field)) for field in self.values if field in at]
+        picked = [good if field == "good" else at.get(field, absent) for field in self._order]
         # Of a single place, itemgetter() makes no tuple.
         pick = operator.itemgetter(*picked) if len(picked) > 1 else lambda values: (values[picked[0]],)
-        bits = [(self._shift(signal), (1 << signal.length) - 1) for signal in fields.values()]
-        return _Table(bits, floats, counted, code, said, numbers, good, pick)
+        return _Table([self._bits(one) for one in fields.values()], floats, counted, numbers, code, said, good, pick)
+
+    def _line(self, field: str) -> tuple[float, float]:
+        """Scale and offset from a raw value to SI units; a whole number without them stays one, and -0.0 stays -0.0."""
+        signal, factor = self.fields[field], self.factors.get(field)
+        if factor is None or (signal.scale * factor == 1 and not signal.offset and not signal.is_float):
+            return 1, 0
+        return signal.scale * factor, signal.offset * factor or -0.0
+
+    def _meanings(self, field: str) -> tuple[Callable[[Any, Any], Any], Any, str]:
+        """The meaning of each raw value of ``field``, that of any other, and the error where that is None."""
+        raw_of, mask = self.values[field], (1 << self.fields[field].length) - 1
+        if field == "good":
+            return {raw_of[True] & mask: True}.get, False, ""
+        meanings: dict[Any, Any] = {raw & mask: meaning for meaning, raw in raw_of.items() if raw >= 0}
+        if field != "amplifier":
+            return meanings.get, None, "pattern"
+        other = Amplifier.OFF if raw_of[Amplifier.OFF] < 0 else None
+        return (meanings | {_BY_CODE: Amplifier.FAULT}).get, other, "state"
 
     def unpack(self, payload: bytes) -> Any:
         """What a frame says; raises FrameError."""
@@ -376,20 +382,19 @@ class Frames:
             raise FrameError("length")
         if self.crc is not None and not self.crc.fits(payload):
             raise FrameError("crc")
-        whole = int.from_bytes(payload + payload[::-1] if self._behind else payload, self._order)
-        bits, floats, counted, code, said, numbers, good, pick = self._whole_table or self._page_table(whole)
+        whole = int.from_bytes(payload + payload[::-1] if self._behind else payload, self._bytes)
+        bits, floats, counted, numbers, code, said, good, pick = self._whole_table or self._page_table(whole)
         values: list[Any] = [whole >> place & mask for place, mask in bits]
         for at, size, unpack in floats:
             (values[at],) = unpack(values[at].to_bytes(size, "little"))
         for at, counts in counted:
             if values[at] >= counts:
                 raise FrameError("alive")
-        values += None, True
-        is_within = True
-        for at, sign, scale, offset, limited in numbers:
+        within = True
+        for at, sign, scale, offset, bounds in numbers:
             raw = (values[at] ^ sign) - sign if sign else values[at]
-            if limited and not limited[0] <= raw <= limited[1]:
-                is_within = False
+            if bounds and not bounds[0] <= raw <= bounds[1]:
+                within = False
             values[at] = raw * scale + offset
         if code is not None and values[code[1]] != self._no_fault:
             values[code[0]] = _BY_CODE
@@ -397,7 +402,8 @@ class Frames:
             values[at] = meaning_of(values[at], other)
             if values[at] is None:
                 raise FrameError(reason)
-        if not is_within:
+        values += None, True
+        if not within:
             values[good] = False
         return _NEW(self.kind, pick(values))
 
@@ -405,43 +411,38 @@ class Frames:
         """The table of a frame with multiplexed signals, of which ``whole`` are the bits."""
         shown = tuple(
             field
-            for field, chain in self._chains.items()
+            for field, chain in self._selectors.items()
             if all(((whole >> place & mask) ^ sign) - sign in ids for place, mask, sign, ids in chain)
         )
         if shown not in self._page_tables:
             self._page_tables[shown] = self._table(shown)
         return self._page_tables[shown]
 
-    def _packing(
-        self, order: list[str], page: Mapping[str, int]
-    ) -> tuple[int, list[Any], list[Any], list[Any], list[Any]]:
-        """Tables of :meth:`pack` for one choice of multiplexer pages, which name fields by their places in ``order``.
+    def _packing(self, page: Mapping[str, int]) -> tuple[int, list[tuple[int, dict[Any, int]]], list[tuple[Any, ...]]]:
+        """What :meth:`pack` goes through with one choice of multiplexer pages: fixed bits, raw values, and signals.
 
-        What nobody gives a value has the initial value of the DBC file, multiplexers the page.
+        A signal without a field has the initial value of the DBC file, a multiplexer the page.
         """
-        by_name = {signal.name: field for field, signal in self.fields.items()}
-        fixed, said, whole, scaled, floats = 0, [], [], [], []
+        fields = {signal.name: field for field, signal in self.fields.items()}
+        fixed, rows, said = 0, [], []
         for signal in self.message.signals:
-            place, mask, (least, largest) = self._shift(signal), (1 << signal.length) - 1, limits(signal)
-            field, shown = by_name.get(signal.name), in_page(self.message, signal, page)
+            place, mask = self._bits(signal)
+            letter = FLOATS[signal.length] if signal.is_float else ""
+            field, shown = fields.get(signal.name), in_page(self.message, signal, page)
             if field is None or not shown:
                 value = page.get(signal.name, signal.raw_initial if shown else 0) or 0
-                bits = _float_bits(signal, value) if signal.is_float else int(value) & mask
-                fixed |= bits << place
+                fixed |= (_float_bits(letter, value) if letter else int(value) & mask) << place
                 continue
-            at, factor = order.index(field), self.factors.get(field)
-            scale, offset = (1, 0) if factor is None else (signal.scale * factor, signal.offset * factor or 0)
+            at, (scale, offset), (least, largest) = self._order.index(field), self._line(field), limits(signal)
             if field in self.values:
                 said.append((at, sent_values(self.values[field])))
-            if signal.is_float:
-                any_value = signal.length == 64 and signal.minimum is None
-                limited = None if any_value else (least, largest)
-                floats.append((at, scale, offset, limited, signal, place))
-            elif factor is None:
-                whole.append((at, least, largest, mask, place, field))
-            else:
-                scaled.append((at, scale, offset, least, largest, mask, place, field))
-        return fixed, said, whole, scaled, floats
+            if signal.length == 64 and letter and signal.minimum is None:
+                least = largest = math.nan
+            elif field in self.factors and not letter:
+                # A number is refused from half a step beyond the end on.
+                least, largest = math.nextafter(least - 0.5, math.inf), math.nextafter(largest + 0.5, -math.inf)
+            rows.append((at, scale, offset or 0, least, largest, mask, place, letter, field))
+        return fixed, said, rows
 
     def pack(self, values: Sequence[Any], turn: int = 0) -> bytes:
         """Payload of the ``turn``-th frame: the pages of a multiplexed message take turns.
@@ -449,30 +450,20 @@ class Frames:
         Raises:
             ValueError: a value does not fit its signal.
         """
-        bits, said, whole, scaled, floats = self._packings[turn % len(self._packings)]
+        bits, said, rows = self._packings[turn % len(self._packings)]
         fields = list(values)
-        for at, meanings in said:
-            fields[at] = meanings[fields[at]]
-        for at, least, largest, mask, place, field in whole:
-            raw = fields[at]
-            if not least <= raw <= largest:
-                self._refuse(field, raw)
-            bits |= (raw & mask) << place
-        for at, scale, offset, least, largest, mask, place, field in scaled:
-            # A whole number stays exact; a comparison with NaN is false.
+        for at, raw_of in said:
+            fields[at] = raw_of[fields[at]]
+        for at, scale, offset, least, largest, mask, place, letter, field in rows:
+            # A whole number without scale stays exact; a comparison with NaN is false.
             raw = fields[at] - offset if scale == 1 else (fields[at] - offset) / scale
-            if not least - 0.5 < raw < largest + 0.5:
+            if not least <= raw <= largest and least == least:
                 self._refuse(field, fields[at])
-            bits |= (round(raw) & mask) << place
-        for at, scale, offset, limited, signal, place in floats:
-            raw = fields[at] - offset if scale == 1 else (fields[at] - offset) / scale
-            if limited is not None and not limited[0] <= raw <= limited[1]:
-                self._refuse(next(field for field, one in self.fields.items() if one is signal), fields[at])
-            bits |= _float_bits(signal, raw) << place
+            bits |= (_float_bits(letter, raw) if letter else round(raw) & mask) << place
         if self._behind:
             turned = (bits >> self._behind).to_bytes(self.size, "big")
             bits = bits & (1 << self._behind) - 1 | int.from_bytes(turned, "little")
-        payload = bits.to_bytes(self.size, self._order)
+        payload = bits.to_bytes(self.size, self._bytes)
         return payload if self.crc is None else self.crc.sealed(payload)
 
     def _refuse(self, field: str, value: float) -> NoReturn:
@@ -484,20 +475,13 @@ class Frames:
         )
 
 
-def _line(signal: Signal, factor: float) -> tuple[float, float]:
-    """Scale and offset from a raw value to SI units; a whole number without them stays one, and -0.0 stays -0.0."""
-    scale, offset = signal.scale * factor, signal.offset * factor
-    plain = scale == 1 and not offset and not signal.is_float
-    return (1, 0) if plain else (scale, offset or -0.0)
+def _sign(signal: Signal) -> int:
+    """Bit of the sign, 0 without: (bits ^ sign) - sign is the number in two's complement."""
+    return 1 << signal.length - 1 if signal.is_signed and not signal.is_float else 0
 
 
-def _is_limited(signal: Signal) -> bool:
-    least, largest = limits(signal)
-    return signal.is_float or largest - least + 1 < 2**signal.length
-
-
-def _float_bits(signal: Signal, value: float) -> int:
-    return int.from_bytes(struct.pack(f"<{FLOATS[signal.length]}", value), "little")
+def _float_bits(letter: str, value: float) -> int:
+    return int.from_bytes(struct.pack(f"<{letter}", value), "little")
 
 
 def sent_values(values: Mapping[Any, int]) -> dict[Any, int]:

@@ -145,13 +145,13 @@ class Receiver:
     def _receive_component(self, number: int, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         """Take a frame with a part of a sample, whose others come in frames of other messages."""
         report = frames.unpack(payload)
-        whole = self.sets.add(number, report, report.count or 0, arrival_ns)
+        whole = self.sets.add(number, report, report.number or 0, arrival_ns)
         if whole is not None:
             self._take_sample(*whole)
 
     def _take_sample(self, report: Report, arrival_ns: int) -> None:
         jumps = self.sequence.jumps
-        ahead = self.sequence.ahead(report.count, arrival_ns)
+        ahead = self.sequence.ahead(report.number, arrival_ns)
         self._follow_jump(jumps)
         if ahead is None:
             self.sequence.wait(report, arrival_ns)
@@ -179,7 +179,7 @@ class Receiver:
         if report.good and not self._is_near(x, y, ahead):
             raise FrameError("implausible")
         self._accepted = alive
-        index = self.sequence.accept(report.count, ahead)
+        index = self.sequence.accept(report.number, ahead)
         self.clock.observe(index, arrival_ns)
         self.received += 1
         self._arrival_ns = arrival_ns
