@@ -1,28 +1,44 @@
-"""A board's DBC file and the meaning of its signals: what the driver makes of them, and what it refuses."""
+"""A board's DBC file and the meaning of its signals: what the driver makes of them, what it refuses, what they lack."""
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.board_dbc import gaps
+from straightcomp_ros.hardware.can.can_parameters import (
+    SHIPPED_DBC,
+    CanParameters,
+    ProtectedMessages,
+    ProtectionParameters,
+    SignalParameters,
+    shipped_wire,
+)
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from trials.bench.can_servo_trial import run_servo_trial
 
 MEANING = str(share_path("config/board_motorola.yaml"))
-SPLIT = Path(__file__).with_name("split.yaml")
+SPLIT_FILE = Path(__file__).with_name("split.yaml")
 REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
 
 
-def driver(**changes):
-    """The driver's parameters of the foreign board, with others by their name in `can`; "/" stands for a dot."""
-    values = shipped_parameters(stage=MEANING)
+def board_of(file, **changes):
+    """The driver's parameters `can` of a stage file, with others by their name; "/" stands for a dot."""
+    values = shipped_parameters(stage=str(file))
     values["driver"] |= {"hardware": "can"} | {f"can.{name.replace('/', '.')}": to for name, to in changes.items()}
     return node_parameters("driver", values).can
+
+
+def driver(**changes):
+    return board_of(MEANING, **changes)
 
 
 def foreign(**changes):
@@ -168,9 +184,7 @@ def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_
 
 def split(**changes):
     """A board with a message for each axis, to which the host sends two."""
-    values = shipped_parameters(stage=str(SPLIT))
-    values["driver"] |= {f"can.{name.replace('/', '.')}": to for name, to in changes.items()}
-    return node_parameters("driver", values).can.make_wire()
+    return board_of(SPLIT_FILE, **changes).make_wire()
 
 
 def names(several):
@@ -219,7 +233,7 @@ def test_messages_that_do_not_go_together_are_refused(changes, words, tmp_path):
     if "dbc" in changes:
         file = tmp_path / "sixteen.dbc"
         file.write_text(
-            SPLIT.with_suffix(".dbc")
+            SPLIT_FILE.with_suffix(".dbc")
             .read_text()
             .replace("Y_CNT : 35|4@0+ (1,0) [0|14]", "Y_CNT : 35|4@0+ (1,0) [0|15]")
         )
@@ -272,3 +286,96 @@ def test_the_meaning_of_the_own_file_may_be_said_as_that_of_any_other():
     assert said.sample.pack(REPORT._replace(counter=49), 0) == own.sample.pack(REPORT._replace(counter=49), 0)
     with pytest.raises(ParameterError, match="without a file in"):
         dataclasses.replace(CanParameters(), wire=own.meaning)
+
+
+BARE = board_of(Path(__file__).with_name("bare.yaml"))
+SPLIT = board_of(SPLIT_FILE)
+
+
+def without_counts(can):
+    """The board of split.yaml without CRCs, counters and echo."""
+    wire = replace(can.wire, protection=ProtectedMessages(), echo=SignalParameters())
+    return replace(can, wire=wire)
+
+
+def test_the_packages_own_frames_leave_nothing_open():
+    assert gaps(CanParameters(fd=False).make_wire()) == gaps(CanParameters(fd=True).make_wire()) == []
+
+
+def test_what_the_frames_of_a_board_lack_is_told():
+    told = " ".join(gaps(BARE.make_wire()))
+    for words in (
+        "SAMPLE has no CRC",
+        "SAMPLE has no counter",
+        "whether the readings are good",
+        "the commanded one stands for it",
+        "no heartbeat",
+        "SET has no CRC",
+        "SET has no counter",
+        "SET has no echo",
+        "SET has no reset",
+    ):
+        assert words in told
+    assert [text.split(":")[0] for text in gaps(foreign())] == [
+        "DSP_MEAS counts to 256 only",
+        "there is no heartbeat",
+    ]
+
+
+def test_what_messages_of_one_sample_or_one_command_lack_is_told():
+    assert [text.split(":")[0] for text in gaps(split())] == [
+        "DSP_X counts to 15 only",
+        "DSP_I has no CRC",
+        "there is no heartbeat",
+    ]
+    told = " ".join(gaps(without_counts(SPLIT).make_wire()))
+    for words in (
+        "DSP_Y has no CRC: a damaged sample",
+        "DSP_X and DSP_Y have no counter in each: frames that come within half a period",
+        "DSP_X and DSP_Y have no counter: repeated samples",
+        "PC_SWITCH has no CRC: the board would act",
+        "PC_SWITCH and PC_CURRENT have no counter in each",
+    ):
+        assert words in told
+
+
+def test_what_a_message_between_the_samples_says_without_a_crc_is_told():
+    found = gaps(foreign(**{"wire/protection/status/profile": "none", "wire/protection/status/crc": ""}))
+    assert "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed" in found
+    assert "DSP_I has no CRC: a damaged measured current is believed" in gaps(split())
+    wire = shipped_wire(fd=False)
+    bare = replace(wire, protection=replace(wire.protection, current=ProtectionParameters()))
+    classic = CanParameters(dbc=str(share_path(SHIPPED_DBC)), wire=bare, fd=False)
+    assert gaps(classic.make_wire()) == [
+        "CoilCurrent has no CRC: a damaged number of a sample or measured current is believed"
+    ]
+
+
+@pytest.mark.parametrize("board", [BARE, without_counts(SPLIT)], ids=["bare", "put together by time"])
+def test_the_servo_holds_the_platform_by_a_board_that_says_only_what_it_must(board):
+    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
+    trial = run_servo_trial({}, guide, board, frames=2000)
+    assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
+    assert trial.unflagged_wrong == trial.unsafe == 0
+    # Lost samples are noticed late, but the servo stays on and the numbers come right again.
+    lossy = run_servo_trial({"drop": 0.002}, guide, board, frames=4000)
+    assert lossy.injected["drop"] > 5 and lossy.state is State.ON and lossy.on > 0.9 and lossy.unsafe == 0
+
+
+def test_a_fault_that_only_the_code_reports_is_latched_and_cleared():
+    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
+    trial = run_servo_trial({"cut": 0.001}, guide, BARE, frames=4000, seed=2)
+    assert trial.injected["cut"] >= 2 and trial.latched and trial.unsafe == trial.unflagged_wrong == 0
+    assert trial.on > 0.3
+
+
+def test_options_of_an_interface_are_pairs_of_a_name_and_a_value():
+    assert CanParameters(options="bustype=x tty=/dev/a=b empty=").further_options() == {
+        "bustype": "x",
+        "tty": "/dev/a=b",
+        "empty": "",
+    }
+    assert CanParameters().further_options() == {}
+    for wrong in ("name", "a-b=1", "=1", "a=1 b"):
+        with pytest.raises(ParameterError, match="NAME=VALUE"):
+            CanParameters(options=wrong)
