@@ -16,7 +16,7 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator import Board, FirmwareBoard
+from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.frames import Amplifier, Report
 from straightcomp_ros.hardware.can.hub import ERROR, NO_DATA, Faults, Flag, Frame, LinkCut
 from straightcomp_ros.hardware.can.sample_numbers import together
@@ -25,6 +25,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedPara
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
+from trials.bench.firmware_board import FirmwareBoard
 
 _START_NS = 1_700_000_000_000_000_000
 _TRANSIT_NS = 100_000

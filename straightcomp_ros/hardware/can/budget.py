@@ -8,9 +8,7 @@ be interrupted.
 
 from typing import NamedTuple
 
-from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.hardware.can.board_dbc import Wire
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, FD_SIZES
 from straightcomp_ros.hardware.can.frames import Frames
 from straightcomp_ros.hardware.can.hub import addressed, priority, to_packet
@@ -106,16 +104,3 @@ def round_trip(sent: list[Traffic], bitrate: Bitrate, pair: tuple[str, str]) -> 
     """
     times = {frame.name: frame.time(bitrate) for frame in sent}
     return sum(times[own] + max(time for name, time in times.items() if name != own) for own in pair)
-
-
-def table() -> str:
-    """Load and latency of both kinds of bus, as docs/can.md shows them."""
-    lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
-    for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
-        wire = CanParameters(fd=fd).make_wire()
-        sent, pair = traffic(wire, DEFAULT_RATE), (wire.sample.name, wire.command.name)
-        rows = [(frame.name, f"{frame.size} B", frame.time(bitrate), load([frame], bitrate)) for frame in sent]
-        rows.append(("all; sample to command", "", round_trip(sent, bitrate, pair), load(sent, bitrate)))
-        for what, payload, time, share in rows:
-            lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
-    return "\n".join(lines)

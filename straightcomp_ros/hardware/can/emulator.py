@@ -5,8 +5,7 @@
 
 The program is that of firmware/posix, with the simulated machine behind its encoders and amplifier. It and this process
 exchange packets over a socket, whose layouts firmware/posix/machine.h names. On a bus the program keeps the time, and
-this process only answers what the encoders read. In lockstep this process has the bus and the time too, so that a run
-can be repeated to the bit.
+this process only answers what the encoders read; in lockstep (trials/bench/firmware_board.py) it has the time too.
 """
 
 import contextlib
@@ -37,10 +36,8 @@ _SHARE_OF_ECHO = 0.8
 _AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amplifier.FAULT}
 
 _LONGEST = 256
-_TICK, _RECEIVE = struct.Struct("=cq"), struct.Struct("=cqI")
-_SAMPLE, _DRIVE, _STAGE, _FRAME = (struct.Struct(layout) for layout in ("=cqI", "=cqBi", "=cqI", "=cBI"))
+_SAMPLE, _DRIVE, _STAGE = (struct.Struct(layout) for layout in ("=cqI", "=cqBi", "=cqI"))
 _READING = struct.Struct("=iidBI")
-_DONE = struct.Struct("=cBBBIII")
 _LARGEST_DENOMINATOR = 2**20
 _END_S = 2.0
 
@@ -379,56 +376,3 @@ class BoardProgram:
             self._process.kill()
             self._process.wait()
         self.machine.close()
-
-
-class FirmwareBoard:
-    """The program in lockstep, as :class:`Board` is the emulator: frames go out
-    through ``send`` and come in through :meth:`receive`, at times that the caller passes in."""
-
-    def __init__(
-        self,
-        can: CanParameters,
-        parameters: SimulatedParameters,
-        stage: StageParameters,
-        guide: StraightnessMap,
-        send: Callable[[int, bytes, bool], None],
-        now_ns: int,
-    ) -> None:
-        arguments = program_arguments(can, parameters, stage, bus="", lead_ns=0)
-        self._board = BoardProgram(can, arguments, parameters, stage, guide)
-        self._send = send
-        self._command_ids = {frames.identifier for frames in can.make_wire().commands}
-        self.machine = self._board.machine
-        self._call(_TICK.pack(b"T", now_ns))
-
-    def cycle(self, now_ns: int) -> None:
-        """Take and send the samples up to ``now_ns``."""
-        self._call(_TICK.pack(b"T", now_ns))
-
-    def receive(self, identifier: int, payload: bytes, at_ns: int) -> None:
-        """Take a frame that arrived at ``at_ns``."""
-        if identifier in self._command_ids:
-            self._call(_RECEIVE.pack(b"R", at_ns, identifier) + payload)
-        else:
-            self._board.stage.obey(identifier, payload, self.machine, at_ns)
-
-    def _call(self, packet: bytes) -> None:
-        self._board.send(packet)
-        while (answer := self._board.receive())[:1] != b"E":
-            if answer[:1] == b"F":
-                _, fd, identifier = _FRAME.unpack_from(answer)
-                self._send(identifier, answer[_FRAME.size :], bool(fd))
-            else:
-                self._board.answer(answer)
-        _, amplifier, fault, commanded, alive, self.counter, self.refused_commands = _DONE.unpack(answer)
-        self.command_alive = alive if commanded else None
-        self.amplifier, self.fault = Amplifier(amplifier), BoardFault(fault)
-
-    @property
-    def refused_trajectory(self) -> str:
-        """Why the last trajectory of the stage was refused."""
-        return self._board.stage.refused
-
-    def close(self) -> None:
-        """End the program."""
-        self._board.close()

@@ -36,24 +36,17 @@ _KEYWORDS = frozenset(
     )
 )
 _TEMPLATE = """\
-{% macro members(values, indent) %}
-{% for name, value in values.items() %}
-{{ " " * indent }}.{{ name }} = {{ value }},
-{% endfor %}
-{% endmacro %}
 {% macro frame(name, page, indent) %}
 {{ " " * indent }}const struct frames_{{ name }}_t frame = {
-{{ members(page, indent + 4) }}{{ " " * indent }}};
+{% for member, value in page.items() %}
+{{ " " * indent }}    .{{ member }} = {{ value }},
+{% endfor %}
+{{ " " * indent }}};
 
 {% endmacro %}
-{% macro table(kind, name, rows) %}
-
-static const struct {{ kind }} {{ name }}[] = {
-{% for row in rows %}
-    {
-{{ members(row, 8) }}    },
-{% endfor %}
-};
+{% macro head(one) %}
+.identifier = {{ "%#x" % (one.message.frame_id + EXTENDED_ID * one.message.is_extended_frame) }}u,
+        .length = {{ one.size }}u,
 {% endmacro %}
 {% macro pack(one) %}
 
@@ -94,25 +87,60 @@ static bool unpack_{{ one.name }}(struct command *command, const uint8_t *data, 
 /* The frames of {{ dbc }}, made by straightcomp: do not edit. */
 #include "frames.h"
 #include "wire.h"
-{% for wire in wires %}
-{% for one in wire.functions %}
+{% for bus, wire, functions, fits in wires %}
+{% for one in functions %}
 {{ pack(one) if one.pages is defined else unpack(one) -}}
 {% endfor %}
 
-static bool {{ wire.name }}_fits(const struct wire_report *report)
+static bool {{ bus }}_fits(const struct wire_report *report)
 {
-    return {{ wire.fits | join(" && ") }};
+    return {{ fits | join(" && ") }};
 }
-{{ table("wire_frame", wire.name ~ "_frames", wire.frames) -}}
-{{ table("wire_order", wire.name ~ "_orders", wire.orders) -}}
+
+static const struct wire_frame {{ bus }}_frames[] = {
+{% for one in wire.reports.values() %}
+    {
+        {{ head(one) }}        .fd = {{ one.fd | lower }},
+        .pages = {{ one.pages | length }}u,
+        .every = {{ one.every }}u,
+        .alive_most = {{ one.alive_modulus - 1 }}u,
+        .protection = {{ protection(one) }},
+        .pack = pack_{{ names[one.name] }},
+    },
+{% endfor %}
+};
+
+static const struct wire_order {{ bus }}_orders[] = {
+{% for one in wire.commands %}
+    {
+        {{ head(one) }}        .protection = {{ protection(one) }},
+        .unpack = unpack_{{ names[one.name] }},
+    },
+{% endfor %}
+};
 {% if wire.heartbeat %}
 
-static const struct wire_heartbeat {{ wire.name }}_heartbeat = {
-{{ members(wire.heartbeat, 4) }}};
+static const struct wire_heartbeat {{ bus }}_heartbeat = {
+    {{ head(wire.heartbeat) | replace("        ", "    ") }}    .fd = {{ wire.heartbeat.fd | lower }},
+    .period_ns = INT64_C({{ (wire.heartbeat.period * 1e9) | round | int }}),
+    .pack = pack_{{ names[wire.heartbeat.name] }},
+};
 {% endif %}
 
-static const struct wire {{ wire.name }} = {
-{{ members(wire.members, 4) }}};
+{# Of two counters of 32 bits half as many tell as much. #}
+static const struct wire {{ bus }} = {
+    .source = "{{ wire.source() }}",
+    .frame_count = {{ wire.reports | length }}u,
+    .order_count = {{ wire.commands | length }}u,
+    .frames = {{ bus }}_frames,
+    .orders = {{ bus }}_orders,
+    .order_modulus = {{ [wire.command_modulus, 2**31] | min }}u,
+    .counter_most = {{ (wire.number_modulus or 2**32) - 1 }}u,
+    .echoes = {{ (wire.echo_modulus > 0) | lower }},
+    .echo_most = {{ [wire.echo_modulus - 1, 0] | max }}u,
+    .heartbeat = {{ "&%s_heartbeat" % bus if wire.heartbeat else "NULL" }},
+    .fits = {{ bus }}_fits,
+};
 {% endfor %}
 
 {% for name, value in made.items() %}
@@ -140,21 +168,22 @@ def frames_in_c(wires: Sequence[Wire]) -> dict[str, str]:
     )
     # Without the date: the files change when their content does.
     made = {name: _WHEN.sub(r"\1.", text) for name, text in (("frames.h", header), ("frames.c", source))}
-    written: set[str] = set()
-    named = dict.fromkeys(("wire_classic", "wire_fd"), "NULL") | {f"wire_{_bus(one)}": f"&{_bus(one)}" for one in wires}
+    described, written = [], set[str]()
+    for wire in wires:
+        functions = [_function(wire, one, names[one.name]) for one in _all(wire) if one.name not in written]
+        written |= {one.name for one in _all(wire)}
+        fits = [_number(wire.homes[axis], axis)[1] for axis in ("x", "y")]
+        described.append(("fd" if wire.fd else "classic", wire, functions, fits))
+    pointers = dict.fromkeys(("wire_classic", "wire_fd"), "NULL") | {f"wire_{bus}": f"&{bus}" for bus, *_ in described}
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True)
-    made["wire.c"] = environment.from_string(_TEMPLATE).render(
-        dbc=wires[0].source().split()[0], wires=[_described(wire, names, written) for wire in wires], made=named
-    )
+    environment.globals |= {"names": names, "protection": _protection, "EXTENDED_ID": EXTENDED_ID}
+    file = wires[0].source().split()[0]
+    made["wire.c"] = environment.from_string(_TEMPLATE).render(dbc=file, wires=described, made=pointers)
     return made
 
 
 def _all(wire: Wire) -> list[Frames]:
     return [*wire.reports.values(), *wire.commands, *([wire.heartbeat] if wire.heartbeat else [])]
-
-
-def _bus(wire: Wire) -> str:
-    return "fd" if wire.fd else "classic"
 
 
 def c_names(names: Iterable[str]) -> dict[str, str]:
@@ -220,58 +249,6 @@ def _refuse(frames: Frames) -> None:
             raise DbcError(f"{place} counts beyond 32 bits; the firmware's counts have 32 bits")
 
 
-def _described(wire: Wire, names: Mapping[str, str], written: set[str]) -> dict[str, Any]:
-    """What the template says of one wire; functions of messages in ``written`` are there already."""
-    bus, heartbeat = _bus(wire), wire.heartbeat
-    functions = []
-    for one in _all(wire):
-        if one.name not in written:
-            functions.append(_function(wire, one, names[one.name]))
-            written.add(one.name)
-    return {
-        "name": bus,
-        "functions": functions,
-        "fits": [_number(wire.homes[axis], axis)[1] for axis in ("x", "y")],
-        "frames": [
-            {
-                **_identity(one),
-                "fd": _truth(one.fd),
-                "pages": f"{len(one.pages)}u",
-                "every": f"{one.every}u",
-                "alive_most": f"{one.alive_modulus - 1}u",
-                "protection": _protection(one),
-                "pack": f"pack_{names[one.name]}",
-            }
-            for one in wire.reports.values()
-        ],
-        "orders": [
-            {**_identity(one), "protection": _protection(one), "unpack": f"unpack_{names[one.name]}"}
-            for one in wire.commands
-        ],
-        "heartbeat": heartbeat
-        and {
-            **_identity(heartbeat),
-            "fd": _truth(heartbeat.fd),
-            "period_ns": f"INT64_C({round(heartbeat.period * 1e9)})",
-            "pack": f"pack_{names[heartbeat.name]}",
-        },
-        "members": {
-            "source": f'"{wire.source()}"',
-            "frame_count": f"{len(wire.reports)}u",
-            "order_count": f"{len(wire.commands)}u",
-            "frames": f"{bus}_frames",
-            "orders": f"{bus}_orders",
-            # Of two counters of 32 bits half as many tell as much.
-            "order_modulus": f"{min(wire.command_modulus, 2**31)}u",
-            "counter_most": f"{(wire.number_modulus or 2**32) - 1}u",
-            "echoes": _truth(wire.echo_modulus > 0),
-            "echo_most": f"{max(wire.echo_modulus - 1, 0)}u",
-            "heartbeat": f"&{bus}_heartbeat" if heartbeat else "NULL",
-            "fits": f"{bus}_fits",
-        },
-    }
-
-
 def _function(wire: Wire, frames: Frames, name: str) -> dict[str, Any]:
     """The function that packs the frames of one message, with the values of each page, or that unpacks a command."""
     if frames.kind is Command:
@@ -291,12 +268,6 @@ def _function(wire: Wire, frames: Frames, name: str) -> dict[str, Any]:
     return {"name": name, "head": head, "call": call, "pages": pages, "paged": frames.kind is Report}
 
 
-def _identity(frames: Frames) -> dict[str, str]:
-    message = frames.message
-    identifier = message.frame_id | (EXTENDED_ID if message.is_extended_frame else 0)
-    return {"identifier": f"{identifier:#x}u", "length": f"{frames.size}u"}
-
-
 def _protection(frames: Frames) -> str:
     crc = frames.crc
     if crc is None:
@@ -304,8 +275,8 @@ def _protection(frames: Frames) -> str:
     fields = {
         "profile": f"PROTECTION_{crc.profile.upper()}",
         "place": f"{crc.begin}u",
-        "big_endian": _truth(crc.order == "big"),
-        "by_identifier": _truth(crc.by_identifier),
+        "big_endian": str(crc.order == "big").lower(),
+        "by_identifier": str(crc.by_identifier).lower(),
     }
     if len(crc.data_id) > 1:
         fields["data_ids"] = f"(const uint8_t[]){{{', '.join(f'{one}u' for one in crc.data_id)}}}"
@@ -407,7 +378,3 @@ def _whole(number: float) -> str:
 
 def _real(number: float) -> str:
     return f"(board_real){min(max(float(number), -_LARGEST_FLOAT), _LARGEST_FLOAT)!r}"
-
-
-def _truth(value: bool) -> str:
-    return "true" if value else "false"

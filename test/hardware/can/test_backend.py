@@ -14,7 +14,7 @@ from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator import Board, FirmwareBoard
+from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
 from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, addressed
@@ -27,6 +27,7 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from trials.bench.firmware_board import FirmwareBoard
 
 STAGE = StageParameters()
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
