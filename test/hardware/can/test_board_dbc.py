@@ -72,8 +72,8 @@ def test_another_boards_file_gives_identifiers_lengths_and_kinds_of_frames():
 
 def test_physical_values_of_another_board_are_in_si_units():
     wire = foreign()
-    told = wire.sample.unpack(wire.sample.pack(REPORT, 0))
-    assert (told.x, told.y, told.current) == pytest.approx((1.7, -22e-6, -0.5), rel=1e-7)
+    found = wire.sample.unpack(wire.sample.pack(REPORT, 0))
+    assert (found.x, found.y, found.current) == pytest.approx((1.7, -22e-6, -0.5), rel=1e-7)
     command = Command(3, True, False, 0.25, 77)
     assert wire.command.unpack(wire.command.pack(command)) == command
     turned = foreign(**{"wire/y/factor": -1.0, "wire/command/factor": 0.5})
@@ -81,11 +81,11 @@ def test_physical_values_of_another_board_are_in_si_units():
     assert turned.command.spans["current"] == (-1.0, 1.0)
 
 
-def test_pages_of_a_multiplexed_status_take_turns_and_tell_what_they_have():
+def test_pages_of_a_multiplexed_status_take_turns_and_have_their_own_fields():
     wire = foreign()
-    told = [wire.status.unpack(wire.status.pack(REPORT._replace(fault=34), turn)) for turn in range(4)]
-    assert [one.amplifier for one in told] == [Amplifier.ON, None, Amplifier.ON, None]
-    assert [one.fault for one in told] == [None, 34, None, 34]
+    found = [wire.status.unpack(wire.status.pack(REPORT._replace(fault=34), turn)) for turn in range(4)]
+    assert [one.amplifier for one in found] == [Amplifier.ON, None, Amplifier.ON, None]
+    assert [one.fault for one in found] == [None, 34, None, 34]
     assert wire.fault_words(34) == "SUPPLY" and wire.fault_words(99) == "fault 99"
     assert wire.fault_codes[BoardFault.COMMAND_TIMEOUT] == 17 and wire.fault_codes[BoardFault.NONE] == 0
 
@@ -94,7 +94,7 @@ def test_values_without_a_meaning_of_their_own_are_off_where_the_parameters_say_
     wire = foreign()
     off = wire.status.pack(REPORT._replace(amplifier=Amplifier.OFF), 0)
     assert wire.status.unpack(off).amplifier is Amplifier.OFF
-    # Now READY, the other of the two, is "on" and ENABLED none: what is not told is refused.
+    # Now READY, the other of the two, is "on" and ENABLED none: what has no meaning is refused.
     strict = foreign(**{"wire/amplifier/off_value": 0, "wire/amplifier/on_value": 1})
     assert strict.status.unpack(strict.status.pack(REPORT, 0)).amplifier is Amplifier.ON
     with pytest.raises(ValueError, match="state"):
@@ -200,8 +200,8 @@ def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
     assert wire.reports[0x110].unpack(wire.reports[0x110].pack(REPORT, 0)) == Report(4, x=1.7, amplifier=2, fault=0)
     assert wire.reports[0x111].unpack(wire.reports[0x111].pack(REPORT, 0)).y == pytest.approx(-22e-6)
     command = Command(3, True, False, 0.25, 7)
-    told = [frames.unpack(frames.pack(command)) for frames in wire.commands]
-    assert told == [Command(3, True, False, None, 7), Command(3, None, None, 0.25, None)]
+    found = [frames.unpack(frames.pack(command)) for frames in wire.commands]
+    assert found == [Command(3, True, False, None, 7), Command(3, None, None, 0.25, None)]
 
 
 def test_the_sample_is_numbered_by_the_message_that_has_a_count():
@@ -302,8 +302,8 @@ def test_the_packages_own_frames_leave_nothing_open():
     assert gaps(CanParameters(fd=False).make_wire()) == gaps(CanParameters(fd=True).make_wire()) == []
 
 
-def test_what_the_frames_of_a_board_lack_is_told():
-    told = " ".join(gaps(BARE.make_wire()))
+def test_what_the_frames_of_a_board_lack_is_reported():
+    found = " ".join(gaps(BARE.make_wire()))
     for words in (
         "SAMPLE has no CRC",
         "SAMPLE has no counter",
@@ -315,20 +315,20 @@ def test_what_the_frames_of_a_board_lack_is_told():
         "SET has no echo",
         "SET has no reset",
     ):
-        assert words in told
+        assert words in found
     assert [text.split(":")[0] for text in gaps(foreign())] == [
         "DSP_MEAS counts to 256 only",
         "there is no heartbeat",
     ]
 
 
-def test_what_messages_of_one_sample_or_one_command_lack_is_told():
+def test_what_messages_of_one_sample_or_one_command_lack_is_reported():
     assert [text.split(":")[0] for text in gaps(split())] == [
         "DSP_X counts to 15 only",
         "DSP_I has no CRC",
         "there is no heartbeat",
     ]
-    told = " ".join(gaps(without_counts(SPLIT).make_wire()))
+    found = " ".join(gaps(without_counts(SPLIT).make_wire()))
     for words in (
         "DSP_Y has no CRC: a damaged sample",
         "DSP_X and DSP_Y have no counter in each: frames that come within half a period",
@@ -336,10 +336,10 @@ def test_what_messages_of_one_sample_or_one_command_lack_is_told():
         "PC_SWITCH has no CRC: the board would act",
         "PC_SWITCH and PC_CURRENT have no counter in each",
     ):
-        assert words in told
+        assert words in found
 
 
-def test_what_a_message_between_the_samples_says_without_a_crc_is_told():
+def test_what_a_message_between_the_samples_says_without_a_crc_is_reported():
     found = gaps(foreign(**{"wire/protection/status/profile": "none", "wire/protection/status/crc": ""}))
     assert "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed" in found
     assert "DSP_I has no CRC: a damaged measured current is believed" in gaps(split())

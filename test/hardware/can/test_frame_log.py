@@ -135,7 +135,7 @@ def test_a_log_that_was_never_finished_can_be_read_up_to_its_last_second(tmp_pat
     for number in range(2000):
         log.put(message(number))
     until(lambda: len(copied(log.file, tmp_path / f"killed{ending}")) == 2000)
-    # The head of a BLF file tells the time at which it begins.
+    # The head of a BLF file has the time at which it begins.
     first = copied(log.file, tmp_path / f"killed{ending}")[0]
     assert first.timestamp == pytest.approx(START_S, abs=1e-3)
     log.close()

@@ -103,7 +103,7 @@ def test_filters_keep_others_frames_away(hub):
         assert receiver.recv(0.05) is None
 
 
-def test_a_node_that_does_not_fetch_loses_frames_and_holds_nobody_up(hub):
+def test_a_node_that_does_not_fetch_loses_frames_and_holds_no_other_up(hub):
     with hub.bus() as sender, hub.bus(), hub.bus() as attentive:
         until(lambda: len(hub.hub._nodes) == 3)
         for _ in range(100):
@@ -114,7 +114,7 @@ def test_a_node_that_does_not_fetch_loses_frames_and_holds_nobody_up(hub):
         assert hub.hub.dropped > 0
 
 
-def test_a_node_whose_frames_nobody_takes_is_told_so_and_goes_on_when_they_are_taken(tmp_path):
+def test_a_node_whose_frames_no_node_takes_gets_an_error_and_goes_on_when_they_are_taken(tmp_path):
     hub = Hub(tmp_path / "bus")
     bus = can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True)
     hub.run(lambda: len(hub._nodes) == 1)
@@ -140,7 +140,7 @@ def test_a_node_whose_frames_nobody_takes_is_told_so_and_goes_on_when_they_are_t
 
 
 @pytest.mark.parametrize("selectable", [True, False], ids=["select", "poll"])
-def test_a_node_waits_for_a_frame_as_long_as_it_is_told(hub, monkeypatch, selectable):
+def test_a_node_waits_for_a_frame_as_long_as_it_is_asked_to(hub, monkeypatch, selectable):
     if not selectable:
         # Programs with more than a thousand open files have such descriptors.
         monkeypatch.setattr(hub_bus, "_SELECTABLE", 0)
@@ -213,7 +213,7 @@ def test_requests_for_the_boards_frames_are_counted_on_the_hub_and_none_is_used(
         for identifier in (0x7E5, *identifiers):
             sender.send(can.Message(arbitration_id=identifier, is_remote_frame=True, is_extended_id=False, dlc=8))
         until(lambda: link.wait(0.0) >= 0 and receiver.counts["remote"] >= len(identifiers))
-    # Neither one refused for its length, nor one of an identifier that nobody here reads.
+    # Neither one refused for its length, nor one of an identifier that is not read here.
     assert {reason: count for reason, count in receiver.counts.items() if count} == {"remote": len(identifiers)}
     assert receiver.received == receiver.error_counter == receiver.boot_ups == 0 and not receiver.heartbeat_ns
 
@@ -269,7 +269,7 @@ def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(
             first.send(can.Message(arbitration_id=0x301, is_extended_id=False, is_fd=True, data=b"\1\2"))
             first.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
             first.send(can.Message(arbitration_id=0x301, is_remote_frame=True, is_extended_id=False))
-            # The second node comes in, the first is heard: frames without data are nothing for the board.
+            # The second node comes in, the frames of the first arrive: those without data are nothing for the board.
             received = line.receive() + line.receive()
             assert [(identifier, payload) for identifier, payload, _ in received] == [(0x301, b"\1\2")]
             assert 0 <= time.time_ns() - received[0][2] < 60e9

@@ -103,7 +103,7 @@ def test_a_boot_up_forgets_the_counter_of_the_board_before(receiver):
     assert [index for index, *_ in receiver.samples][-100:] == list(range(200, 300))
 
 
-def test_samples_that_nobody_fetches_are_dropped_and_counted_oldest_first():
+def test_samples_that_are_not_fetched_are_dropped_and_counted_oldest_first():
     receiver = Receiver(CanParameters(sample_memory=10), STAGE)
     feed(receiver, range(500))
     assert [index for index, *_ in receiver.samples] == list(range(490, 500))

@@ -243,7 +243,7 @@ def test_waiting_frames_are_placed_by_a_counter_that_came_with_the_newest_or_aft
         found = at(980)
         for number in (992, 995, 1000):
             found.wait(waiting(number), number * PERIOD)
-        # The counter is that of sample ``newest``; the newest frame that was heard is 1000.
+        # The counter is that of sample ``newest``; the newest frame that came is 1000.
         assert [number for number, _ in found.place(newest, newest * PERIOD)] == [992, 995, 1000]
 
 

@@ -304,8 +304,8 @@ NAMES = {
 def test_the_frames_of_every_file_that_is_accepted_compile(board, compiled, shape):
     can = board(SHAPES[shape], NAMES.get(shape, {}))
     wire = can.make_wire()
-    told = wire.sample.unpack(wire.sample.pack(REPORT, 0))
-    assert (told.x, told.y) == pytest.approx((0.5, -22e-6), abs=1e-7)
+    found = wire.sample.unpack(wire.sample.pack(REPORT, 0))
+    assert (found.x, found.y) == pytest.approx((0.5, -22e-6), abs=1e-7)
     assert wire.command.unpack(wire.command.pack(Command(3, True, None, 0.25, None))).current == pytest.approx(0.25)
     compiled(can)
 
