@@ -31,7 +31,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.parameters.share import share_path
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 FOREIGN = str(share_path("config/board_motorola.yaml"))

@@ -109,7 +109,7 @@ class FrameSets(Generic[Frame]):
             if earlier is own:
                 break
             self._close(earlier)
-        return together([part for part in own.frames if part is not None]), own.begin_ns
+        return together([one for one in own.frames if one is not None]), own.begin_ns
 
     def _counted(self, count: int, at_ns: int) -> _Set[Frame] | None:
         for known in reversed(self._sets):
