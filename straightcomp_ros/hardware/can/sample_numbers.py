@@ -48,12 +48,11 @@ _SILENCE = 10
 """Samples after which the numbers of frames without count start anew."""
 
 
-@dataclass
+@dataclass(eq=False)
 class _Set(Generic[Frame]):
     count: int
     begin_ns: int
-    frames: list[Frame | None]
-    missing: int
+    frames: dict[int, Frame]
     closed: bool = False
 
 
@@ -88,40 +87,32 @@ class FrameSets(Generic[Frame]):
         ``at_ns`` is the time of arrival. The result has each field from the first message that has it, and the time of
         arrival of the set's first frame.
         """
-        sets = self._sets
-        own = self._counted(count % self._modulus, at_ns) if self._modulus else self._recent(message, at_ns)
+        sets, count = self._sets, count % self._modulus if self._modulus else 0
+        own = next((known for known in reversed(sets) if self._belongs(known, message, count, at_ns)), None)
         if own is None:
-            own = _Set(count % self._modulus if self._modulus else 0, at_ns, [None] * self._messages, self._messages)
+            own = _Set(count, at_ns, {})
             sets.append(own)
             if len(sets) > OPEN:
                 self._close(sets.pop(0))
-        elif own.frames[message] is not None:
+        elif message in own.frames:
             self.repeated += 1
             return None
         elif own is not sets[-1]:
             self.out_of_order += 1
         own.frames[message] = frame
-        own.missing -= 1
-        if own.missing or own.closed:
+        if len(own.frames) < self._messages or own.closed:
             return None
         own.closed = True
-        for earlier in sets:
-            if earlier is own:
-                break
+        for earlier in sets[: sets.index(own)]:
             self._close(earlier)
-        return together([one for one in own.frames if one is not None]), own.begin_ns
+        return together([frame for _, frame in sorted(own.frames.items())]), own.begin_ns
 
-    def _counted(self, count: int, at_ns: int) -> _Set[Frame] | None:
-        for known in reversed(self._sets):
-            if known.count == count and at_ns - known.begin_ns <= self._longest_ns:
-                return known
-        return None
-
-    def _recent(self, message: int, at_ns: int) -> _Set[Frame] | None:
-        newest = self._sets[-1] if self._sets else None
-        if newest is None or newest.closed or newest.frames[message] is not None:
-            return None
-        return newest if at_ns - newest.begin_ns < self._longest_ns else None
+    def _belongs(self, known: _Set[Frame], message: int, count: int, at_ns: int) -> bool:
+        passed_ns = at_ns - known.begin_ns
+        if self._modulus:
+            return known.count == count and passed_ns <= self._longest_ns
+        waits = known is self._sets[-1] and not known.closed and message not in known.frames
+        return waits and passed_ns < self._longest_ns
 
     def _close(self, given_up: _Set[Frame]) -> None:
         self.incomplete += not given_up.closed
