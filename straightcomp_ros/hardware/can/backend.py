@@ -24,8 +24,8 @@ _TURNS = 3
 class CanHardware(Hardware):
     """A board that samples by itself and is switched by the pattern in each command.
 
-    This class latches every fault, whoever found it. Commands then say "off" until the fault has been reset and the
-    amplifier is enabled again.
+    This class latches every fault, the board's and its own. Commands then say "off" until the fault has been reset and
+    the amplifier is enabled again.
 
     ``clock`` is the host's time in ns, as passed to :meth:`read`; ``make_link`` opens the bus and raises as
     :class:`~straightcomp_ros.hardware.can.link.Link` does.

@@ -191,7 +191,7 @@ class Wire:
             if named.signal if role != "heartbeat" else named.message:
                 found[role] = self._find(self._message(role), named.signal, f"wire.{role}.signal")
             elif role != "heartbeat" and named.message and role not in ("x", "command"):
-                raise RefusedParameter(f"wire.{role}.signal", f"'' is not allowed beside message '{named.message}'")
+                raise RefusedParameter(f"wire.{role}.signal", f"'' is not allowed with message '{named.message}'")
         for role in _NEEDED:
             if role not in found:
                 raise RefusedParameter(f"wire.{role}.signal", "'' is not allowed; the driver needs this signal")
@@ -278,7 +278,7 @@ class Wire:
             protected = getattr(self.meaning.protection, group)
             names = [self._names[role] for role in roles if self._names.get(role) not in (None, *found)]
             if not names and protected != ProtectionParameters():
-                text = "is given, but the signals are in a message that is protected by another part"
+                text = "is given, but the signals are in a message that another group protects"
                 raise RefusedParameter(f"wire.protection.{group}", text)
             found |= {name: (group, protected) for name in names}
         return found
@@ -312,7 +312,7 @@ class Wire:
             except DbcError as error:
                 raise RefusedParameter(f"{place}.crc", str(error)) from None
         elif protected.crc or protected.data_id:
-            raise RefusedParameter(f"{place}.profile", "'none' is not allowed beside a CRC signal or data id")
+            raise RefusedParameter(f"{place}.profile", "'none' is not allowed with a CRC signal or data id")
         try:
             message = used_signals(message, list({one.name: one for one in used}.values()))
         except DbcError as error:
@@ -353,17 +353,17 @@ class Wire:
         found = dict.fromkeys(self.homes[role] for role in READINGS if role in self.homes)
         return tuple(sorted(found, key=lambda one: 0 if one is self.counting else 1 if one.sample_modulus else 2))
 
-    def _common_modulus(self, parts: Sequence[Frames]) -> int:
+    def _common_modulus(self, several: Sequence[Frames]) -> int:
         """Modulus of what the counts of these messages have in common; 0 if one of them has none."""
-        moduli = [frames.sample_modulus for frames in parts]
-        if len(parts) == 1 or not all(moduli):
+        moduli = [frames.sample_modulus for frames in several]
+        if len(several) == 1 or not all(moduli):
             return 0
         common = math.gcd(*moduli)
         if common < _LEAST_COUNTS:
-            names = " and ".join(f"'{one.name}' to {one.sample_modulus}" for one in parts)
+            names = " and ".join(f"'{one.name}' to {one.sample_modulus}" for one in several)
             text = f"frames that belong together have the same count, but {names} count otherwise"
             raise RefusedParameter(
-                f"{self._places[parts[-1].name]}.alive",
+                f"{self._places[several[-1].name]}.alive",
                 f"{text}; allowed: moduli with a common divisor >= {_LEAST_COUNTS}, or ''",
             )
         return common
@@ -416,7 +416,7 @@ def _made(file: str, modified: int, meaning: WireParameters, node: int, fd: bool
 
 
 _SHORT = 256
-"""Samples: a counter that tells no more of them apart does not bridge a fifth of a second at 2 kHz."""
+"""Samples: a counter of no more counts does not bridge a fifth of a second at 2 kHz."""
 
 _SLOW = {
     "amplifier": "state of the amplifier",
@@ -468,7 +468,7 @@ def gaps(wire: Wire) -> list[str]:
     has = _has(wire.commands)
     asks = {field for asked in wire.commands for field in asked.fields}
     if len(wire.commands) > 1 and not wire.command_modulus:
-        found.append(f"{has} no counter in each: the board must tell by their time which belong together")
+        found.append(f"{has} no counter in each: the board must find by their time which belong together")
     if "echo" not in asks:
         found.append(f"{has} no echo: the board does not know which sample a command answers, and how old it is")
     if "reset" not in asks:

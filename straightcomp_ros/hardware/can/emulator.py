@@ -32,7 +32,7 @@ _BAD_FRAME, _ERROR_LIMIT = 4, 16
 _COUNTED = 2**32
 """Modulus of what the emulator counts: the count in a frame is its remainder."""
 _SHARE_OF_ECHO = 0.8
-"""Of what an echo can tell apart: an older sample than that is not distinguished from a future one."""
+"""Of what an echo can distinguish: beyond that an old sample may as well be a future one."""
 _AMPLIFIER = {State.OFF: Amplifier.OFF, State.ON: Amplifier.ON, State.FAULT: Amplifier.FAULT}
 
 _LONGEST = 256
@@ -82,7 +82,7 @@ class Board:
         """Number of the newest sample."""
         self._error_counter = 0
         self._sent = dict.fromkeys(wire.reports, 0)
-        self._commands = {frames.identifier: (part, frames) for part, frames in enumerate(wire.commands)}
+        self._commands = {frames.identifier: (number, frames) for number, frames in enumerate(wire.commands)}
         self._sets: FrameSets[Command] = FrameSets(len(wire.commands), wire.command_modulus, machine.period_ns)
         self._newest_ns = self._next_heartbeat_ns = now_ns
         self._stage = StageReceiver(emulator) if emulator else None
@@ -140,7 +140,7 @@ class Board:
         self.machine.disable()
         self._seen_off = False
 
-    def _take(self, part: int, frames: Frames, payload: bytes, at_ns: int) -> None:
+    def _take(self, number: int, frames: Frames, payload: bytes, at_ns: int) -> None:
         """Take a command, or a component of one whose other signals come in other messages."""
         command = frames.unpack(payload)
         if command.enable is False:
@@ -149,7 +149,7 @@ class Board:
             self._obey(command, at_ns)
             return
         repeated = self._sets.repeated
-        whole = self._sets.add(part, command, command.alive or 0, at_ns)
+        whole = self._sets.add(number, command, command.alive or 0, at_ns)
         self.refused_commands += self._sets.repeated - repeated
         if whole is not None:
             self._obey(whole[0], at_ns)

@@ -127,7 +127,7 @@ static const struct wire_heartbeat {{ bus }}_heartbeat = {
 };
 {% endif %}
 
-{# Of two counters of 32 bits half as many tell as much. #}
+{# The core compares two counters of 32 bits: half the modulus serves. #}
 static const struct wire {{ bus }} = {
     .source = "{{ wire.source() }}",
     .frame_count = {{ wire.reports | length }}u,

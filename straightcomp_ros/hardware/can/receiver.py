@@ -143,7 +143,7 @@ class Receiver:
         self._take_sample(report, arrival_ns)
 
     def _receive_component(self, number: int, frames: Frames, payload: bytes, arrival_ns: int) -> None:
-        """Take a frame with a part of a sample, whose others come in frames of other messages."""
+        """Take a frame with a component of a sample, whose others come in frames of other messages."""
         report = frames.unpack(payload)
         whole = self.sets.add(number, report, report.number or 0, arrival_ns)
         if whole is not None:

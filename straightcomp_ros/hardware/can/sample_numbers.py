@@ -1,12 +1,12 @@
 """Number and time of each sample: which frames belong to it, which number it has, and when the board took it.
 
 Frames of several messages belong together, to one sample or to one command, if they have the same count, and if not
-half as many periods lie between them as the count can tell apart: then it has begun again. Where a message has none,
+half as many periods lie between them as the count distinguishes: then it has begun again. Where a message has none,
 they do if they arrive within half a period of the first; two samples then differ by more, unless the bus or the host is
 late by that much.
 
 A count in the sample's own frame gives the number while by the host's clock fewer samples passed since the last frame
-than the count can tell apart. After a longer silence, frames wait for the next frame with the full counter, if the
+than the count distinguishes. After a longer silence, frames wait for the next frame with the full counter, if the
 board has such; otherwise the numbers start anew: they are never guessed. Frames without any count are numbered in
 their order; if a row of them comes late by a whole period and more, samples before them were lost.
 
@@ -214,7 +214,7 @@ class SampleNumbers:
 
     @property
     def unsettled(self) -> float:
-        """Samples that may have passed while the clock is not settled: no more than the count can tell apart."""
+        """Samples that may have passed while the clock is not settled: no more than the count distinguishes."""
         return min(_UNSETTLED, self._ambiguous - 1.0) if self._modulus else 1.0
 
     def reset(self) -> None:
@@ -310,7 +310,7 @@ class SampleNumbers:
         """Samples between two frames with this difference of their counts; less than zero if they were swapped."""
         lost = difference % self._modulus
         swapped = self._modulus - lost
-        # To lose almost as many as the count can tell apart takes as long; swapped frames arrive close together.
+        # To lose almost as many as the count distinguishes takes as long; swapped frames arrive close together.
         soon = passed_ns / self._period_ns + self._early < lost
         return -swapped if soon and swapped <= self._early else lost
 

@@ -140,7 +140,7 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
             {"wire/enable/message": "DSP_STATUS", "wire/enable/signal": "SUPPLY"},
             "'can.wire.enable.message': 'DSP_STATUS' is a message of the board already",
         ),
-        ({"wire/counter/message": "DSP_STATUS"}, "'can.wire.counter.signal': '' is not allowed beside message"),
+        ({"wire/counter/message": "DSP_STATUS"}, "'can.wire.counter.signal': '' is not allowed with message"),
         ({"wire/amplifier/fault_value": -1}, "'can.wire.amplifier.fault_value': -1 needs"),
         (
             {"wire/amplifier/on_value": 8},
@@ -169,7 +169,7 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
         ),
         (
             {"wire/protection/status/profile": "none"},
-            "'can.wire.protection.status.profile': 'none' is not allowed beside",
+            "'can.wire.protection.status.profile': 'none' is not allowed with",
         ),
         ({"wire/protection/current/alive": "MEAS_CNT"}, "'can.wire.protection.current': is given, but"),
         ({"wire/protection/sample/data_id": "x"}, "'can.wire.protection.sample.data_id': 'x' is not allowed"),
