@@ -25,7 +25,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedPara
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from trials.bench.firmware_board import FirmwareBoard
+from trials.firmware_board import FirmwareBoard
 
 _START_NS = 1_700_000_000_000_000_000
 _TRANSIT_NS = 100_000

@@ -34,7 +34,7 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from trials.bench.firmware_board import FirmwareBoard
+from trials.firmware_board import FirmwareBoard
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
