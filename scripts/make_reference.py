@@ -15,7 +15,7 @@ from straightcomp_ros.fleet.history.bag_row import BagRow
 from straightcomp_ros.fleet.history.row_columns import columns_of
 from straightcomp_ros.fleet.history.store import BAGS, STROKES
 from straightcomp_ros.fleet.history.stroke_row import StrokeRow
-from straightcomp_ros.hardware.can import emulator_frames, shipped_wire
+from straightcomp_ros.hardware.can import can_parameters, emulator_frames
 from straightcomp_ros.messages.cdr import BATCH_TYPE
 from straightcomp_ros.parameters.declaration import Declaration, declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
@@ -43,7 +43,7 @@ said otherwise.
 | topic | type | numbers, in the order of the message | content |
 |---|---|---|---|
 """
-DBC_FILES = (shipped_wire.FILE, emulator_frames.FILE)
+DBC_FILES = (can_parameters.SHIPPED_DBC, emulator_frames.FILE)
 SLOW_TOPIC = re.compile(r"(\w+_msgs)/(\w+)[:,] (.*)", re.DOTALL)
 """How contract.py begins the text below a constant that names a topic which is no stream."""
 

@@ -14,10 +14,10 @@ from typing import Any
 from straightcomp_ros.bench.step_costs import cost
 from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import print_json
-from straightcomp_ros.hardware.can.bus_faults import KINDS
+from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
-from straightcomp_ros.hardware.can.wire import Wire
+from straightcomp_ros.hardware.can.hub import KINDS
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from trials.can_faults import run_trial
@@ -116,9 +116,9 @@ def codec_costs(wires: Iterable[Wire], repeats: int) -> dict[str, dict[str, floa
     frames: dict[str, tuple[Callable[[Any], bytes], Callable[[bytes], object], Any]] = {}
     for wire in wires:
         for one in wire.reports.values():
-            frames[one.signals.message.name] = _first_page(one.pack), one.unpack, _REPORT
+            frames[one.name] = _first_page(one.pack), one.unpack, _REPORT
         for asked in wire.commands:
-            frames[asked.signals.message.name] = asked.pack, asked.unpack, _COMMAND
+            frames[asked.name] = asked.pack, asked.unpack, _COMMAND
     return {
         name: {
             "pack_us": cost(_calls(pack, frame), _CALLS, repeats).median,
@@ -130,7 +130,7 @@ def codec_costs(wires: Iterable[Wire], repeats: int) -> dict[str, dict[str, floa
 
 def per_frame(costs: dict[str, dict[str, float]], key: str, wire: Wire) -> float:
     """Mean of ``key`` in :func:`codec_costs` over the frames of a control cycle: those of a sample and of a command."""
-    return statistics.mean(costs[frames.signals.message.name][key] for frames in (*wire.parts, *wire.commands))
+    return statistics.mean(costs[frames.name][key] for frames in (*wire.parts, *wire.commands))
 
 
 def _first_page(pack: Callable[[Report, int], bytes]) -> Callable[[Report], bytes]:

@@ -4,14 +4,12 @@ import dataclasses
 import random
 from collections.abc import Mapping
 
-from straightcomp_ros.hardware.can.bus_faults import FLOOD, Faults
+from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Report
-from straightcomp_ros.hardware.can.hub import Frame, addressed
-from straightcomp_ros.hardware.can.message_frames import ReportFrames
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Frames, Report
+from straightcomp_ros.hardware.can.hub import FLOOD, Faults, Frame, addressed
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.can.sample_clock import BLOCK
-from straightcomp_ros.hardware.can.wire import Wire
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.stage.description import StageParameters
 
 _COUNT, _CURRENT = 1e-7, 0.01
@@ -75,7 +73,7 @@ def run_trial(
     """Send ``frames`` samples, and inject faults after the clock has settled.
 
     Args:
-        rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
+        rates: see :class:`~straightcomp_ros.hardware.can.hub.Faults`.
         board: its DBC file and kind of bus.
         frames: samples to send.
         first: number of the first sample.
@@ -121,5 +119,5 @@ def _frames(wire: Wire, index: int, stamp_ns: int) -> list[Frame]:
     ]
 
 
-def _counted(frames: ReportFrames, report: Report, index: int) -> Report:
+def _counted(frames: Frames, report: Report, index: int) -> Report:
     return report._replace(alive=index // frames.every % frames.alive_modulus)

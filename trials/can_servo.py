@@ -15,18 +15,17 @@ from dataclasses import dataclass
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
-from straightcomp_ros.hardware.can.board import Board
-from straightcomp_ros.hardware.can.bus_faults import Faults, LinkCut
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.firmware import FirmwareBoard
-from straightcomp_ros.hardware.can.frame_sets import together
+from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.frames import Amplifier, Report
-from straightcomp_ros.hardware.can.hub import ERROR, NO_DATA, Flag, Frame
+from straightcomp_ros.hardware.can.hub import ERROR, NO_DATA, Faults, Flag, Frame, LinkCut
+from straightcomp_ros.hardware.can.sample_numbers import together
 from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
+from trials.firmware_board import FirmwareBoard
 
 _START_NS = 1_700_000_000_000_000_000
 _TRANSIT_NS = 100_000
@@ -71,7 +70,7 @@ def run_servo_trial(
     The trial switches the amplifier on as soon as possible, and again after each latched fault.
 
     Args:
-        rates: see :class:`~straightcomp_ros.hardware.can.bus_faults.Faults`.
+        rates: see :class:`~straightcomp_ros.hardware.can.hub.Faults`.
         guide: of the simulated machine.
         board: its DBC file and kind of bus, and the program of the firmware core, if that is the board.
         frames: samples to take.

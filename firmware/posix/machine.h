@@ -1,6 +1,6 @@
 /* The simulated machine in the parent process: encoders, amplifier and stage, in packets over a socket.
  *
- * The parent is straightcomp_ros/hardware/can/firmware.py; the layouts of the packets stand there too. */
+ * The parent is straightcomp_ros/hardware/can/emulator.py; the layouts of the packets stand there too. */
 #ifndef MACHINE_H
 #define MACHINE_H
 

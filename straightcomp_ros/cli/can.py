@@ -31,7 +31,7 @@ _SLOWEST, _FASTEST = 0.01, 100.0
 
 
 def _hub_arguments(parser: argparse.ArgumentParser) -> None:
-    from straightcomp_ros.hardware.can.bus_faults import KINDS
+    from straightcomp_ros.hardware.can.hub import KINDS
 
     add = parser.add_argument
     add("--socket", required=True, metavar="PATH", help="socket file, the channel of interface straightcomp_hub")
@@ -47,8 +47,7 @@ def _hub(options: argparse.Namespace) -> None:
     """Be a bus between processes of this computer, where the kernel has no CAN: programs that use python-can join it
     with interface straightcomp_hub and the socket as the channel. It can spoil frames on purpose; SIGUSR1 cuts all
     links once. SIGINT or SIGTERM ends it; it then prints its counters."""
-    from straightcomp_ros.hardware.can.bus_faults import Faults
-    from straightcomp_ros.hardware.can.hub import Hub
+    from straightcomp_ros.hardware.can.hub import Faults, Hub
     from straightcomp_ros.timing import realtime
 
     check_range("--priority", options.priority, 0, _HIGHEST_PRIORITY)

@@ -9,10 +9,10 @@ import numpy as np
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import Margins, loop_margins, missing_margin
 from straightcomp_ros.doctor import Finding, judged
+from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.budget import CLASSIC_1M, FD_1M_5M, Bitrate, load, traffic
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.message_code import Signals
-from straightcomp_ros.hardware.can.wire_gaps import gaps
+from straightcomp_ros.hardware.can.frames import Frames
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
@@ -227,15 +227,15 @@ def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
 def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Finding]:
     """Check the frames of the board with ``can`` for ``stage``: ranges, resolution, protection, load of the bus."""
     wire, motion, encoder, step = can.make_wire(), stage.motion, stage.encoder, stage.drive.current_step
-    names = [frames.signals.message.name for frames in (*wire.reports.values(), *wire.commands)]
+    names = [frames.name for frames in (*wire.reports.values(), *wire.commands)]
     yield Finding("wire", "ok", f"{wire.dbc.file}: {', '.join(names)}")
     ends = motion.start, motion.start + motion.stroke
     stop, limit = stage.platform.stop, stage.actuator.current_limit
-    yield _range("wire x", wire.sample.signals, "x", ends, encoder.x_resolution, "m")
-    yield _range("wire y", wire.homes["y"].signals, "y", (-stop, stop), encoder.y_resolution, "m")
-    yield _range("wire command", wire.command.signals, "current", (-limit, limit), step, "A")
+    yield _range("wire x", wire.sample, "x", ends, encoder.x_resolution, "m")
+    yield _range("wire y", wire.homes["y"], "y", (-stop, stop), encoder.y_resolution, "m")
+    yield _range("wire command", wire.command, "current", (-limit, limit), step, "A")
     if wire.current is not None:
-        yield _range("wire current", wire.current.signals, "current", (-limit, limit), step, "A")
+        yield _range("wire current", wire.current, "current", (-limit, limit), step, "A")
     missing = gaps(wire)
     for gap in missing:
         yield Finding("wire protection", "warn", gap, "Ask the maker of the board, or accept what follows.")
@@ -247,10 +247,10 @@ def wire_findings(stage: StageParameters, can: CanParameters) -> Iterator[Findin
     yield judged("wire bus", busy <= _BUS_FULL, detail, remedy, "fail" if busy > 1.0 else "warn")
 
 
-def _range(name: str, signals: Signals, field: str, ends: tuple[float, float], resolution: float, unit: str) -> Finding:
-    least, largest = signals.span(field)
-    step = _step(signals, field, ends)
-    signal = signals.signals[field].name
+def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], resolution: float, unit: str) -> Finding:
+    least, largest = frames.spans[field]
+    step = _step(frames, field, ends)
+    signal = frames.fields[field].name
     detail = (
         f"'{signal}' from {least:.6g} to {largest:.6g} {unit} in steps of {step:.3g} {unit}; the stage needs "
         f"{ends[0]:.6g} to {ends[1]:.6g} {unit} in steps of {resolution:.3g} {unit}"
@@ -263,11 +263,11 @@ def _range(name: str, signals: Signals, field: str, ends: tuple[float, float], r
     return judged(name, step <= 1.001 * resolution, detail, remedy)
 
 
-def _step(signals: Signals, field: str, ends: tuple[float, float]) -> float:
+def _step(frames: Frames, field: str, ends: tuple[float, float]) -> float:
     """Resolution in SI units; of a float where the stage needs the largest number."""
-    signal, factor = signals.signals[field], signals.factors[field]
+    signal, factor = frames.fields[field], frames.factors[field]
     if not signal.is_float:
-        return signals.step(field)
+        return frames.step(field)
     scale = abs(signal.scale * factor)
     kind = {16: np.float16, 32: np.float32, 64: np.float64}[signal.length]
     return float(np.spacing(kind(max(abs(end) for end in ends) / scale))) * scale

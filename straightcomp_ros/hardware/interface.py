@@ -53,7 +53,7 @@ class Hardware(ABC):
 
     @abstractmethod
     def start(self, now_ns: int) -> None:
-        """Begin sampling, or begin again after a pause in which nobody read; take the first sample at ``now_ns``."""
+        """Begin sampling, or begin again after a pause without reading; take the first sample at ``now_ns``."""
 
     @abstractmethod
     def read(self, now_ns: int) -> Sequence[tuple[Sample, Truth | None]]:

@@ -7,12 +7,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from straightcomp_ros.hardware.can.board import Board
-from straightcomp_ros.hardware.can.board_line import BusLine, HubLine, Line
+from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.firmware import BoardProgram, program_arguments
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
+from straightcomp_ros.hardware.can.link import BusLine, HubLine, Line
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.periodic import PeriodicLoop

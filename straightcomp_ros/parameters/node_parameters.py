@@ -51,7 +51,7 @@ class DriverNodeParameters:
                 "lockstep", "True needs a simulated machine; allowed: false ('{group}hardware' is 'can')"
             )
         command, limit = self.can.make_wire().command, self.stage.actuator.current_limit
-        largest = min(-command.span[0], command.span[1])
+        largest = min(-command.spans["current"][0], command.spans["current"][1])
         if limit > largest:
             raise RefusedParameter(
                 "stage.actuator.current_limit", f"{limit!r} A is too large for CAN; allowed: <= {largest:g} A"

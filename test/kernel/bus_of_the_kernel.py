@@ -145,7 +145,7 @@ class Driver:
         enough = len(self.samples) + samples
         self.until(lambda: len(self.samples) >= enough)
 
-    def beside(self, *words):
+    def in_parallel(self, *words):
         """Run a program to its end while the loop goes on."""
         program = subprocess.Popen([str(word) for word in words])
         self.until(lambda: program.poll() is not None)
@@ -194,7 +194,7 @@ class ServoDriver(Driver):
     """The driver's side with feedforward and law in its loop: the law of the controller, with the gains that the closed
     form has for this stage.
 
-    The machine's reference is that of the map at each sample's own x, since nothing is beside the loop here.
+    The machine's reference is that of the map at each sample's own x, since there is no feedforward node here.
     """
 
     def __init__(self, fd, file, stage):
@@ -216,5 +216,5 @@ class ServoDriver(Driver):
 
     def true_errors(self, begin):
         """r(x) − y of the machine itself, in m, for the samples from number ``begin`` on that came with the truth."""
-        told = [truth for _, truth in self.samples[begin:] if truth is not None]
-        return np.array([self.map.reference(truth.x)[0] - truth.y for truth in told])
+        found = [truth for _, truth in self.samples[begin:] if truth is not None]
+        return np.array([self.map.reference(truth.x)[0] - truth.y for truth in found])

@@ -31,7 +31,7 @@ from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.parameters.share import share_path
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 FOREIGN = str(share_path("config/board_motorola.yaml"))
@@ -84,10 +84,10 @@ def driver(fd, cable):
 
 
 def as_the_board_took_them(samples):
-    """Whether each sample is what the machine's encoders read: over CAN FD the emulator tells the truth with it."""
-    told = [(sample, truth) for sample, truth in samples if truth is not None]
-    differences = [(abs(sample.x - truth.x), abs(sample.y - truth.y)) for sample, truth in told]
-    return len(told) > 0.9 * len(samples) and np.max(differences) <= 0.51e-7
+    """Whether each sample is what the machine's encoders read: over CAN FD the emulator sends the truth with it."""
+    found = [(sample, truth) for sample, truth in samples if truth is not None]
+    differences = [(abs(sample.x - truth.x), abs(sample.y - truth.y)) for sample, truth in found]
+    return len(found) > 0.9 * len(samples) and np.max(differences) <= 0.51e-7
 
 
 @BUSES
@@ -182,7 +182,7 @@ def test_an_interface_that_goes_down_and_up_again_is_found_by_both_sides(board, 
     driver.switch_on()
     openings = driver.count("openings")
     link("set", end, "down")
-    # The kernel tells it once: sending is told, and reading is not any more.
+    # The kernel reports it once, to sending; reading does not get it any more.
     driver.hardware.write(0.0, time.time_ns(), driver.samples[-1][0].stamp_ns)
     driver.until(lambda: driver.faulty() and (end == BOARD or "can_link" in driver.hardware.counters()))
     driver.run(1.0)
@@ -230,7 +230,7 @@ def test_each_of_a_strangers_frames_is_counted_and_none_is_used(board, driver, f
         text = frame.format(encoder=f"{encoder:X}", fd="##1" if fd else "#", more="0011223344556677" if fd else "")
         before = driver.count(counter)
         for _ in range(3):
-            driver.beside("cansend", BOARD, text)
+            driver.in_parallel("cansend", BOARD, text)
             # A good one comes between: four bad ones in a row would be a fault.
             driver.read_on(1)
         driver.read_on(RATE // 5)
@@ -249,7 +249,7 @@ def test_requests_for_the_frames_of_either_side_are_counted_and_nothing_follows(
     for end, identifiers in ((BOARD, wire.identifiers), (HOST, [wire.command.identifier])):
         for identifier in identifiers:
             # At once: taken for commands without content, these would be a fault of the board after four.
-            driver.beside("cangen", end, "-R", "-g", "1", "-I", f"{identifier:X}", "-L", "8", "-n", requests)
+            driver.in_parallel("cangen", end, "-R", "-g", "1", "-I", f"{identifier:X}", "-L", "8", "-n", requests)
     driver.read_on(RATE // 2)
     asked = driver.count("remote") - before["can_remote"]
     print(f"{asked} remote frames counted")
@@ -266,8 +266,8 @@ def test_what_is_not_for_the_driver_never_reaches_it(board, driver, fd):
     counters = {name: driver.count(name) for name in names}
     encoder = sample_id(fd)
     for text in (f"{encoder:08X}#0011223344556677", f"{encoder + 1:X}#0011223344556677", "7FF#00"):
-        driver.beside("cansend", BOARD, text)
-    driver.beside("cangen", BOARD, "-g", "0", "-I", "7", "-L", "8", "-n", "5000")
+        driver.in_parallel("cansend", BOARD, text)
+    driver.in_parallel("cangen", BOARD, "-g", "0", "-I", "7", "-L", "8", "-n", "5000")
     driver.read_on(RATE // 2)
     assert driver.count("received") > counters["received"] + 10
     assert {name: driver.count(name) for name in names[1:]} == {name: counters[name] for name in names[1:]}
@@ -281,7 +281,7 @@ def test_a_flood_under_the_boards_own_identifier_is_a_fault_and_none_of_it_is_us
     encoder, frames = sample_id(fd), 1000
     # One a millisecond: of more, the guest's processor would not read all.
     flood = ["cangen", BOARD, "-g", "1", "-I", f"{encoder:X}", "-L", "16" if fd else "8", "-n", frames]
-    driver.beside(*flood, *(["-f"] if fd else []))
+    driver.in_parallel(*flood, *(["-f"] if fd else []))
     driver.until(driver.faulty)
     assert driver.hardware.fault == "too many frames failed their checks"
     driver.run(0.5)
@@ -302,13 +302,13 @@ def _refused(driver):
 def test_a_full_transmit_queue_is_counted_and_the_board_switches_off(board, driver):
     driver.switch_on()
     before = driver.count("transmit_full")
-    driver.beside("tc", "qdisc", "add", "dev", HOST, "root", "netem", "delay", "5s", "limit", "2")
+    driver.in_parallel("tc", "qdisc", "add", "dev", HOST, "root", "netem", "delay", "5s", "limit", "2")
     driver.until(driver.faulty)
     assert driver.hardware.fault == "the board reports: command timeout"
     full = driver.count("transmit_full") - before
     print(f"{full} commands found no room")
     assert full > 10
-    driver.beside("tc", "qdisc", "del", "dev", HOST, "root")
+    driver.in_parallel("tc", "qdisc", "del", "dev", HOST, "root")
     openings = driver.count("openings")
     driver.switch_on_after_a_fault()
     # It was never another bus.
@@ -318,7 +318,7 @@ def test_a_full_transmit_queue_is_counted_and_the_board_switches_off(board, driv
 @BUSES
 def test_a_bus_off_that_the_kernel_reports_is_a_fault_until_it_is_reset(board, driver):
     driver.switch_on()
-    driver.beside("cansend", BOARD, "20000040#0000000000000000")
+    driver.in_parallel("cansend", BOARD, "20000040#0000000000000000")
     driver.until(driver.faulty)
     assert driver.hardware.fault == "the CAN controller is bus-off" and driver.count("bus_off") == 1
     driver.switch_on_after_a_fault()
@@ -374,7 +374,7 @@ def test_canplayer_plays_the_drivers_log_to_another_driver(start_board, fd, tmp_
     board.kill()
     with contextlib.closing(Driver(fd)) as driver:
         driver.run(0.5)
-        driver.beside("canplayer", "-I", log, f"{BOARD}={HOST}")
+        driver.in_parallel("canplayer", "-I", log, f"{BOARD}={HOST}")
         driver.run(0.2)
     then = {sample.x for sample, _ in recorder.samples}
     again = [sample.x for sample, _ in driver.samples]

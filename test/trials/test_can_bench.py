@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from straightcomp_ros.hardware.can.bus_faults import KINDS
+from straightcomp_ros.hardware.can.hub import KINDS
 from trials.__main__ import run
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.hardware.can.bus_faults import KINDS
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.hub import KINDS
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters

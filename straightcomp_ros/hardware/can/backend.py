@@ -3,12 +3,12 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+from straightcomp_ros.hardware.can.board_dbc import gaps
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, Command
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.can.wire_gaps import gaps
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.safety.faults import Fault, Finding
@@ -24,8 +24,8 @@ _TURNS = 3
 class CanHardware(Hardware):
     """A board that samples by itself and is switched by the pattern in each command.
 
-    This class latches every fault, whoever found it. Commands then say "off" until the fault has been reset and the
-    amplifier is enabled again.
+    This class latches every fault, the board's and its own. Commands then say "off" until the fault has been reset and
+    the amplifier is enabled again.
 
     ``clock`` is the host's time in ns, as passed to :meth:`read`; ``make_link`` opens the bus and raises as
     :class:`~straightcomp_ros.hardware.can.link.Link` does.
@@ -56,7 +56,7 @@ class CanHardware(Hardware):
         self._seen = self._upsets()
 
     def start(self, now_ns: int) -> None:
-        # After a pause in which nobody read, there may be another board.
+        # After a pause without reading, there may be another board.
         self._receiver.restart()
         self._link.start()
 
@@ -80,8 +80,8 @@ class CanHardware(Hardware):
         if not math.isfinite(current):
             raise ValueError(f"control current {current} A is not finite")
         command = self._wire.command
-        if not command.fits(current):
-            least, largest = command.span
+        if not command.fits("current", current):
+            least, largest = command.spans["current"]
             allowed = f"{least:.6g} to {largest:.6g} A"
             raise ValueError(f"control current {current} A does not fit its frame; allowed: {allowed}")
         number = self._newest_number if sample_ns is None else self._numbers.get(sample_ns, self._newest_number)
@@ -157,8 +157,8 @@ class CanHardware(Hardware):
             "out_of_order": sequence.out_of_order + receiver.sets.out_of_order,
             "stale": receiver.stale,
             "counter_jumps": sequence.jumps,
-            "strikes": receiver.strikes,
-            "strike_outs": receiver.strike_outs,
+            "strikes": receiver.error_counter,
+            "strike_outs": receiver.error_limit_hits,
             "boot_ups": receiver.boot_ups,
             "heartbeat_losses": self.heartbeat_losses,
             "openings": link.openings,
@@ -181,7 +181,7 @@ class CanHardware(Hardware):
         receiver = self._receiver
         return {
             "the board restarted (boot-up message)": receiver.boot_ups,
-            "too many frames failed their checks": receiver.strike_outs,
+            "too many frames failed their checks": receiver.error_limit_hits,
             "the board's sample counter jumped": receiver.sequence.jumps,
             "the CAN controller is bus-off": receiver.counts["bus_off"],
         }
@@ -247,8 +247,9 @@ class CanHardware(Hardware):
         heartbeat = self._wire.heartbeat
         if (heartbeat and not receiver.heartbeat_ns) or not receiver.status_ns or not receiver.newest_ns:
             return f"nothing has come from the board yet{': ' if self._link.problem else ''}{self._link.problem}"
-        if heartbeat and receiver.node_state != heartbeat.operational:
-            return f"the board's heartbeat says state {receiver.node_state}, not {heartbeat.operational} (operational)"
+        operational = self._wire.meaning.heartbeat.operational_value
+        if heartbeat and receiver.node_state != operational:
+            return f"the board's heartbeat says state {receiver.node_state}, not {operational} (operational)"
         silence = self._silence(now_ns)
         return silence[1] if silence is not None else ""
 

@@ -8,13 +8,10 @@ be interrupted.
 
 from typing import NamedTuple
 
-from straightcomp_ros.contract import DEFAULT_RATE
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.dbc_file import FD_SIZES
-from straightcomp_ros.hardware.can.frames import EXTENDED_ID
+from straightcomp_ros.hardware.can.board_dbc import Wire
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, FD_SIZES
+from straightcomp_ros.hardware.can.frames import Frames
 from straightcomp_ros.hardware.can.hub import addressed, priority, to_packet
-from straightcomp_ros.hardware.can.message_code import Signals
-from straightcomp_ros.hardware.can.wire import Wire
 
 _MORE_CLASSIC, _MORE_FD = 20, 19
 """Bits that an identifier of 29 bits adds."""
@@ -82,19 +79,17 @@ def fd_time(size: int, nominal: int, data: int, *, extended: bool = False) -> fl
 
 def traffic(wire: Wire, rate: float) -> list[Traffic]:
     """All frames on the bus while the servo runs at ``rate`` in Hz, highest priority first."""
-    rates = [
-        *((one.signals, rate) for one in wire.commands),
-        *((one.signals, rate / one.every) for one in wire.reports.values()),
-    ]
-    found = [(signals.identifier, _traffic(signals, each)) for signals, each in rates]
+    rates = {frames: rate / frames.every for frames in (*wire.commands, *wire.reports.values())}
     if wire.heartbeat:
-        found.append((wire.heartbeat.identifier, _traffic(wire.heartbeat.signals, 1.0 / wire.heartbeat.period)))
-    return [frame for _, frame in sorted(found, key=lambda one: priority(to_packet(addressed(one[0], b"", fd=False))))]
+        rates[wire.heartbeat] = 1.0 / wire.heartbeat.period
 
+    def rank(frames: Frames) -> tuple[int, int, int]:
+        return priority(to_packet(addressed(frames.identifier, b"", fd=False)))
 
-def _traffic(signals: Signals, rate: float) -> Traffic:
-    extended = bool(signals.identifier & EXTENDED_ID)
-    return Traffic(signals.message.name, signals.message.length, rate, signals.fd, extended)
+    return [
+        Traffic(frames.name, frames.size, rates[frames], frames.fd, bool(frames.identifier & EXTENDED_ID))
+        for frames in sorted(rates, key=rank)
+    ]
 
 
 def load(sent: list[Traffic], bitrate: Bitrate) -> float:
@@ -109,16 +104,3 @@ def round_trip(sent: list[Traffic], bitrate: Bitrate, pair: tuple[str, str]) -> 
     """
     times = {frame.name: frame.time(bitrate) for frame in sent}
     return sum(times[own] + max(time for name, time in times.items() if name != own) for own in pair)
-
-
-def table() -> str:
-    """Load and latency of both kinds of bus, as docs/can.md shows them."""
-    lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
-    for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
-        wire = CanParameters(fd=fd).make_wire()
-        sent, pair = traffic(wire, DEFAULT_RATE), (wire.sample.signals.message.name, wire.command.signals.message.name)
-        rows = [(frame.name, f"{frame.size} B", frame.time(bitrate), load([frame], bitrate)) for frame in sent]
-        rows.append(("all; sample to command", "", round_trip(sent, bitrate, pair), load(sent, bitrate)))
-        for what, payload, time, share in rows:
-            lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
-    return "\n".join(lines)

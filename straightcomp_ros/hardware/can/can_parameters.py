@@ -1,12 +1,144 @@
-"""Parameters of a board on CAN."""
+"""Parameters of a board on CAN: its bus, its DBC file, and which signals of that file mean what to the driver.
+
+Names of messages and signals are those of the file; where they lie, their scales and their limits it says itself.
+"""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from straightcomp_ros.hardware.can.wire import Wire, make_wire
-from straightcomp_ros.hardware.can.wire_parameters import WireParameters
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter
 
+if TYPE_CHECKING:
+    from straightcomp_ros.hardware.can.board_dbc import Wire
+
+SHIPPED_DBC = "config/straightcomp.dbc"
 _LOG_ENDINGS = (".log", ".blf")
+
+
+def _message() -> str:
+    named: str = parameter("", "message in the DBC file; empty: that of 'x' or 'command'")
+    return named
+
+
+def _signal() -> str:
+    named: str = parameter("", "signal of the message; empty: none")
+    return named
+
+
+def _value(default: int, meaning: str) -> int:
+    raw: int = parameter(default, f"raw value that says {meaning}", "[-1, 4294967295]")
+    return raw
+
+
+@dataclass(frozen=True)
+class SignalParameters:
+    """A signal without a meaning of its values."""
+
+    message: str = _message()
+    signal: str = _signal()
+
+
+@dataclass(frozen=True)
+class QuantityParameters:
+    """A signal with a physical value, whose unit is in the DBC file unless it is given here."""
+
+    message: str = _message()
+    signal: str = _signal()
+    unit: str = parameter("", "unit of the file's physical value, e.g. mm or A; empty: as the DBC file says")
+    factor: float = parameter(
+        1.0, "factor on the file's physical value, e.g. -1 for a board that counts the other way", "[-1e12, 1e12]"
+    )
+
+
+@dataclass(frozen=True)
+class AmplifierParameters:
+    """The signal with the amplifier's state."""
+
+    message: str = _message()
+    signal: str = _signal()
+    off_value: int = _value(1, "off; -1: any other")
+    on_value: int = _value(2, "on")
+    fault_value: int = _value(3, "fault; -1: the signal of 'fault' alone says so")
+
+
+@dataclass(frozen=True)
+class FaultParameters:
+    """The signal with the board's fault code."""
+
+    message: str = _message()
+    signal: str = _signal()
+    none_value: int = _value(0, "no fault")
+
+
+@dataclass(frozen=True)
+class SwitchParameters:
+    """A signal with which the host asks for something, or the board says yes."""
+
+    message: str = _message()
+    signal: str = _signal()
+    no_value: int = _value(0, "no")
+    yes_value: int = _value(1, "yes")
+
+
+@dataclass(frozen=True)
+class HeartbeatParameters:
+    """The signal with the board's own state, which it sends now and then."""
+
+    message: str = parameter("", "message in the DBC file; empty: the board has none")
+    signal: str = _signal()
+    boot_up_value: int = _value(0, "that the board has just restarted")
+    operational_value: int = _value(5, "that it works")
+
+
+@dataclass(frozen=True)
+class ProtectionParameters:
+    """How the frames of one message are protected."""
+
+    profile: str = parameter(
+        "none",
+        "CRC: AUTOSAR E2E profile 1, 2 or 5, SAE J1850, or none",
+        choices=("none", "e2e_1", "e2e_2", "e2e_5", "j1850"),
+    )
+    crc: str = parameter("", "signal with the CRC")
+    alive: str = parameter("", "signal that counts these frames; empty: none")
+    data_id: str = parameter(
+        "",
+        "data id of profile 1 or 5, e.g. 0x123, or the 16 of profile 2 separated by blanks; empty: the CAN identifier",
+    )
+
+
+@dataclass(frozen=True)
+class ProtectedMessages:
+    """Protection of each message that the driver uses."""
+
+    sample: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of x")
+    y: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of y, if another")
+    good: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of good, if another")
+    status: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of amplifier, if another")
+    current: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of current, if another")
+    command: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of command")
+    enable: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of enable, if another")
+    reset: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of reset, if another")
+    echo: ProtectionParameters = group(ProtectionParameters, "Protection of the CAN message of echo, if another")
+
+
+@dataclass(frozen=True)
+class WireParameters:
+    """The meaning of a board's signals."""
+
+    x: QuantityParameters = group(QuantityParameters, "Position of the stage on CAN")
+    y: QuantityParameters = group(QuantityParameters, "Position of the platform on CAN")
+    current: QuantityParameters = group(QuantityParameters, "Measured coil current on CAN")
+    counter: SignalParameters = group(SignalParameters, "Number of the sample on CAN")
+    good: SwitchParameters = group(SwitchParameters, '"Both encoder readings are good" on CAN')
+    amplifier: AmplifierParameters = group(AmplifierParameters, "State of the amplifier on CAN")
+    fault: FaultParameters = group(FaultParameters, "Board's fault code on CAN")
+    heartbeat: HeartbeatParameters = group(HeartbeatParameters, "Board's heartbeat on CAN")
+    command: QuantityParameters = group(QuantityParameters, "Commanded control current on CAN")
+    enable: SwitchParameters = group(SwitchParameters, '"Amplifier on" on CAN')
+    reset: SwitchParameters = group(SwitchParameters, '"Clear the fault" on CAN')
+    echo: SignalParameters = group(SignalParameters, "Number of the answered sample on CAN")
+    protection: ProtectedMessages = group(ProtectedMessages)
 
 
 @dataclass(frozen=True)
@@ -58,8 +190,11 @@ class CanParameters:
         if self.log and not self.log.lower().endswith(_LOG_ENDINGS):
             raise RefusedParameter("log", f"'{self.log}' is not allowed; allowed: *{' or *'.join(_LOG_ENDINGS)}")
 
-    def make_wire(self) -> Wire:
+    def make_wire(self) -> "Wire":
         """The frames of this board; raises RefusedParameter if DBC file and meaning do not fit together."""
+        # Imported here: it needs the parameters above.
+        from straightcomp_ros.hardware.can.board_dbc import make_wire
+
         return make_wire(self.dbc, self.wire, self.node, self.fd)
 
     def further_options(self) -> dict[str, str]:
@@ -71,3 +206,29 @@ class CanParameters:
                 raise RefusedParameter("options", f"'{text}' is not allowed; allowed: NAME=VALUE")
             pairs[name] = value
         return pairs
+
+
+def shipped_wire(fd: bool) -> WireParameters:
+    """The meaning of the signals in config/straightcomp.dbc on CAN FD, or on a classic bus."""
+    encoder, command = ("EncoderFd", "CommandFd") if fd else ("Encoder", "Command")
+    slow = "" if fd else "CoilCurrent"
+    current = ProtectionParameters("e2e_1", "CoilCurrentCrc", "CoilCurrentAlive")
+    return WireParameters(
+        x=QuantityParameters(encoder, "StageX"),
+        y=QuantityParameters(signal="PlatformY"),
+        current=QuantityParameters(slow, "MeasuredCurrent"),
+        counter=SignalParameters(slow, "SampleCounter"),
+        good=SwitchParameters(signal="EncodersValid"),
+        amplifier=AmplifierParameters(signal="Amplifier"),
+        fault=FaultParameters(signal="BoardFault"),
+        heartbeat=HeartbeatParameters("Heartbeat", "NodeState"),
+        command=QuantityParameters(command, "ControlCurrent"),
+        enable=SwitchParameters(signal="Enable", no_value=1, yes_value=2),
+        reset=SwitchParameters(signal="ResetFault", no_value=1, yes_value=2),
+        echo=SignalParameters(signal="EchoedCounter"),
+        protection=ProtectedMessages(
+            sample=ProtectionParameters("e2e_1", "EncoderCrc", "EncoderAlive"),
+            current=ProtectionParameters() if fd else current,
+            command=ProtectionParameters("e2e_1", "CommandCrc", "CommandAlive"),
+        ),
+    )

@@ -1,25 +1,33 @@
-"""Reads a DBC file by cantools: the messages of a bus, and where their signals lie."""
+"""Reads a DBC file by cantools: the messages of a bus, where their signals lie, and which of them can be used.
+
+Bits are numbered as in a DBC file: a signal of Intel order starts at its lowest bit, one of Motorola order at its
+highest, and bit 0 of each byte is the byte's lowest.
+"""
 
 from __future__ import annotations
 
 import difflib
+import itertools
+import math
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from straightcomp_ros.hardware.can.frames import EXTENDED_ID
 from straightcomp_ros.parameters.share import share_path
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
 
+EXTENDED_ID = 1 << 31
+"""Set in an identifier of 29 bits, as in DBC files and in Linux's frames."""
 _LARGEST = {False: 0x7FF, True: 0x1FFFFFFF}
 FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes of a frame of CAN FD."""
-_SIZES = {False: tuple(range(9)), True: FD_SIZES}
+FLOATS = {16: "e", 32: "f", 64: "d"}
+"""struct's letters by the bits of a float."""
 _LARGEST_FLOAT = {16: 65504.0, 32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
 _TOKEN = re.compile(r'"(?:\\"|[^"])*?"|//[^\n]*|\w+|[^\w\s]')
 _CLOSED = frozenset(
@@ -110,7 +118,7 @@ class Dbc:
         except (cantools.Error, ValueError, LookupError, TypeError, ArithmeticError, AssertionError) as error:
             reason = " ".join(str(error).split())
             raise DbcError(f"message '{name}' of {self.file} cannot be read: {reason}") from None
-        sizes = _SIZES[is_fd(message)]
+        sizes = FD_SIZES if is_fd(message) else FD_SIZES[:9]
         if message.length not in sizes:
             raise DbcError(
                 f"message '{name}' of {self.file} has {message.length} bytes; allowed: {', '.join(map(str, sizes))}"
@@ -184,6 +192,120 @@ def limits(signal: Signal, *, narrowed: bool = True) -> tuple[float, float]:
 def modulus(signal: Signal) -> int:
     """Of a counter: one more than its largest raw value."""
     return int(limits(signal)[1]) + 1
+
+
+def byte_order(signal: Signal) -> Literal["little", "big"]:
+    """Byte order of the signal, as int.from_bytes takes it."""
+    return "little" if signal.byte_order == "little_endian" else "big"
+
+
+def shift(signal: Signal, size: int) -> int:
+    """Bits right of the signal, in the payload of ``size`` bytes read as one integer of the signal's byte order."""
+    if byte_order(signal) == "little":
+        return signal.start
+    return 8 * size - 8 * (signal.start // 8) - 7 + signal.start % 8 - signal.length
+
+
+def selectors(message: Message, signal: Signal) -> list[tuple[Signal, list[int]]]:
+    """The multiplexers under which the signal lies, outermost first, each with the pages that have it."""
+    found: list[tuple[Signal, list[int]]] = []
+    while signal.multiplexer_signal and signal.multiplexer_ids is not None:
+        selector = next((one for one in message.signals if one.name == signal.multiplexer_signal), None)
+        if selector is None or any(selector is one for one, _ in found):
+            raise DbcError(f"'{signal.name}' of message '{message.name}' has no multiplexer that it can be found by")
+        found.insert(0, (selector, sorted(signal.multiplexer_ids)))
+        signal = selector
+    return found
+
+
+def pages(message: Message, signals: Iterable[Signal]) -> list[dict[str, int]]:
+    """The fewest choices of multiplexer pages that show all ``signals``; one empty choice for a message without."""
+    found: list[dict[str, int]] = []
+    for signal in signals:
+        wanted = {selector.name: ids[0] for selector, ids in selectors(message, signal)}
+        if wanted and not any(in_page(message, signal, page) for page in found):
+            found.append(wanted)
+    return found or [{}]
+
+
+def in_page(message: Message, signal: Signal, selected: Mapping[str, int]) -> bool:
+    """Whether the multiplexer pages ``selected`` show the signal."""
+    return all(selected.get(selector.name) in ids for selector, ids in selectors(message, signal))
+
+
+def refuse_signal(message: Message, signal: Signal) -> None:
+    """Raise DbcError for a signal that cannot be used: its place, its factor, or its limits."""
+    place = f"'{signal.name}' of message '{message.name}'"
+    if not _fits(message, signal):
+        raise DbcError(f"{place} does not lie within the {message.length} bytes of its message")
+    if signal.is_float and signal.length not in FLOATS:
+        raise DbcError(f"{place} is a float of {signal.length} bits; allowed: 16, 32 or 64")
+    numbers = (signal.scale, signal.offset, signal.minimum or 0, signal.maximum or 0)
+    if signal.scale == 0 or not all(map(math.isfinite, numbers)):
+        raise DbcError(f"{place} has a factor of {signal.scale}; allowed: finite numbers, and a factor other than 0")
+    least, largest = limits(signal)
+    if least > largest:
+        held = sorted(raw * signal.scale + signal.offset for raw in limits(signal, narrowed=False))
+        raise DbcError(
+            f"{place} has limits of {signal.minimum:.9g} to {signal.maximum:.9g}, of which its bits hold none; they "
+            f"hold {held[0]:.9g} to {held[1]:.9g}"
+        )
+
+
+def used_signals(message: Message, used: Sequence[Signal]) -> Message:
+    """The message with the signals ``used``, their multiplexers, and what else has an initial value in their frames.
+
+    Raises:
+        DbcError: two of the signals lie on each other, or one chooses the page of another.
+    """
+    from cantools.database.can import Message as CanMessage
+
+    chosen = {signal.name: signal for signal in used}
+    names = set(chosen)
+    for signal in used:
+        for selector, _ in selectors(message, signal):
+            if selector.name in names:
+                raise DbcError(
+                    f"'{selector.name}' of message '{message.name}' chooses the frames that have '{signal.name}'; "
+                    "allowed: a multiplexer without another meaning"
+                )
+            chosen.setdefault(selector.name, selector)
+    for one, other in itertools.combinations(chosen.values(), 2):
+        if _overlap(message, one, other):
+            raise DbcError(f"'{one.name}' and '{other.name}' of message '{message.name}' lie on each other")
+    for signal in message.signals:
+        shown = all(selector.name in chosen for selector, _ in selectors(message, signal))
+        free = _fits(message, signal) and not any(_overlap(message, signal, one) for one in chosen.values())
+        if signal.raw_initial and shown and free:
+            chosen.setdefault(signal.name, signal)
+    return CanMessage(
+        message.frame_id,
+        message.name,
+        message.length,
+        [signal for signal in message.signals if chosen.get(signal.name) is signal],
+        cycle_time=message.cycle_time,
+        is_extended_frame=message.is_extended_frame,
+        is_fd=message.is_fd,
+    )
+
+
+def _fits(message: Message, signal: Signal) -> bool:
+    return signal.length > 0 and 0 <= shift(signal, message.length) <= 8 * message.length - signal.length
+
+
+def _overlap(message: Message, one: Signal, other: Signal) -> bool:
+    """Whether two signals have a bit in common in some frame."""
+    chosen = dict((selector.name, ids) for selector, ids in selectors(message, one))
+    for selector, ids in selectors(message, other):
+        if not set(chosen.get(selector.name, ids)) & set(ids):
+            return False
+    return bool(_bits(message, one) & _bits(message, other))
+
+
+def _bits(message: Message, signal: Signal) -> int:
+    """The signal's bits in the payload, as an integer of Intel order."""
+    bits: int = (2**signal.length - 1) << shift(signal, message.length)
+    return int.from_bytes(bits.to_bytes(message.length, byte_order(signal)), "little")
 
 
 def _found(file: str) -> Path:

@@ -8,10 +8,9 @@ comes right before it, on CAN FD only: it fills the longest frame there is. conf
 import zlib
 from collections.abc import Sequence
 
-from straightcomp_ros.hardware.can.dbc_file import Dbc
-from straightcomp_ros.hardware.can.frames import EXTENDED_ID, FrameError
-from straightcomp_ros.hardware.can.message_code import Signals
-from straightcomp_ros.hardware.can.wire import Wire
+from straightcomp_ros.hardware.can.board_dbc import Wire
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID, Dbc
+from straightcomp_ros.hardware.can.frames import FrameError, Frames
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Truth
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.parameters.declaration import ParameterError
@@ -29,7 +28,7 @@ class EmulatorFrames:
 
     def __init__(self, node: int, wire: Wire) -> None:
         dbc = Dbc(FILE)
-        self._messages: dict[str, Signals] = {}
+        self._frames: dict[str, Frames] = {}
         taken = {*wire.identifiers, *(frames.identifier for frames in wire.commands)}
         for name in ("StageTime", "StageMotion", "StageStart", "Truth"):
             message = dbc.message(name)
@@ -41,16 +40,12 @@ class EmulatorFrames:
                 )
             signals = {signal.name: signal for signal in message.signals}
             physical = {name: 1.0 for name, signal in signals.items() if signal.unit}
-            self._messages[name] = Signals(message, identifier, signals, physical, {})
-        fields = {name: list(message.signals) for name, message in self._messages.items()}
-        self._packings = {name: one.packings(fields[name])[0] for name, one in self._messages.items()}
-        self._unpackings = {name: one.unpacking(fields[name]) for name, one in self._messages.items()}
-        self.time_id, self.motion_id, self.start_id, self.truth_id = (
-            message.identifier for message in self._messages.values()
-        )
-        crc = self._messages["Truth"].signals["TruthCrc"]
+            self._frames[name] = Frames(message, identifier, signals, physical)
+        self._time, self._motion, self._start, self._truth = self._frames.values()
+        self.truth_id = self._truth.identifier
+        crc = self._truth.fields["TruthCrc"]
         self._content = (crc.start + crc.length) // 8
-        self._most_points = int(self._messages["StageStart"].signals[_POINTS].maximum or 0)
+        self._most_points = int(self._start.fields[_POINTS].maximum or 0)
 
     def stage_payloads(self, waypoints: Sequence[Waypoint]) -> list[tuple[int, bytes]]:
         """Identifier and payload of each frame that moves a simulated stage, in the order of sending.
@@ -64,34 +59,31 @@ class EmulatorFrames:
         frames = []
         for number, point in enumerate(waypoints):
             try:
-                frames.append((self.time_id, self._packings["StageTime"]((number, point.time_ns))))
-                motion = self._packings["StageMotion"]((number, point.position, point.velocity))
-                frames.append((self.motion_id, motion))
+                frames.append((self._time.identifier, self._time.pack((number, point.time_ns))))
+                motion = self._motion.pack((number, point.position, point.velocity))
+                frames.append((self._motion.identifier, motion))
             except ValueError as error:
                 raise HardwareError(f"stage trajectory, point {number}: {error}") from None
         seal = zlib.crc32(b"".join(payload for _, payload in frames))
-        return [*frames, (self.start_id, self._packings["StageStart"]((len(waypoints), seal)))]
+        return [*frames, (self._start.identifier, self._start.pack((len(waypoints), seal)))]
 
     def unpack(self, identifier: int, payload: bytes) -> tuple[str, tuple[int | float, ...]] | None:
         """Message and values of one of the stage's frames; None for any other."""
-        for name, message in self._messages.items():
-            if identifier == message.identifier and name != "Truth":
-                try:
-                    return name, self._unpackings[name](payload)
-                except FrameError:
-                    return None
+        for name, frames in self._frames.items():
+            if identifier == frames.identifier and frames is not self._truth and len(payload) == frames.size:
+                return name, frames.unpack(payload)
         return None
 
     def truth_payload(self, counter: int, truth: Truth) -> bytes:
         """The counter of the sample, CRC-32 of the rest with the counter as start value, and the truth."""
-        pack = self._packings["Truth"]
+        pack = self._truth.pack
         seal = zlib.crc32(pack((counter, 0, *truth))[self._content :], counter)
         return pack((counter, seal, *truth))
 
     def truth_of(self, payload: bytes) -> tuple[int, Truth]:
         """Sample counter and truth; raises FrameError if the frame is damaged."""
         try:
-            counter, seal, *numbers = self._unpackings["Truth"](payload)
+            counter, seal, *numbers = self._truth.unpack(payload)
         except FrameError:
             raise FrameError("truth") from None
         if seal != zlib.crc32(payload[self._content :], counter):

@@ -1,4 +1,4 @@
-"""Recorded buses: candump's ``.log`` or Vector's ``.blf``, written beside the loop, read and played by python-can."""
+"""Recorded buses: candump's ``.log`` or Vector's ``.blf``, written in a thread, read and played by python-can."""
 
 import copy
 import gzip
@@ -19,7 +19,7 @@ from typing import Any, TextIO, cast
 import can
 from can.io.blf import BLFParseError
 
-from straightcomp_ros.hardware.can.frames import EXTENDED_ID
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.interface import HardwareError
 
 _QUEUE_LIMIT = 20_000

@@ -1,10 +1,52 @@
-"""What the frames of a board and of its host say; how they lie on the wire is in the DBC file alone."""
+"""The frames between a board and its host: what they say, their bits, their CRC and counter.
+
+One table per message has the place of each signal; CRC, counter, states and units are further columns of it. How the
+signals lie in the payload is in the DBC file alone.
+
+CRCs, whatever their place in the payload, run over all of it but themselves. Sources: AUTOSAR FO PRS_E2EProtocol,
+profiles 1 (E2E_P01_DATAID_BOTH), 2 and 5; SAE J1850. fastcrc computes them.
+
+Profile 1: CRC-8 of polynomial 0x1D with start and final XOR 0, over the 16-bit data id, low byte first, and then the
+payload. The polynomial is primitive, of order 255: in frames of up to 30 bytes it finds any two wrong bits and any
+error burst of up to eight bits; of all other errors, 255 in 256.
+Profile 2: CRC-8 of polynomial 0x2F, start and final XOR 0xFF, over the payload and that one of 16 data ids that the
+counter chooses.
+Profile 5: CRC-16 of polynomial 0x1021, start 0xFFFF, over the payload and the 16-bit data id, low byte first.
+J1850: CRC-8 of polynomial 0x1D, start and final XOR 0xFF, over the payload; it has no data id.
+"""
+
+from __future__ import annotations
 
 import enum
-from typing import NamedTuple
+import math
+import operator
+import struct
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
-EXTENDED_ID = 1 << 31
-"""Set in an identifier of 29 bits, as in DBC files and in Linux's frames."""
+from fastcrc import crc8, crc16
+
+from straightcomp_ros.hardware.can.dbc_file import (
+    FLOATS,
+    DbcError,
+    byte_order,
+    in_page,
+    is_fd,
+    limits,
+    modulus,
+    pages,
+    selectors,
+    shift,
+)
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
+
+_NEW = tuple.__new__
+"""Makes a named tuple in half the time of the class's own constructor."""
+_BY_CODE = "fault"
+"""Stands for the raw value of the amplifier's state where the fault code alone says that there is a fault."""
 
 
 class Amplifier(enum.IntEnum):
@@ -53,6 +95,11 @@ class Report(NamedTuple):
     fault: int | None = None
     good: bool = True
 
+    @property
+    def number(self) -> int | None:
+        """What numbers the sample: the counter of the samples if the frame has it, else that of the frames."""
+        return self.alive if self.counter is None else self.counter
+
 
 class Command(NamedTuple):
     """What the host asks for. What is not in the frame is None.
@@ -72,6 +119,376 @@ UNITS = {"x": "m", "y": "m", "current": "A"}
 """SI unit of each field of a report or command that has a physical value."""
 
 
-def counted(report: Report) -> int | None:
-    """What numbers the sample of a frame: the counter of the samples if the frame has it, else that of the frames."""
-    return report.alive if report.counter is None else report.counter
+class _Profile(NamedTuple):
+    bits: int
+    function: Callable[[bytes], int]
+    reserved: int | None = None
+    """First count that no frame has: profile 1 keeps 15 for "not valid"."""
+
+
+PROFILES = {
+    "e2e_1": _Profile(8, crc8.gsm_a, 15),
+    "e2e_2": _Profile(8, crc8.autosar),
+    "e2e_5": _Profile(16, crc16.ibm_3740),
+    "j1850": _Profile(8, crc8.sae_j1850),
+}
+_IDS_OF_2 = 16
+
+
+def alive_modulus(alive: Signal, profile: str) -> int:
+    """Counts of the frame counter before it begins again."""
+    counts = modulus(alive)
+    return min(counts, PROFILES[profile].reserved or counts) if profile in PROFILES else counts
+
+
+def data_ids(text: str, profile: str, identifier: int) -> list[int]:
+    """The data ids in ``text``; without any, the low 16 bits of the CAN identifier.
+
+    Raises:
+        DbcError: other numbers than the profile needs.
+    """
+    if profile not in ("e2e_1", "e2e_2", "e2e_5"):
+        if text:
+            raise DbcError(f"'{text}' is not allowed with profile {profile}, which has no data id")
+        return []
+    wanted, largest = (_IDS_OF_2, 0xFF) if profile == "e2e_2" else (1, 0xFFFF)
+    if not text and profile != "e2e_2":
+        return [identifier & 0xFFFF]
+    try:
+        numbers = [int(word, 0) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != wanted or not all(0 <= number <= largest for number in numbers):
+        raise DbcError(f"'{text}' is not allowed with profile {profile}; allowed: {wanted} of 0 to {largest:#x}")
+    return numbers
+
+
+class Crc:
+    """The CRC of one message, which begins at byte ``begin`` of the payload in byte order ``order``.
+
+    ``by_identifier``: the data id is the CAN identifier.
+
+    Raises:
+        DbcError: signal or data id do not suit the profile; the message does not name the parameter.
+    """
+
+    def __init__(
+        self,
+        message: Message,
+        crc: Signal,
+        alive: Signal | None,
+        profile: str,
+        data_id: list[int],
+        *,
+        by_identifier: bool = False,
+    ) -> None:
+        self.profile, self.data_id, self.by_identifier = profile, data_id, by_identifier
+        self.begin, self.order, bits = crc.start // 8, byte_order(crc), PROFILES[profile].bits
+        first = 0 if self.order == "little" else 7
+        if crc.length != bits or crc.start % 8 != first or crc.is_float or crc.is_signed:
+            raise DbcError(
+                f"CRC signal '{crc.name}' of message '{message.name}' has {crc.length} bits from bit {crc.start} on; "
+                f"allowed with profile {profile}: {bits} bits, unsigned, whole bytes"
+            )
+        if profile == "e2e_2" and (alive is None or alive.length != 4):
+            raise DbcError(f"profile e2e_2 of message '{message.name}' needs a counter 'alive' of 4 bits")
+        self._end, self._function = self.begin + bits // 8, PROFILES[profile].function
+        if profile == "e2e_1":
+            # It begins with the data id, so with the CRC of that: the final XOR is 0.
+            self._function = partial(crc8.gsm_a, initial=crc8.gsm_a(data_id[0].to_bytes(2, "little")))
+        self._ends = [one.to_bytes(bits // 8, "little") for one in data_id] if profile in ("e2e_2", "e2e_5") else []
+        """Bytes behind the payload; of several, the counter chooses one."""
+        self._counted = (byte_order(alive), shift(alive, message.length)) if alive and profile == "e2e_2" else None
+
+    def of(self, payload: bytes) -> int:
+        """The CRC that belongs into ``payload``."""
+        content = payload[: self.begin] + payload[self._end :] if self.begin else payload[self._end :]
+        if self._counted:
+            order, place = self._counted
+            content += self._ends[int.from_bytes(payload, order) >> place & 15]
+        elif self._ends:
+            content += self._ends[0]
+        return self._function(content)
+
+    def fits(self, payload: bytes) -> bool:
+        """Whether ``payload`` has its CRC."""
+        return self.of(payload) == int.from_bytes(payload[self.begin : self._end], self.order)
+
+    def sealed(self, payload: bytes) -> bytes:
+        """``payload`` with its CRC."""
+        crc = self.of(payload).to_bytes(self._end - self.begin, self.order)
+        return payload[: self.begin] + crc + payload[self._end :]
+
+
+class _Table(NamedTuple):
+    """What unpacking goes through, by the places of the values: their bits, then what is said by them."""
+
+    bits: list[tuple[int, int]]
+    """Shift and mask."""
+    floats: list[tuple[int, int, Any]]
+    """Bytes, and the function from them."""
+    counted: list[tuple[int, int]]
+    """Number of counts, where not all that the bits hold are allowed."""
+    numbers: list[tuple[int, int, float, float, tuple[float, float] | None]]
+    """Sign bit, scale, offset, and least and largest raw value of a good reading."""
+    code: tuple[int, int] | None
+    """Places of state and fault code, where the code alone says that there is a fault."""
+    said: list[tuple[int, Callable[[Any, Any], Any], Any, str]]
+    """Meaning of each raw value, that of any other, and the error where it has none."""
+    good: int
+    """Place of "both readings are good"."""
+    pick: Callable[[list[Any]], tuple[Any, ...]]
+
+
+class Frames:
+    """The frames of one identifier: packs and unpacks them by a table of their signals.
+
+    Args:
+        message: of the DBC file.
+        identifier: of the frames, see EXTENDED_ID.
+        fields: the signals that mean something, by the field of ``kind``.
+        factors: of the fields with a physical value, from the file's unit to SI units.
+        values: of the fields that say something the raw value of each meaning.
+        kind: what :meth:`unpack` returns, and :meth:`pack` takes; None: a plain tuple of ``fields``.
+        alive_modulus: of the field ``alive``.
+        crc: of these frames.
+        no_fault: the board's code of no fault.
+
+    Attributes:
+        spans: least and largest value in SI units, by each field in ``factors``.
+        every: number of samples from one frame to the next.
+        alive_modulus: of the count of the frames, 1 without.
+        period: s from one frame to the next, if the DBC file says it.
+    """
+
+    every = 1
+
+    def __init__(
+        self,
+        message: Message,
+        identifier: int,
+        fields: Mapping[str, Signal],
+        factors: Mapping[str, float] | None = None,
+        values: Mapping[str, Mapping[Any, int]] | None = None,
+        kind: Any = None,
+        alive_modulus: int = 0,
+        crc: Crc | None = None,
+        no_fault: int = 0,
+    ) -> None:
+        self.message, self.identifier, self.fields, self.crc = message, identifier, fields, crc
+        self.factors = factors or {}
+        self.values = {field: raw for field, raw in (values or {}).items() if field in fields}
+        self.name, self.size, self.fd = message.name, message.length, is_fd(message)
+        self.alive_modulus, self.period = alive_modulus or 1, (message.cycle_time or 0) * 1e-3
+        self.spans = {field: self._span(field) for field in self.factors}
+        self.kind, self._no_fault = kind or tuple, no_fault
+        self._order: list[str] = list(kind._fields if kind else fields)
+        orders = {byte_order(signal) for signal in message.signals}
+        self._bytes: Literal["little", "big"] = "big" if orders == {"big"} else "little"
+        # Bits of a signal of the other order are counted behind those of the payload, in the payload turned round.
+        self._behind = 8 * self.size if len(orders) > 1 else 0
+        self._selectors = {
+            field: [(*self._bits(one), _sign(one), ids) for one, ids in selectors(message, signal)]
+            for field, signal in fields.items()
+        }
+        self._page_tables: dict[tuple[str, ...], _Table] = {}
+        self._whole_table = None if any(self._selectors.values()) else self._table(fields)
+        self.pages = pages(message, fields.values())
+        self._packings = [self._packing(page) for page in self.pages]
+
+    def counts(self, field: str) -> int:
+        """Modulus of the counter in ``field``, 0 without one."""
+        if field not in self.fields:
+            return 0
+        return self.alive_modulus if field == "alive" else modulus(self.fields[field])
+
+    @property
+    def sample_modulus(self) -> int:
+        """Of what counts these frames: the count of the samples if they have it, else that of the frames; or 0."""
+        return self.counts("counter") or self.counts("alive")
+
+    def step(self, field: str) -> float:
+        """Resolution of ``field`` in SI units; 0 for a float."""
+        signal = self.fields[field]
+        return 0.0 if signal.is_float else abs(signal.scale * self.factors[field])
+
+    def fits(self, field: str, value: float) -> bool:
+        """Whether ``value`` in SI units rounds to one that can be sent; NaN does not."""
+        (least, largest), half = self.spans[field], 0.5 * self.step(field)
+        return least - half < value < largest + half
+
+    def _span(self, field: str) -> tuple[float, float]:
+        signal, factor = self.fields[field], self.factors[field]
+        least, largest = sorted((raw * signal.scale + signal.offset) * factor for raw in limits(signal))
+        return least, largest
+
+    def _bits(self, signal: Signal) -> tuple[int, int]:
+        """Shift and mask of a signal."""
+        behind = self._behind if byte_order(signal) != self._bytes else 0
+        return shift(signal, self.size) + behind, (1 << signal.length) - 1
+
+    def _table(self, shown: Collection[str]) -> _Table:
+        """The table of the frames that have the fields ``shown``."""
+        fields = {field: signal for field, signal in self.fields.items() if field in shown}
+        at = {field: place for place, field in enumerate(fields)}
+        # Behind the values of the fields stand None, for those that the frame does not have, and True.
+        absent = len(at)
+        good = at.get("good", absent if "good" in self.fields else absent + 1)
+        floats = [
+            (at[field], one.length // 8, struct.Struct(f"<{FLOATS[one.length]}").unpack)
+            for field, one in fields.items()
+            if one.is_float
+        ]
+        counted = [
+            (at[field], self.counts(field))
+            for field in ("alive", "counter")
+            if field in at and self.counts(field) < 2 ** fields[field].length
+        ]
+        numbers = []
+        for field, signal in fields.items():
+            bounds = limits(signal) if self.kind is Report and field in ("x", "y") and good != absent else None
+            if (_sign(signal) or field in self.factors or bounds) and field not in self.values:
+                numbers.append((at[field], _sign(signal), *self._line(field), bounds))
+        code, by_code = None, self.values.get("amplifier", {}).get(Amplifier.FAULT, 0) < 0
+        if "amplifier" in at and by_code:
+            code = at["amplifier"], at["fault"]
+        said = [(at[field], *self._meanings(field)) for field in self.values if field in at]
+        picked = [good if field == "good" else at.get(field, absent) for field in self._order]
+        # Of a single place, itemgetter() makes no tuple.
+        pick = operator.itemgetter(*picked) if len(picked) > 1 else lambda values: (values[picked[0]],)
+        return _Table([self._bits(one) for one in fields.values()], floats, counted, numbers, code, said, good, pick)
+
+    def _line(self, field: str) -> tuple[float, float]:
+        """Scale and offset from a raw value to SI units; a whole number without them stays one, and -0.0 stays -0.0."""
+        signal, factor = self.fields[field], self.factors.get(field)
+        if factor is None or (signal.scale * factor == 1 and not signal.offset and not signal.is_float):
+            return 1, 0
+        return signal.scale * factor, signal.offset * factor or -0.0
+
+    def _meanings(self, field: str) -> tuple[Callable[[Any, Any], Any], Any, str]:
+        """The meaning of each raw value of ``field``, that of any other, and the error where that is None."""
+        raw_of, mask = self.values[field], (1 << self.fields[field].length) - 1
+        if field == "good":
+            return {raw_of[True] & mask: True}.get, False, ""
+        meanings: dict[Any, Any] = {raw & mask: meaning for meaning, raw in raw_of.items() if raw >= 0}
+        if field != "amplifier":
+            return meanings.get, None, "pattern"
+        other = Amplifier.OFF if raw_of[Amplifier.OFF] < 0 else None
+        return (meanings | {_BY_CODE: Amplifier.FAULT}).get, other, "state"
+
+    def unpack(self, payload: bytes) -> Any:
+        """What a frame says; raises FrameError."""
+        if len(payload) != self.size:
+            raise FrameError("length")
+        if self.crc is not None and not self.crc.fits(payload):
+            raise FrameError("crc")
+        whole = int.from_bytes(payload + payload[::-1] if self._behind else payload, self._bytes)
+        bits, floats, counted, numbers, code, said, good, pick = self._whole_table or self._page_table(whole)
+        values: list[Any] = [whole >> place & mask for place, mask in bits]
+        for at, size, unpack in floats:
+            (values[at],) = unpack(values[at].to_bytes(size, "little"))
+        for at, counts in counted:
+            if values[at] >= counts:
+                raise FrameError("alive")
+        within = True
+        for at, sign, scale, offset, bounds in numbers:
+            raw = (values[at] ^ sign) - sign if sign else values[at]
+            if bounds and not bounds[0] <= raw <= bounds[1]:
+                within = False
+            values[at] = raw * scale + offset
+        if code is not None and values[code[1]] != self._no_fault:
+            values[code[0]] = _BY_CODE
+        for at, meaning_of, other, reason in said:
+            values[at] = meaning_of(values[at], other)
+            if values[at] is None:
+                raise FrameError(reason)
+        values += None, True
+        if not within:
+            values[good] = False
+        return _NEW(self.kind, pick(values))
+
+    def _page_table(self, whole: int) -> _Table:
+        """The table of a frame with multiplexed signals, of which ``whole`` are the bits."""
+        shown = tuple(
+            field
+            for field, chain in self._selectors.items()
+            if all(((whole >> place & mask) ^ sign) - sign in ids for place, mask, sign, ids in chain)
+        )
+        if shown not in self._page_tables:
+            self._page_tables[shown] = self._table(shown)
+        return self._page_tables[shown]
+
+    def _packing(self, page: Mapping[str, int]) -> tuple[int, list[tuple[int, dict[Any, int]]], list[tuple[Any, ...]]]:
+        """What :meth:`pack` goes through with one choice of multiplexer pages: fixed bits, raw values, and signals.
+
+        A signal without a field has the initial value of the DBC file, a multiplexer the page.
+        """
+        fields = {signal.name: field for field, signal in self.fields.items()}
+        fixed, rows, said = 0, [], []
+        for signal in self.message.signals:
+            place, mask = self._bits(signal)
+            letter = FLOATS[signal.length] if signal.is_float else ""
+            field, shown = fields.get(signal.name), in_page(self.message, signal, page)
+            if field is None or not shown:
+                value = page.get(signal.name, signal.raw_initial if shown else 0) or 0
+                fixed |= (_float_bits(letter, value) if letter else int(value) & mask) << place
+                continue
+            at, (scale, offset), (least, largest) = self._order.index(field), self._line(field), limits(signal)
+            if field in self.values:
+                said.append((at, sent_values(self.values[field])))
+            if signal.length == 64 and letter and signal.minimum is None:
+                least = largest = math.nan
+            elif field in self.factors and not letter:
+                # A number is refused from half a step beyond the end on.
+                least, largest = math.nextafter(least - 0.5, math.inf), math.nextafter(largest + 0.5, -math.inf)
+            rows.append((at, scale, offset or 0, least, largest, mask, place, letter, field))
+        return fixed, said, rows
+
+    def pack(self, values: Sequence[Any], turn: int = 0) -> bytes:
+        """Payload of the ``turn``-th frame: the pages of a multiplexed message take turns.
+
+        Raises:
+            ValueError: a value does not fit its signal.
+        """
+        bits, said, rows = self._packings[turn % len(self._packings)]
+        fields = list(values)
+        for at, raw_of in said:
+            fields[at] = raw_of[fields[at]]
+        for at, scale, offset, least, largest, mask, place, letter, field in rows:
+            # A whole number without scale stays exact; a comparison with NaN is false.
+            raw = fields[at] - offset if scale == 1 else (fields[at] - offset) / scale
+            if not least <= raw <= largest and least == least:
+                self._refuse(field, fields[at])
+            bits |= (_float_bits(letter, raw) if letter else round(raw) & mask) << place
+        if self._behind:
+            turned = (bits >> self._behind).to_bytes(self.size, "big")
+            bits = bits & (1 << self._behind) - 1 | int.from_bytes(turned, "little")
+        payload = bits.to_bytes(self.size, self._bytes)
+        return payload if self.crc is None else self.crc.sealed(payload)
+
+    def _refuse(self, field: str, value: float) -> NoReturn:
+        ends = self.spans[field] if field in self.factors else limits(self.fields[field])
+        unit = f" {UNITS[field]}" if field in UNITS else ""
+        raise ValueError(
+            f"{field} of {value}{unit} does not fit signal '{self.fields[field].name}' of message '{self.name}'; "
+            f"allowed: {ends[0]:.9g} to {ends[1]:.9g}{unit}"
+        )
+
+
+def _sign(signal: Signal) -> int:
+    """Bit of the sign, 0 without: (bits ^ sign) - sign is the number in two's complement."""
+    return 1 << signal.length - 1 if signal.is_signed and not signal.is_float else 0
+
+
+def _float_bits(letter: str, value: float) -> int:
+    return int.from_bytes(struct.pack(f"<{letter}", value), "little")
+
+
+def sent_values(values: Mapping[Any, int]) -> dict[Any, int]:
+    """The raw value that says each meaning, also for those that have none of their own (-1).
+
+    For "off" that is any that is free; for "fault", which the fault code says, that for "off".
+    """
+    free = next(raw for raw in range(len(values) + 1) if raw not in values.values())
+    sent = {meaning: raw if raw >= 0 else free for meaning, raw in values.items()}
+    return sent | {Amplifier.FAULT: sent[Amplifier.OFF]} if values.get(Amplifier.FAULT, 0) < 0 else sent

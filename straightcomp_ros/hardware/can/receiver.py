@@ -11,18 +11,15 @@ from functools import partial
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.frame_sets import FrameSets
-from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Report, counted
+from straightcomp_ros.hardware.can.frames import Amplifier, FrameError, Frames, Report
 from straightcomp_ros.hardware.can.hub import ERROR, REMOTE, Frame, address
-from straightcomp_ros.hardware.can.message_frames import ReportFrames
-from straightcomp_ros.hardware.can.sample_clock import SampleClock
-from straightcomp_ros.hardware.can.sequence import Sequence
+from straightcomp_ros.hardware.can.sample_numbers import FrameSets, SampleClock, SampleNumbers
 from straightcomp_ros.hardware.interface import Sample, Truth
 from straightcomp_ros.stage.description import StageParameters
 
 _REASONS = ("length", "crc", "alive", "state", "implausible", "encoders", "foreign", "truth", "remote")
 _ERRORS = ("error_frames", "error_passive", "bus_off")
-_STRIKE = 4
+_BAD_FRAME = 4
 _CONTROLLER, _BUS_OFF = 0x04, 0x40
 """Error classes of linux/can/error.h: with the first, the payload's second byte is the controller's state."""
 _PASSIVE = 0x10 | 0x20
@@ -35,12 +32,12 @@ class Receiver:
         current: newest coil current; for a board that does not measure it, set it to the commanded one.
         samples: new samples, oldest first: number, sample, and an emulated board's truth.
         amplifier: state in the newest good frame; None before the first.
-        board_fault: the board's code of why it switched off; None before it was told.
+        board_fault: the board's code of why it switched off; None before the first.
         newest_ns: time of arrival of the newest usable sample.
         status_ns: time of arrival of the newest state of the amplifier.
         heartbeat_ns: time of arrival of the newest heartbeat; ``node_state`` is its content.
         boot_ups: boot-up messages since the start.
-        strikes: error counter of bad frames, see ``strike_limit``; ``strike_outs``: how often it reached the limit.
+        error_counter: of bad frames, see ``strike_limit``; ``error_limit_hits``: how often it reached the limit.
         counts: refused frames by reason, and errors that the interface reported.
         identifiers: CAN identifiers that this receiver reads.
         sets: what became of the frames of samples whose signals are in several messages.
@@ -52,23 +49,23 @@ class Receiver:
         self.clock = SampleClock(period_ns)
         self._modulus = wire.sample_modulus
         slow = wire.counting is not None and wire.counting not in wire.parts
-        self.sequence = Sequence(self._elapsed, period_ns, self._modulus, wire.number_modulus if slow else 0)
+        self.sequence = SampleNumbers(self._elapsed, period_ns, self._modulus, wire.number_modulus if slow else 0)
         self.sets: FrameSets[Report] = FrameSets(len(wire.parts), wire.part_modulus, period_ns)
-        numbered = wire.parts[0].signals
+        numbered = wire.parts[0]
         self._alive_modulus = numbered.counts("alive") if numbered.counts("counter") else 0
         self.samples: deque[tuple[int, Sample, Truth | None]] = deque()
-        self.received = self.overflowed = self.stale = self.boot_ups = self.strikes = self.strike_outs = 0
+        self.received = self.overflowed = self.stale = self.boot_ups = self.error_counter = self.error_limit_hits = 0
         self.counts = dict.fromkeys(_REASONS + _ERRORS, 0)
         self.amplifier: Amplifier | None = None
         self.board_fault: int | None = None
         self.newest_ns = self.status_ns = self.heartbeat_ns = self._arrival_ns = 0
         self.node_state: int | None = None
-        self._memory, self._strike_limit = parameters.sample_memory, parameters.strike_limit
+        self._memory, self._error_limit = parameters.sample_memory, parameters.strike_limit
         self._stale_ns = round(parameters.sample_timeout * 1e9)
         # Two counts of noise; half a one more for the rounding of numbers in metres.
         self._x_step = stage.motion.highest_speed * period_ns * 1e-9
         self._y_step = parameters.y_speed * period_ns * 1e-9
-        self._x_noise, self._y_noise = (2.5 * wire.homes[axis].signals.step(axis) for axis in ("x", "y"))
+        self._x_noise, self._y_noise = (2.5 * wire.homes[axis].step(axis) for axis in ("x", "y"))
         self._accepted: int | None = None
         """Count of the newest accepted frame; 0 for frames without."""
         self._good: tuple[float, float, int] | None = None
@@ -77,16 +74,16 @@ class Receiver:
         self.current = 0.0
         self._truth: tuple[int, Truth | None] = (-1, None)
         self._handlers: dict[int, Callable[[bytes, int], None]] = {
-            identifier: partial(self._hear, frames) for identifier, frames in wire.reports.items()
+            identifier: partial(self._receive, frames) for identifier, frames in wire.reports.items()
         }
         if len(wire.parts) > 1:
             for number, frames in enumerate(wire.parts):
-                self._handlers[frames.identifier] = partial(self._hear_part, number, frames)
+                self._handlers[frames.identifier] = partial(self._receive_component, number, frames)
         if wire.heartbeat:
-            self._handlers[wire.heartbeat.identifier] = self._heartbeat
+            self._handlers[wire.heartbeat.identifier] = self._receive_heartbeat
         if parameters.fd and parameters.simulated_stage:
             self._emulator = EmulatorFrames(parameters.node, wire)
-            self._handlers[self._emulator.truth_id] = self._hear_truth
+            self._handlers[self._emulator.truth_id] = self._receive_truth
         self.identifiers = list(self._handlers)
 
     def restart(self) -> None:
@@ -95,7 +92,7 @@ class Receiver:
         self.sequence.reset()
         self.sets.reset()
         self._accepted = self._good = self.amplifier = None
-        self.strikes = 0
+        self.error_counter = 0
 
     def take(self, frame: Frame, arrival_ns: int) -> None:
         """Take a frame of any kind: one without data is counted by its kind."""
@@ -115,7 +112,7 @@ class Receiver:
         try:
             handler(payload, arrival_ns)
         except FrameError as error:
-            self._strike(str(error))
+            self._count_error(str(error))
 
     def receive_error_frame(self, classes: int, details: bytes) -> None:
         """Count an error that the interface reports, by the identifier and the payload of Linux's error frame."""
@@ -125,11 +122,11 @@ class Receiver:
         if classes & _CONTROLLER and len(details) > 1 and details[1] & _PASSIVE:
             self.counts["error_passive"] += 1
 
-    def _strike(self, reason: str) -> None:
+    def _count_error(self, reason: str) -> None:
         self.counts[reason] += 1
-        self.strikes += _STRIKE
-        if self.strikes >= self._strike_limit:
-            self.strike_outs += 1
+        self.error_counter += _BAD_FRAME
+        if self.error_counter >= self._error_limit:
+            self.error_limit_hits += 1
             self.restart()
 
     def _elapsed(self, index: int, arrival_ns: int) -> float:
@@ -138,23 +135,23 @@ class Receiver:
         # The first frames may all be late, so the time between two of them is not yet meaningful.
         return max((arrival_ns - self._arrival_ns) / self._period_ns, self.sequence.unsettled)
 
-    def _hear(self, frames: ReportFrames, payload: bytes, arrival_ns: int) -> None:
+    def _receive(self, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         report = frames.unpack(payload)
         if report.x is None:
-            self._hear_slow(report, arrival_ns)
+            self._receive_status(report, arrival_ns)
             return
-        self._hear_sample(report, arrival_ns)
+        self._take_sample(report, arrival_ns)
 
-    def _hear_part(self, number: int, frames: ReportFrames, payload: bytes, arrival_ns: int) -> None:
-        """Take a frame with a part of a sample, whose others come in frames of other messages."""
+    def _receive_component(self, number: int, frames: Frames, payload: bytes, arrival_ns: int) -> None:
+        """Take a frame with a component of a sample, whose others come in frames of other messages."""
         report = frames.unpack(payload)
-        whole = self.sets.add(number, report, counted(report) or 0, arrival_ns)
+        whole = self.sets.add(number, report, report.number or 0, arrival_ns)
         if whole is not None:
-            self._hear_sample(*whole)
+            self._take_sample(*whole)
 
-    def _hear_sample(self, report: Report, arrival_ns: int) -> None:
+    def _take_sample(self, report: Report, arrival_ns: int) -> None:
         jumps = self.sequence.jumps
-        ahead = self.sequence.ahead(counted(report), arrival_ns)
+        ahead = self.sequence.ahead(report.number, arrival_ns)
         self._follow_jump(jumps)
         if ahead is None:
             self.sequence.wait(report, arrival_ns)
@@ -182,13 +179,13 @@ class Receiver:
         if report.good and not self._is_near(x, y, ahead):
             raise FrameError("implausible")
         self._accepted = alive
-        index = self.sequence.accept(counted(report), ahead)
+        index = self.sequence.accept(report.number, ahead)
         self.clock.observe(index, arrival_ns)
         self.received += 1
         self._arrival_ns = arrival_ns
         self._take_status(report, arrival_ns)
-        if self.strikes:
-            self.strikes -= 1
+        if self.error_counter:
+            self.error_counter -= 1
         if not report.good:
             self.counts["encoders"] += 1
             return
@@ -225,13 +222,13 @@ class Receiver:
         current = self.current if self.amplifier is Amplifier.ON else math.nan
         sample = Sample(stamp_ns, x, y, current)
         counter, truth = self._truth
-        told = truth is not None and (not self._modulus or (counter - index) % self._modulus == 0)
-        self.samples.append((index, sample, truth if told else None))
+        known = truth is not None and (not self._modulus or (counter - index) % self._modulus == 0)
+        self.samples.append((index, sample, truth if known else None))
         if len(self.samples) > self._memory:
             self.samples.popleft()
             self.overflowed += 1
 
-    def _hear_slow(self, report: Report, arrival_ns: int) -> None:
+    def _receive_status(self, report: Report, arrival_ns: int) -> None:
         """Take a frame that does not come with each sample."""
         self._take_status(report, arrival_ns)
         if report.counter is None:
@@ -245,20 +242,19 @@ class Receiver:
             try:
                 self._place(waiting, number - self.sequence.index, waiting_ns)
             except FrameError as error:
-                self._strike(str(error))
+                self._count_error(str(error))
 
-    def _hear_truth(self, payload: bytes, _: int) -> None:
+    def _receive_truth(self, payload: bytes, _: int) -> None:
         try:
             self._truth = self._emulator.truth_of(payload)
         except FrameError as error:
             # Nothing acts on the truth, so a damaged one does not count as a bad frame.
             self.counts[str(error)] += 1
 
-    def _heartbeat(self, payload: bytes, arrival_ns: int) -> None:
-        heartbeat = self.wire.heartbeat
-        assert heartbeat is not None
-        self.node_state = heartbeat.unpack(payload)
+    def _receive_heartbeat(self, payload: bytes, arrival_ns: int) -> None:
+        assert self.wire.heartbeat is not None
+        (self.node_state,) = self.wire.heartbeat.unpack(payload)
         self.heartbeat_ns = arrival_ns
-        if self.node_state == heartbeat.boot_up:
+        if self.node_state == self.wire.meaning.heartbeat.boot_up_value:
             self.boot_ups += 1
             self.restart()

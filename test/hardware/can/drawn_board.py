@@ -2,8 +2,7 @@
 
 import random
 
-from straightcomp_ros.hardware.can.protection import ProtectionParameters
-from straightcomp_ros.hardware.can.wire_parameters import WireParameters
+from straightcomp_ros.hardware.can.can_parameters import ProtectionParameters, WireParameters
 from straightcomp_ros.parameters.declaration import from_mapping
 
 _IDS_OF_2 = " ".join(str(37 * number % 256) for number in range(16))

@@ -2,13 +2,13 @@
 
 import crccheck.crc
 
-from straightcomp_ros.hardware.can.signal_code import byte_order, shift
+from straightcomp_ros.hardware.can.dbc_file import byte_order, shift
 
 
 def forged(frames, payload, **raw_values):
     """``payload`` of ``frames``, under E2E profile 1 in its first byte, with other raw values by the signal's name."""
     for name, raw in raw_values.items():
-        signal = next(one for one in frames.signals.message.signals if one.name == name)
+        signal = next(one for one in frames.message.signals if one.name == name)
         whole, place = int.from_bytes(payload, byte_order(signal)), shift(signal, len(payload))
         whole = whole & ~((2**signal.length - 1) << place) | raw << place
         payload = whole.to_bytes(len(payload), byte_order(signal))

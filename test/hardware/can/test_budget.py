@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from straightcomp_ros.contract import DEFAULT_RATE
 from straightcomp_ros.hardware.can.budget import (
     CLASSIC_1M,
     FD_1M_5M,
@@ -12,7 +13,6 @@ from straightcomp_ros.hardware.can.budget import (
     fd_time,
     load,
     round_trip,
-    table,
     traffic,
 )
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -74,4 +74,12 @@ def test_an_identifier_of_29_bits_takes_longer():
 
 
 def test_the_document_shows_what_the_code_computes():
-    assert table() in DOCUMENT.read_text()
+    lines = ["| bus | frame | payload | longest time | load |", "|---|---|---|---|---|"]
+    for name, fd, bitrate in (("classic, 1 Mbit/s", False, CLASSIC_1M), ("CAN FD, 1 and 5 Mbit/s", True, FD_1M_5M)):
+        wire = CanParameters(fd=fd).make_wire()
+        sent, pair = traffic(wire, DEFAULT_RATE), (wire.sample.name, wire.command.name)
+        rows = [(frame.name, f"{frame.size} B", frame.time(bitrate), load([frame], bitrate)) for frame in sent]
+        rows.append(("all; sample to command", "", round_trip(sent, bitrate, pair), load(sent, bitrate)))
+        for what, payload, time, share in rows:
+            lines.append(f"| {name} | {what} | {payload} | {time * 1e6:.0f} µs | {100 * share:.1f} % |")
+    assert "\n".join(lines) in DOCUMENT.read_text()

@@ -18,15 +18,13 @@ from hypothesis import strategies as st
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.hardware.can.board import Board
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
 from straightcomp_ros.hardware.can.dbc_file import DbcError
+from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
-from straightcomp_ros.hardware.can.firmware import FirmwareBoard
-from straightcomp_ros.hardware.can.frame_sets import together
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
-from straightcomp_ros.hardware.can.shipped_wire import shipped_wire
+from straightcomp_ros.hardware.can.sample_numbers import together
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
@@ -36,6 +34,7 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from trials.firmware_board import FirmwareBoard
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 GUIDE = load_map(MapParameters(file="config/guide_synthetic.csv"))
@@ -67,12 +66,12 @@ def made_by_script():
 
 
 class Run:
-    """A board with all that it was told and sent; ``program`` is the firmware, without it the board is the emulator."""
+    """A board with its calls and what it sent; ``program`` is the firmware, without it the board is the emulator."""
 
     def __init__(self, can, program=None, stage=STAGE, parameters=None):
         self.can, self.wire = can, can.make_wire()
         self.emulator = EmulatorFrames(1, self.wire)
-        self.sent, self.told, self.currents, self.states = [], [], [], []
+        self.sent, self.calls, self.currents, self.states = [], [], [], []
         self._next_ns = START
         parameters = parameters or SimulatedParameters()
         send = lambda *frame: self.sent.append(frame)  # noqa: E731
@@ -109,7 +108,7 @@ class Run:
         machine.write, machine.disable = asked, switched_off
 
     def cycle(self, at_ns):
-        self.told.append(("cycle", at_ns))
+        self.calls.append(("cycle", at_ns))
         self.board.cycle(at_ns)
         firmware = isinstance(self.board, FirmwareBoard)
         self.currents.append(self._asked if firmware else self.board.machine.applied_current)
@@ -122,12 +121,12 @@ class Run:
             self._next_ns = now + STAGE.period_ns
 
     def receive(self, identifier, payload, at_ns):
-        self.told.append(("receive", identifier, payload, at_ns))
+        self.calls.append(("receive", identifier, payload, at_ns))
         self.board.receive(identifier, payload, at_ns)
 
-    def told_as(self, other):
-        """Tell this board what another was told."""
-        for call, *arguments in other.told:
+    def called_as(self, other):
+        """Make the calls that another board had."""
+        for call, *arguments in other.calls:
             getattr(self, call)(*arguments)
         return self
 
@@ -139,7 +138,7 @@ class Run:
 @contextlib.contextmanager
 def repeated(reference, program, **options):
     with contextlib.closing(Run(reference.can, program, **options)) as run:
-        yield run.told_as(reference)
+        yield run.called_as(reference)
 
 
 def bad_loop(can, stage=STAGE, samples=3000, seed=1):
@@ -205,10 +204,10 @@ def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(firmware_of, tmp_p
 def encoders(run, begin=0):
     """The samples that the board sent, each from all its frames."""
     parts = run.wire.parts
-    told = [
+    found = [
         run.wire.reports[identifier].unpack(data) for identifier, data, _ in run.sent[begin:] if _of(parts, identifier)
     ]
-    return [together(told[k : k + len(parts)]) for k in range(0, len(told), len(parts))]
+    return [together(found[k : k + len(parts)]) for k in range(0, len(found), len(parts))]
 
 
 def _of(parts, identifier):
@@ -252,8 +251,8 @@ def test_a_count_between_two_of_the_frames_is_rounded_to_one_of_them(firmware):
 
 
 @st.composite
-def telling(draw):
-    """What a board is told, with every kind of nonsense: (time since the last call in ns, frame or None)."""
+def nonsense(draw):
+    """What comes to a board, with every kind of nonsense: (time since the last call in ns, frame or None)."""
     command = st.tuples(
         st.integers(0, 14),
         st.sampled_from([0, 1, 1, 2, 2, 2, 3]),
@@ -267,11 +266,11 @@ def telling(draw):
 
 
 @settings(max_examples=60)
-@given(told=telling(), can=st.sampled_from([CLASSIC, FD]))
-def test_nothing_that_it_is_told_makes_the_firmware_differ_from_the_emulator(firmware, told, can):
+@given(calls=nonsense(), can=st.sampled_from([CLASSIC, FD]))
+def test_nothing_that_comes_makes_the_firmware_differ_from_the_emulator(firmware, calls, can):
     reference, now = Run(can), START
     waiting = 0
-    for wait, frame in told:
+    for wait, frame in calls:
         now += wait
         if frame is None or waiting == 15:
             # The emulator's queue has no end; the firmware's has, see below.
@@ -342,7 +341,7 @@ def test_the_frames_in_c_are_those_of_the_dbc():
         assert written == text, name
 
 
-def test_a_program_that_is_not_there_or_is_told_too_little_says_so(firmware, tmp_path, capfd):
+def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, tmp_path, capfd):
     make = lambda program: FirmwareBoard(  # noqa: E731
         CanParameters(firmware=str(program)), SimulatedParameters(), STAGE, GUIDE, lambda *_: None, START
     )
@@ -362,9 +361,9 @@ def test_a_program_with_the_frames_of_another_board_is_refused(firmware, capfd):
     can = replace(FOREIGN, firmware=str(firmware / "board_posix"))
     with pytest.raises(HardwareError, match="has ended with code 1"):
         FirmwareBoard(can, SimulatedParameters(), STAGE, GUIDE, lambda *_: None, START)
-    told = capfd.readouterr().err
-    assert "built with the frames of 'straightcomp.dbc " in told and "not with those of 'board_motorola.dbc " in told
-    assert "straightcomp can firmware" in told
+    found = capfd.readouterr().err
+    assert "built with the frames of 'straightcomp.dbc " in found and "not with those of 'board_motorola.dbc " in found
+    assert "straightcomp can firmware" in found
 
 
 @pytest.mark.parametrize(

@@ -14,15 +14,14 @@ from waiting import comes_true
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.hardware.can import frame_log
 from straightcomp_ros.hardware.can.backend import CanHardware
-from straightcomp_ros.hardware.can.board import Board
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frame_log import DamagedLog, FrameLog, of_the_board, play, recorded_frames
-from straightcomp_ros.hardware.can.frames import EXTENDED_ID
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
 from straightcomp_ros.hardware.can.link import Link
-from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
@@ -135,7 +134,7 @@ def test_a_log_that_was_never_finished_can_be_read_up_to_its_last_second(tmp_pat
     for number in range(2000):
         log.put(message(number))
     until(lambda: len(copied(log.file, tmp_path / f"killed{ending}")) == 2000)
-    # The head of a BLF file tells the time at which it begins.
+    # The head of a BLF file has the time at which it begins.
     first = copied(log.file, tmp_path / f"killed{ending}")[0]
     assert first.timestamp == pytest.approx(START_S, abs=1e-3)
     log.close()
@@ -218,33 +217,6 @@ def test_a_driver_reads_from_a_log_the_samples_that_were_recorded(tmp_path, endi
     for sample, truth in read:
         assert (truth is not None) == fd
         assert truth is None or abs(truth.x - sample.x) <= 0.51e-7
-
-
-def test_a_log_is_played_to_a_driver_on_a_bus(tmp_path, channel):
-    file, recorded = recorded_board(tmp_path / "board.log", True)
-    parameters = CanParameters(interface=INTERFACE, channel=channel, sample_memory=SAMPLES)
-    driver = CanHardware(parameters, StageParameters(), time.time_ns)
-    driver.start(time.time_ns())
-    until(lambda: driver.counters()["can_openings"] == 1)
-    with can.Bus(interface=INTERFACE, channel=channel, fd=True) as bus, reading(driver.wait, 50_000_000):
-        assert play(of_the_board(recorded_frames(file), OF_BOARD), bus, 1.0) == len(recorded_frames_of(file))
-        until(lambda: driver.counters()["can_received"] > SAMPLES / 2)
-    read = [(sample.x, sample.y) for sample, _ in driver.read(time.time_ns())]
-    driver.close()
-    # How many come in time is the computer's affair; what comes is right, and in order.
-    assert read and read == [frame for frame in [(f.x, f.y) for f in recorded] if frame in set(read)]
-
-
-def recorded_frames_of(file):
-    return list(of_the_board(recorded_frames(file), OF_BOARD))
-
-
-def test_frames_of_others_are_left_out(tmp_path):
-    board = [message(0), can.Message(arbitration_id=0x701, is_extended_id=False, data=[5])]
-    others = [can.Message(arbitration_id=number, is_extended_id=False) for number in (0x301, 0x382, 0x7)]
-    extended = can.Message(arbitration_id=0x381, is_extended_id=True)
-    assert list(of_the_board([*others, *board, extended], {0x381, 0x701})) == board
-    assert list(of_the_board([*others, *board, extended], {0x381 | EXTENDED_ID})) == [extended]
 
 
 def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monkeypatch):

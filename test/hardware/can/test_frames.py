@@ -1,16 +1,37 @@
-"""The package's own frames: what they say against config/straightcomp.dbc as cantools reads it, and their CRC."""
+"""Frames against implementations that are not ours: cantools for the bits, crccheck and AUTOSAR's examples for the CRC.
+
+Random layouts are drawn by hypothesis; the package's own frames are compared with config/straightcomp.dbc."""
+
+import math
+import random
+import re
+import struct
 
 import cantools
+import crccheck.crc
 import pytest
+from cantools import autosar
 from forgery import forged
-from hypothesis import given
+from generated_dbc import dbc_text, messages
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.dbc_file import DbcError, in_page, limits, pages
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
-from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, FrameError, Report
+from straightcomp_ros.hardware.can.frames import (
+    Amplifier,
+    BoardFault,
+    Command,
+    Crc,
+    FrameError,
+    Frames,
+    Report,
+    alive_modulus,
+    data_ids,
+)
 from straightcomp_ros.hardware.interface import HardwareError, Truth
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, Waypoint, forward_and_back
 from straightcomp_ros.parameters.share import share_path
 
 DBC = cantools.database.load_file(share_path("config/straightcomp.dbc"))
@@ -58,13 +79,13 @@ def decoded(name, payload):
     return DBC.get_message_by_name(name).decode(payload, decode_choices=False)
 
 
-def shown(told, values):
-    """Assert that the signals in ``told`` have the values of their fields; returns the fields that are there."""
+def shown(decoded_values, values):
+    """Assert that signals have the values of their fields; returns the fields that are there."""
     found = set()
     for field, names in NAMES.items():
         for name in names:
-            if name in told:
-                assert told[name] == pytest.approx(float(getattr(values, field)), rel=1e-12)
+            if name in decoded_values:
+                assert decoded_values[name] == pytest.approx(float(getattr(values, field)), rel=1e-12)
                 found.add(field)
     return found
 
@@ -74,7 +95,7 @@ def test_what_the_board_reports_is_what_the_dbc_says_and_comes_back(report, wire
     seen = set()
     for frames in wire.reports.values():
         payload = frames.pack(report, 0)
-        seen |= shown(decoded(frames.signals.message.name, payload), report)
+        seen |= shown(decoded(frames.name, payload), report)
         back = frames.unpack(payload)
         for field, value in zip(Report._fields, back, strict=True):
             assert value is None or field == "good" or value == pytest.approx(getattr(report, field), rel=1e-12)
@@ -87,9 +108,9 @@ def test_what_the_board_reports_is_what_the_dbc_says_and_comes_back(report, wire
 def test_a_command_is_what_the_dbc_says_and_comes_back(command, wire):
     command = command._replace(echo=command.echo % wire.echo_modulus)
     payload = wire.command.pack(command)
-    told = decoded(wire.command.signals.message.name, payload)
-    assert shown(told, command) == {"alive", "current", "echo"}
-    assert (told["Enable"], told["ResetFault"]) == (1 + command.enable, 1 + command.reset)
+    decoded_values = decoded(wire.command.name, payload)
+    assert shown(decoded_values, command) == {"alive", "current", "echo"}
+    assert (decoded_values["Enable"], decoded_values["ResetFault"]) == (1 + command.enable, 1 + command.reset)
     assert wire.command.unpack(payload) == command
 
 
@@ -103,12 +124,12 @@ def test_an_fd_sample_begins_as_the_classic_one():
 def test_what_does_not_fit_its_frame_is_refused_by_name(wire, sign):
     report = Report(0, 0, 0.0, 0.0, 0.0, Amplifier.OFF, 0, True)
     for field, limit, step in (("x", 2**25 - 1, 1e-7), ("y", 2**19 - 1, 1e-7), ("current", 2**15 - 1, 1e-4)):
-        (frames,) = (one for one in wire.reports.values() if field in one.signals.signals)
+        (frames,) = (one for one in wire.reports.values() if field in one.fields)
         frames.pack(report._replace(**{field: sign * limit * step}), 0)
         beyond = sign * (limit + 1) * step
         with pytest.raises(ValueError, match=rf"{field} of {beyond} [mA] does not fit signal.*allowed: -.* to "):
             frames.pack(report._replace(**{field: beyond}), 0)
-    assert wire.command.fits(sign * 3.2767) and not wire.command.fits(sign * 3.2768)
+    assert wire.command.fits("current", sign * 3.2767) and not wire.command.fits("current", sign * 3.2768)
 
 
 @BUSES
@@ -178,37 +199,252 @@ def test_a_stage_trajectory_is_in_the_units_of_the_dbc():
         (first, at), (second, where) = frames[2 * number : 2 * number + 2]
         assert (first, second) == (time.frame_id, motion.frame_id)
         assert time.decode(at) == {"TimeNumber": number, "TimeFromStart": point.time_ns}
-        told = motion.decode(where)
-        assert told["MotionNumber"] == number
-        assert told["Position"] == pytest.approx(point.position, abs=1e-8)
-        assert told["Velocity"] == pytest.approx(point.velocity, abs=1e-5)
+        decoded_values = motion.decode(where)
+        assert decoded_values["MotionNumber"] == number
+        assert decoded_values["Position"] == pytest.approx(point.position, abs=1e-8)
+        assert decoded_values["Velocity"] == pytest.approx(point.velocity, abs=1e-5)
 
 
 @given(counts, st.lists(st.floats(allow_nan=False), min_size=6, max_size=6))
 def test_a_truth_frame_is_what_the_dbc_says_to_the_last_bit(counter, numbers):
     payload = EMULATOR.truth_payload(counter, Truth(*numbers))
-    told = EMULATED.get_message_by_name("Truth").decode(payload, scaling=False)
-    assert [*told.values()] == [counter, int.from_bytes(payload[4:8], "little"), *numbers]
+    decoded_values = EMULATED.get_message_by_name("Truth").decode(payload, scaling=False)
+    assert [*decoded_values.values()] == [counter, int.from_bytes(payload[4:8], "little"), *numbers]
     assert EMULATOR.truth_of(payload) == (counter, Truth(*numbers))
     with pytest.raises(FrameError):
         EMULATOR.truth_of(bytes([payload[0] ^ 1]) + payload[1:])
 
 
-def test_a_cycle_of_the_stage_survives_its_frames():
-    waypoints = forward_and_back(MotionParameters())
+COMPARED = dict.fromkeys(("messages", "big_endian", "signed", "float", "multiplexed"), 0)
+
+
+@pytest.mark.parametrize("examples", [500, pytest.param(2000, marks=pytest.mark.nightly)])
+def test_random_layouts_are_packed_and_unpacked_as_cantools_does(examples):
+    COMPARED.update(dict.fromkeys(COMPARED, 0))
+    run = settings(
+        max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True, database=None
+    )
+    run(compare)()
+    assert COMPARED["messages"] >= examples and min(COMPARED.values()) >= 0.15 * examples, COMPARED
+
+
+@given(messages(), st.integers(0, 2**32))
+def compare(drawn, seed):
+    chance = random.Random(seed)
+    message = cantools.database.load_string(dbc_text([drawn]), "dbc", strict=True).messages[0]
+    COMPARED["messages"] += 1
+    for page in pages(message, message.signals):
+        shown = [one for one in message.signals if in_page(message, one, page) and one.name not in page]
+        if not shown:
+            continue
+        fields = [one.name for one in shown]
+        by_name = {one.name: one for one in shown}
+        raw = Frames(message, 1, by_name, {}, {})
+        scaled = Frames(message, 1, by_name, dict.fromkeys(fields, 1.0), {})
+        values = {one.name: raw_value(one, chance) for one in shown}
+        expected = message.encode({**values, **page}, scaling=False, strict=False)
+        assert raw.pack(tuple(values.values())) == expected
+        decoded = message.decode(expected, scaling=False, decode_choices=False)
+        assert list(raw.unpack(expected)) == [decoded[name] for name in fields]
+        physical = message.decode(expected, decode_choices=False)
+        physical_values = scaled.unpack(expected)
+        assert list(physical_values) == pytest.approx([physical[name] for name in fields], rel=1e-12, abs=1e-300)
+        # A number that has no more digits than a double comes back to the same bits.
+        exact = [one.is_float or one.length <= 48 for one in shown]
+        if all(exact) and not any(one.is_float for one in shown):
+            assert scaled.pack(physical_values) == expected
+        COMPARED["big_endian"] += any(one.byte_order == "big_endian" for one in shown)
+        COMPARED["signed"] += any(one.is_signed for one in shown)
+        COMPARED["float"] += any(one.is_float for one in shown)
+        COMPARED["multiplexed"] += bool(page)
+
+
+def raw_value(signal, chance):
+    """A raw value of a signal, now and then one of its ends."""
+    least, largest = limits(signal)
+    if chance.random() < 0.2:
+        return chance.choice([least, largest, 0])
+    if signal.is_float:
+        # As many digits as the float has.
+        return struct.unpack("f", struct.pack("f", chance.gauss(0.0, 1e3)))[0]
+    return chance.randint(least, largest)
+
+
+SMALL_DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: A B
+BO_ 1 One: 8 A
+ SG_ Small : 0|12@1- (0.5,10) [-5|20] "m" B
+ SG_ Free : 12|12@1- (0.5,10) [0|0] "m" B
+ SG_ Real : 32|32@1- (1,0) [-2|2] "m" B
+BA_DEF_ SG_ "GenSigStartValue" FLOAT 0 100000;
+BA_DEF_DEF_ "GenSigStartValue" 0;
+SIG_VALTYPE_ 1 Real : 1;
+"""
+
+
+IDS_OF_2 = list(range(0x40, 0x50))
+
+
+@pytest.mark.parametrize(
+    ("signal", "allowed", "refused", "words"),
+    [
+        ("Small", (-5.0, 20.0, 20.2), (-5.3, 20.3, math.nan), "signal 'Small' of message 'One'; allowed: -5 to 20 m"),
+        ("Real", (-2.0, 2.0), (2.5, math.nan, math.inf), "signal 'Real' of message 'One'; allowed: -2 to 2 m"),
+        ("Free", (-1014.0, 1033.5), (-1014.3, 1033.8, math.nan), "allowed: -1014 to 1033.5 m"),
+    ],
+)
+def test_a_value_beyond_the_limits_of_file_or_bits_is_refused_by_name(signal, allowed, refused, words):
+    (one,) = cantools.database.load_string(SMALL_DBC, "dbc").messages
+    frames = Frames(one, 1, {"x": one.get_signal_by_name(signal)}, {"x": 1.0})
+    for value in allowed:
+        frames.pack((value,))
+    for value in refused:
+        with pytest.raises(ValueError, match=rf"x of {value} m does not fit .*{re.escape(words)}"):
+            frames.pack((value,))
+
+
+PROTECTED_DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: A B
+BO_ 1 First: 8 A
+ SG_ Crc : 0|8@1+ (1,0) [0|0] "" B
+ SG_ Alive : 8|4@1+ (1,0) [0|0] "" B
+ SG_ Value : 16|48@1+ (1,0) [0|0] "" B
+BO_ 2 Wide: 8 A
+ SG_ Crc : 0|16@1+ (1,0) [0|0] "" B
+ SG_ Alive : 16|8@1+ (1,0) [0|0] "" B
+ SG_ Value : 24|40@1+ (1,0) [0|0] "" B
+BO_ 3 Last: 8 A
+ SG_ Value : 7|48@0+ (1,0) [0|0] "" B
+ SG_ Alive : 51|4@0+ (1,0) [0|0] "" B
+ SG_ Odd : 55|3@0+ (1,0) [0|0] "" B
+ SG_ Crc : 63|8@0+ (1,0) [0|0] "" B
+"""
+MESSAGES = cantools.database.load_string(PROTECTED_DBC, "dbc")
+
+
+def protected(message, profile, ids):
+    """Pack and unpack of a message's alive counter and value under a profile."""
+    described = MESSAGES.get_message_by_name(message)
+    signals = {"alive": described.get_signal_by_name("Alive"), "value": described.get_signal_by_name("Value")}
+    crc = Crc(described, described.get_signal_by_name("Crc"), signals["alive"], profile, ids)
+    counts = alive_modulus(signals["alive"], profile)
+    found = Frames(described, 1, signals, alive_modulus=counts, crc=crc)
+    return found.pack, found.unpack
+
+
+def profile_1(payload, place, data_id):
+    return crccheck.crc.Crc8GsmA.calc(data_id.to_bytes(2, "little") + payload[:place] + payload[place + 1 :])
+
+
+@given(st.integers(0, 14), st.integers(0, 2**40 - 1), st.integers(0, 0xFFFF))
+def test_crcs_are_those_of_other_implementations(alive, value, data_id):
+    for message, profile, ids, expected in (
+        ("First", "e2e_1", [data_id], lambda payload: payload[0] == profile_1(payload, 0, data_id)),
+        ("Last", "e2e_1", [data_id], lambda payload: payload[7] == profile_1(payload, 7, data_id)),
+        ("First", "e2e_2", IDS_OF_2, lambda payload: autosar.check_profile2_crc(payload, IDS_OF_2[alive])),
+        ("Wide", "e2e_5", [data_id], lambda payload: autosar.check_profile5_crc(payload, data_id)),
+        ("First", "j1850", [], lambda payload: payload[0] == crccheck.crc.Crc8SaeJ1850.calc(payload[1:])),
+        ("Last", "j1850", [], lambda payload: payload[7] == crccheck.crc.Crc8SaeJ1850.calc(payload[:7])),
+    ):
+        pack, unpack = protected(message, profile, ids)
+        payload = pack((alive, value))
+        assert expected(payload), (message, profile)
+        assert unpack(payload) == (alive, value)
+        for byte in range(len(payload)):
+            wrong = payload[:byte] + bytes([payload[byte] ^ 0x10]) + payload[byte + 1 :]
+            with pytest.raises(FrameError, match="crc"):
+                unpack(wrong)
+
+
+@pytest.mark.parametrize("alive, crc", [(0, 0xCC), (1, 0x91)])
+def test_profile_1_gives_the_examples_of_autosar_for_data_id_0x123(alive, crc):
+    pack, _ = protected("First", "e2e_1", [0x123])
+    assert pack((alive, 0))[0] == crc
+
+
+def test_profile_1_reserves_the_count_15_and_no_other_does():
+    alive = MESSAGES.get_message_by_name("First").get_signal_by_name("Alive")
+    assert [alive_modulus(alive, profile) for profile in ("e2e_1", "e2e_2", "j1850", "none")] == [15, 16, 16, 16]
+
+
+@pytest.mark.parametrize(
+    ("message", "crc", "profile", "words"),
+    [
+        (
+            "First",
+            "Crc",
+            "e2e_5",
+            "'Crc' of message 'First' has 8 bits from bit 0 on; allowed with profile e2e_5: 16 bits",
+        ),
+        ("Wide", "Crc", "e2e_1", "16 bits from bit 0 on; allowed with profile e2e_1: 8 bits"),
+        ("First", "Alive", "j1850", "'Alive' of message 'First' has 4 bits"),
+        ("Wide", "Crc", "j1850", "allowed with profile j1850: 8 bits, unsigned, whole bytes"),
+        ("First", "Crc", "e2e_2", "needs a counter 'alive' of 4 bits"),
+    ],
+)
+def test_a_crc_of_another_size_than_its_profile_says_is_refused(message, crc, profile, words):
+    described = MESSAGES.get_message_by_name(message)
+    with pytest.raises(DbcError, match=words):
+        Crc(described, described.get_signal_by_name(crc), None, profile, [1])
+
+
+def test_data_ids_are_as_many_as_the_profile_needs_and_the_can_identifier_without_any():
+    assert data_ids("", "e2e_1", 0x381) == [0x381] and data_ids("", "e2e_5", 0x98FF0201) == [0x0201]
+    assert data_ids("0x123", "e2e_1", 1) == [0x123] and data_ids("", "j1850", 1) == []
+    assert data_ids(" ".join(map(str, IDS_OF_2)), "e2e_2", 1) == IDS_OF_2
+    for text, profile, words in (
+        ("0x12345", "e2e_1", "allowed: 1 of 0 to 0xffff"),
+        ("one", "e2e_5", "'one' is not allowed with profile e2e_5"),
+        ("", "e2e_2", "allowed: 16 of 0 to 0xff"),
+        ("1 2 3", "e2e_2", "allowed: 16 of 0 to 0xff"),
+        ("7", "j1850", "which has no data id"),
+    ):
+        with pytest.raises(DbcError, match=words):
+            data_ids(text, profile, 1)
+
+
+def test_a_waypoint_is_kept_to_ten_nanometres_and_ten_micrometres_per_second():
+    points = [Waypoint(0, -0.123456785, 0.0), Waypoint(10**9, 1.76, -0.12346), Waypoint(2**55, 1.76, 0.0)]
+    frames = EMULATOR.stage_payloads(points)
+    assert [identifier for identifier, _ in frames] == [0x401, 0x481] * 3 + [0x501]
+    *gathering, received = [StageReceiver(EMULATOR), *frames]
+    receiver, *others = gathering
+    assert all(receiver.add(*frame) is None for frame in others)
+    found = receiver.add(*received).waypoints
+    assert [point.time_ns for point in found] == [point.time_ns for point in points]
+    assert [point.position for point in found] == pytest.approx([point.position for point in points], abs=0.51e-8)
+    assert [point.velocity for point in found] == pytest.approx([point.velocity for point in points], abs=0.51e-5)
+    # A stage's velocity travels in units of 10 µm/s.
+    assert struct.unpack("<i", frames[3][1][5:] + b"\xff")[0] == -12346
+    # What was gathered is used once.
+    with pytest.raises(HardwareError, match="missing"):
+        receiver.add(*received)
+
+
+def test_a_stage_may_have_255_points_and_each_must_fit():
+    points = [Waypoint(k, 0.0, 0.0) for k in range(256)]
+    assert len(EMULATOR.stage_payloads(points[:255])) == 511
+    with pytest.raises(HardwareError, match="256 points; allowed over CAN: <= 255"):
+        EMULATOR.stage_payloads(points)
+    for point in (Waypoint(0, 21.5, 0.0), Waypoint(0, 0.0, 84.0), Waypoint(2**56, 0.0, 0.0)):
+        with pytest.raises(HardwareError, match="does not fit"):
+            EMULATOR.stage_payloads([point])
+
+
+def test_frames_of_another_length_or_identifier_are_none_of_the_stages_and_a_damaged_one_is_refused():
+    frames = EMULATOR.stage_payloads([Waypoint(0, 0.0, 0.0), Waypoint(9, 1.0, 0.0)])
     receiver = StageReceiver(EMULATOR)
-    *_, received = [receiver.add(*frame) for frame in EMULATOR.stage_payloads(waypoints)]
-    sent = Trajectory(waypoints)
-    assert received.end_ns == sent.end_ns
-    for time_ns in range(0, sent.end_ns, 37_000_000):
-        assert received.position(time_ns) == pytest.approx(sent.position(time_ns), abs=3e-8)
-
-
-def test_a_trajectory_that_lacks_a_frame_or_has_a_damaged_one_is_refused():
-    frames = EMULATOR.stage_payloads(forward_and_back(MotionParameters()))
-    damaged = [(frames[0][0], frames[0][1][:-1] + b"\1"), *frames[1:]]
-    for received in (frames[1:], damaged):
-        receiver = StageReceiver(EMULATOR)
-        with pytest.raises(HardwareError, match="refused"):
-            for frame in received:
-                receiver.add(*frame)
+    with pytest.raises(HardwareError, match="CRC-32 is wrong"):
+        [receiver.add(*frame) for frame in [(frames[0][0], frames[0][1][:-1] + b"\1"), *frames[1:]]]
+    for spoiled in range(4):
+        for change in (lambda i, data: (i, data + b"\0"), lambda i, data: (i + 1, data)):
+            receiver = StageReceiver(EMULATOR)
+            for number, frame in enumerate(frames[:-1]):
+                assert receiver.add(*(change(*frame) if number == spoiled else frame)) is None
+            with pytest.raises(HardwareError, match="missing"):
+                receiver.add(*frames[-1])
+    assert StageReceiver(EMULATOR).add(frames[-1][0], frames[-1][1] + b"\0") is None

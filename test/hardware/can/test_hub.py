@@ -1,6 +1,5 @@
 """The bus between processes, as python-can sees it, and the link that comes back."""
 
-import contextlib
 import threading
 import time
 
@@ -9,16 +8,26 @@ import pytest
 from waiting import comes_true
 
 from straightcomp_ros.hardware.can import hub_bus
-from straightcomp_ros.hardware.can.board_line import HubLine
-from straightcomp_ros.hardware.can.bus_faults import KINDS, Faults
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import FD_FRAME, Flag, Frame, Hub, priority, to_packet
+from straightcomp_ros.hardware.can.hub import (
+    ERROR,
+    EXTENDED,
+    FD_FRAME,
+    KINDS,
+    LONGEST,
+    REMOTE,
+    Faults,
+    Flag,
+    Frame,
+    Hub,
+    from_packet,
+    priority,
+    to_packet,
+)
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of, message_of
-from straightcomp_ros.hardware.can.link import Link
-from straightcomp_ros.hardware.can.receiver import Receiver
+from straightcomp_ros.hardware.can.link import HubLine, Link
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.stage.description import StageParameters
 
 
 class RunningHub:
@@ -72,26 +81,19 @@ def test_frames_of_all_kinds_arrive_at_the_others_unchanged_and_in_order(hub):
         assert sender.recv(0) is None and hub.hub.dropped == 0
 
 
-def test_error_frames_pass_the_filters(hub):
+def test_filters_keep_others_frames_away_and_let_error_frames_pass(hub):
     with (
         hub.bus() as sender,
         hub.bus(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF, "extended": False}]) as receiver,
     ):
         until(lambda: len(hub.hub._nodes) == 2)
-        sender.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
-        assert receiver.recv(10).is_error_frame
-
-
-def test_filters_keep_others_frames_away(hub):
-    with hub.bus() as sender, hub.bus(can_filters=[{"can_id": 0x181, "can_mask": 0x7FF}]) as receiver:
-        until(lambda: len(hub.hub._nodes) == 2)
         for identifier in (0x180, 0x181, 0x182):
             sender.send(can.Message(arbitration_id=identifier, is_extended_id=False))
-        assert receiver.recv(10).arbitration_id == 0x181
-        assert receiver.recv(0.05) is None
+        sender.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+        assert receiver.recv(10).arbitration_id == 0x181 and receiver.recv(10).is_error_frame
 
 
-def test_a_node_that_does_not_fetch_loses_frames_and_holds_nobody_up(hub):
+def test_a_node_that_does_not_fetch_loses_frames_and_holds_no_other_up(hub):
     with hub.bus() as sender, hub.bus(), hub.bus() as attentive:
         until(lambda: len(hub.hub._nodes) == 3)
         for _ in range(100):
@@ -102,7 +104,7 @@ def test_a_node_that_does_not_fetch_loses_frames_and_holds_nobody_up(hub):
         assert hub.hub.dropped > 0
 
 
-def test_a_node_whose_frames_nobody_takes_is_told_so_and_goes_on_when_they_are_taken(tmp_path):
+def test_a_node_whose_frames_no_node_takes_gets_an_error_and_goes_on_when_they_are_taken(tmp_path):
     hub = Hub(tmp_path / "bus")
     bus = can.Bus(interface=INTERFACE, channel=str(tmp_path / "bus"), fd=True)
     hub.run(lambda: len(hub._nodes) == 1)
@@ -128,7 +130,7 @@ def test_a_node_whose_frames_nobody_takes_is_told_so_and_goes_on_when_they_are_t
 
 
 @pytest.mark.parametrize("selectable", [True, False], ids=["select", "poll"])
-def test_a_node_waits_for_a_frame_as_long_as_it_is_told(hub, monkeypatch, selectable):
+def test_a_node_waits_for_a_frame_as_long_as_it_is_asked_to(hub, monkeypatch, selectable):
     if not selectable:
         # Programs with more than a thousand open files have such descriptors.
         monkeypatch.setattr(hub_bus, "_SELECTABLE", 0)
@@ -156,36 +158,6 @@ def test_of_the_frames_that_wait_the_lowest_identifier_goes_first_and_each_node_
     for bus in (first, second, receiver):
         bus.shutdown()
     hub.close()
-
-
-def test_a_hub_that_has_frames_to_pass_on_does_not_wait_for_more(tmp_path):
-    hub = Hub(tmp_path / "bus")
-    waits = []
-
-    class Readable:
-        def poll(self, timeout_ms):
-            waits.append(timeout_ms)
-            return []
-
-    hub._readable = Readable()
-    hub.serve(100)
-    node = object()
-    hub._pass_on = lambda sender, packet: None
-    hub._fetch = lambda sender: None
-    hub._waiting[node] = b"frame"
-    hub.serve(100)
-    hub.serve(100)
-    assert waits == [100, 0, 100]
-    hub._listener.close()
-
-
-def test_identifiers_win_the_bus_as_their_bits_go_out():
-    def packet(identifier, flags):
-        return to_packet(Frame(0, identifier, flags, b""))
-
-    extended, standard = packet(0x123 << 18 | 5, Flag.EXTENDED), packet(0x123, Flag(0))
-    order = [packet(0x122 << 18, Flag.EXTENDED), standard, extended, packet(0x124, Flag.FD)]
-    assert sorted(reversed(order), key=priority) == order
 
 
 def test_a_hub_takes_over_a_socket_that_was_left_but_not_one_in_use(tmp_path, hub):
@@ -218,32 +190,6 @@ def test_a_link_that_was_cut_is_opened_again_and_goes_on(hub):
         assert sender.recv(10).data == b"\1"
     link.close()
     assert link.transmit_full == 1
-
-
-@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
-def test_requests_for_the_boards_frames_are_counted_on_the_hub_and_none_is_used(hub, fd):
-    parameters = CanParameters(interface=INTERFACE, channel=hub.path, fd=fd)
-    receiver = Receiver(parameters, StageParameters())
-    identifiers = receiver.identifiers
-    with contextlib.closing(Link(parameters, identifiers, receiver.take, time.time_ns)) as link, hub.bus() as sender:
-        link.start()
-        until(lambda: len(hub.hub._nodes) == 2)
-        for identifier in (0x7E5, *identifiers):
-            sender.send(can.Message(arbitration_id=identifier, is_remote_frame=True, is_extended_id=False, dlc=8))
-        until(lambda: link.wait(0.0) >= 0 and receiver.counts["remote"] >= len(identifiers))
-    # Neither one refused for its length, nor one of an identifier that nobody here reads.
-    assert {reason: count for reason, count in receiver.counts.items() if count} == {"remote": len(identifiers)}
-    assert receiver.received == receiver.strikes == receiver.boot_ups == 0 and not receiver.heartbeat_ns
-
-
-def test_a_link_waits_for_a_hub_that_comes_later(tmp_path):
-    link = Link(CanParameters(interface=INTERFACE, channel=str(tmp_path / "bus")), [1], lambda *_: None, time.time_ns)
-    link.start()
-    until(lambda: "no hub" in link.problem)
-    hub = RunningHub(tmp_path / "bus")
-    until(lambda: not link.wait(0.0) and link.openings == 1)
-    link.close()
-    hub.close()
 
 
 def test_an_unknown_interface_is_refused_with_those_that_are_known():
@@ -287,7 +233,7 @@ def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(
             first.send(can.Message(arbitration_id=0x301, is_extended_id=False, is_fd=True, data=b"\1\2"))
             first.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
             first.send(can.Message(arbitration_id=0x301, is_remote_frame=True, is_extended_id=False))
-            # The second node comes in, the first is heard: frames without data are nothing for the board.
+            # The second node comes in, the frames of the first arrive: those without data are nothing for the board.
             received = line.receive() + line.receive()
             assert [(identifier, payload) for identifier, payload, _ in received] == [(0x301, b"\1\2")]
             assert 0 <= time.time_ns() - received[0][2] < 60e9
@@ -301,10 +247,52 @@ def test_a_board_that_is_its_own_hub_talks_to_all_nodes_without_another_process(
     assert not (tmp_path / "bus").exists()
 
 
-def test_a_node_may_read_frames_without_python_cans_messages(hub):
-    with hub.bus() as sender, hub.bus() as receiver:
-        until(lambda: len(hub.hub._nodes) == 2)
-        assert receiver.recv_frame(0.0) is None and receiver.recv_frame(0.001) is None
-        sender.send_frame(0x301, FD_FRAME, b"\1\2")
-        frame = receiver.recv_frame(10.0)
-        assert frame[1:] == (0x301, FD_FRAME, b"\1\2") and frame_of(message_of(frame))[1:] == frame[1:]
+def test_a_frame_comes_out_of_its_packet_and_out_of_its_message_as_it_was():
+    for flags, size in ((0, 8), (EXTENDED, 0), (FD_FRAME, 64), (REMOTE, 0), (ERROR, 8), (EXTENDED | FD_FRAME, 12)):
+        frame = Frame(1_700_000_000_000_001_024, 0x181, flags, bytes(range(size)))
+        packet = to_packet(frame)
+        assert from_packet(packet) == frame and len(packet) == 13 + size <= LONGEST
+        message = message_of(frame)
+        # python-can keeps the time as a float of seconds, which has a quarter of a microsecond at this date.
+        assert frame_of(message)._replace(stamp_ns=frame.stamp_ns) == frame
+        assert abs(frame_of(message).stamp_ns - frame.stamp_ns) < 500
+        assert message.timestamp == pytest.approx(1.7e9)
+
+
+def test_a_standard_frame_wins_over_an_extended_one_with_the_same_first_bits():
+    def order(identifier, flags=0):
+        return priority(to_packet(Frame(0, identifier, flags, b"")))
+
+    extended = [0x181 << 18, 0x181 << 18 | 1, 0x181 << 18 | 0x3FFFF]
+    ranks = [order(0x180), order(0x181), *(order(identifier, EXTENDED) for identifier in extended), order(0x182)]
+    assert ranks == sorted(ranks) and len(set(ranks)) == len(ranks)
+
+
+def test_a_fault_of_rate_one_is_made_every_time_and_of_rate_zero_never():
+    frame = Frame(0, 0x181, 0, bytes(8))
+    for kind in ("drop", "duplicate", "corrupt", "truncate", "wrong_id"):
+        faults = Faults({kind: 1.0})
+        arrived = [faults(frame) for _ in range(50)]
+        assert faults.injected == {kind: 50} and [frame] not in arrived
+        never = Faults({kind: 0.0})
+        assert [never(frame) for _ in range(50)] == [[frame]] * 50 and never.injected == {kind: 0}
+    # A request has the identifier of the frame, in either of its lengths, and no data.
+    for flags in (EXTENDED, FD_FRAME):
+        request, own = Faults({"remote": 1.0})(frame._replace(flags=flags))
+        assert own.data and request == (0, 0x181, flags & EXTENDED | REMOTE, b"")
+    # One or two bits of a corrupt frame are wrong, and both numbers happen.
+    faults = Faults({"corrupt": 1.0})
+    bits = [bin(int.from_bytes(faults(frame)[0].data, "little")).count("1") for _ in range(200)]
+    assert set(bits) == {1, 2}
+    # A frame under another identifier differs in one of eleven bits.
+    faults = Faults({"wrong_id": 1.0})
+    changed = {faults(frame)[0].identifier ^ 0x181 for _ in range(400)}
+    assert changed == {1 << bit for bit in range(11)}
+
+
+def test_two_frames_of_a_kind_are_swapped_and_two_of_different_kinds_are_not():
+    first, second = Frame(0, 0x181, 0, b"1"), Frame(1, 0x181, 0, b"2")
+    other = Frame(2, 0x281, 0, b"3")
+    faults = Faults({"reorder": 1.0})
+    assert faults(first) == [] and faults(second) == [second, first] and faults.injected == {"reorder": 1}
+    assert faults(first) == [] and faults(other) == [first] and faults.injected == {"reorder": 1}

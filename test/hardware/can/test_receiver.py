@@ -1,13 +1,22 @@
-"""The receiver behind a bad bus: every fault is counted, and no wrong sample is used."""
+"""The receiver: each fault of a bad bus is counted, no wrong sample is used, and what it makes of single frames."""
 
 import math
+from pathlib import Path
 
+import numpy as np
 import pytest
+from forgery import forged
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.frames import Amplifier, Report
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
+from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Report
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.can.sample_clock import BLOCK
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK
+from straightcomp_ros.hardware.interface import Truth
+from straightcomp_ros.model.motion import MotionParameters
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
 from trials.can import COUNTED
 from trials.can_faults import position, run_trial
@@ -15,6 +24,7 @@ from trials.can_faults import position, run_trial
 BUSES = pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
 STAGE = StageParameters()
 PERIOD = STAGE.period_ns
+START = 10**18
 
 
 @BUSES
@@ -48,7 +58,7 @@ def frames(wire, index, amplifier=Amplifier.ON, jump=0):
             yield one.identifier, one.pack(report._replace(alive=index // one.every % 15), 0)
 
 
-def feed(receiver, indices, start_ns=10**18, **options):
+def feed(receiver, indices, start_ns=START, **options):
     for index in indices:
         for identifier, payload in frames(receiver.wire, index, **options):
             receiver.receive(identifier, payload, start_ns + index * PERIOD)
@@ -71,55 +81,243 @@ def test_numbers_run_on_over_the_end_of_the_counter(receiver):
     last = receiver.wire.number_modulus
     for number in range(last - 500, last + 500):
         for identifier, payload in frames(receiver.wire, number):
-            receiver.receive(identifier, payload, 10**18 + (number - last) * PERIOD)
+            receiver.receive(identifier, payload, START + (number - last) * PERIOD)
     assert [index for index, *_ in receiver.samples][-800:] == list(range(last - 300, last + 500))
     assert receiver.sequence.lost == 0 and not any(receiver.counts.values())
-
-
-def test_a_sample_too_far_from_the_one_before_is_refused(receiver):
-    feed(receiver, range(500))
-    feed(receiver, [500], jump=4000)
-    feed(receiver, [501])
-    assert receiver.counts["implausible"] == 1
-    assert [index for index, *_ in receiver.samples][-2:] == [499, 501]
-
-
-def test_the_coil_current_is_a_number_only_while_the_amplifier_is_on(receiver):
-    feed(receiver, range(500))
-    assert math.isfinite(receiver.samples[-1][1].current)
-    feed(receiver, range(500, 501), amplifier=Amplifier.OFF)
-    assert math.isnan(receiver.samples[-1][1].current)
-    assert receiver.amplifier is Amplifier.OFF
 
 
 def test_a_silence_is_no_reason_to_believe_a_counter_from_another_time():
     receiver = Receiver(CanParameters(fd=True), STAGE)
     feed(receiver, range(500))
     identifier, payload = next(frames(receiver.wire, 900))
-    receiver.receive(identifier, payload, 10**18 + 501 * PERIOD)
+    receiver.receive(identifier, payload, START + 501 * PERIOD)
     assert receiver.counts["implausible"] == 1
     assert receiver.samples[-1][0] == 499
 
 
-def test_many_bad_frames_in_a_row_strike_out_and_begin_anew(receiver):
-    feed(receiver, range(500))
-    for _ in range(4):
-        receiver.receive(receiver.wire.sample.identifier, bytes(receiver.wire.sample.size), 10**18 + 500 * PERIOD)
-    assert receiver.strike_outs == 1 and receiver.amplifier is None
-    feed(receiver, range(520, 1000))
-    assert receiver.samples[-1][0] == 999
-
-
 def test_a_boot_up_forgets_the_counter_of_the_board_before(receiver):
     feed(receiver, range(5000, 5500))
-    receiver.receive(receiver.wire.heartbeat.identifier, b"\0", 10**18 + 5500 * PERIOD)
+    receiver.receive(receiver.wire.heartbeat.identifier, b"\0", START + 5500 * PERIOD)
     assert receiver.boot_ups == 1 and receiver.amplifier is None
-    feed(receiver, range(300), start_ns=10**18 + 5600 * PERIOD)
+    feed(receiver, range(300), start_ns=START + 5600 * PERIOD)
     assert [index for index, *_ in receiver.samples][-100:] == list(range(200, 300))
 
 
-def test_samples_that_nobody_fetches_are_dropped_and_counted_oldest_first():
+def test_samples_that_are_not_fetched_are_dropped_and_counted_oldest_first():
     receiver = Receiver(CanParameters(sample_memory=10), STAGE)
     feed(receiver, range(500))
     assert [index for index, *_ in receiver.samples] == list(range(490, 500))
     assert receiver.overflowed == 500 - BLOCK + 1 - 10
+
+
+COUNT, AMPERE = 1e-7, 1e-4
+# A step of x by 1000 counts a sample, and of y by 100.
+SLOW_STAGE = StageParameters(motion=MotionParameters(speed=0.1, highest_speed=0.2))
+Y_SPEED = 0.02
+
+
+class Board:
+    """A receiver on CAN FD, and samples for it that stand still and come in time if nothing else is said."""
+
+    def __init__(self, **parameters):
+        self.receiver = Receiver(
+            CanParameters(fd=True, sample_memory=10_000, y_speed=Y_SPEED, **parameters), SLOW_STAGE
+        )
+        self.number = 0
+
+    def sample(self, x=0, y=0, amplifier=Amplifier.ON, fault=0, good=True, current=0, late_ns=0, lost=0):
+        """The next sample after ``lost`` ones, in counts; returns what was delivered of it, or None."""
+        self.number += lost
+        report = Report(self.number % 15, self.number, x * COUNT, y * COUNT, current * AMPERE, amplifier, fault, good)
+        delivered = len(self.receiver.samples)
+        frames = self.receiver.wire.sample
+        self.receive(frames.identifier, frames.pack(report, 0), late_ns)
+        self.number += 1
+        return self.receiver.samples[-1] if len(self.receiver.samples) > delivered else None
+
+    def receive(self, identifier, payload, late_ns=0):
+        self.receiver.receive(identifier, payload, START + self.number * PERIOD + late_ns)
+
+    def settled(self):
+        for _ in range(BLOCK):
+            self.sample()
+        assert self.receiver.clock.settled and not self.receiver.error_counter
+        return self
+
+    def refused(self):
+        return {reason: count for reason, count in self.receiver.counts.items() if count}
+
+
+@pytest.fixture
+def board():
+    return Board().settled()
+
+
+@pytest.mark.parametrize("lost", [0, 1, 4])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("name", "step"), [("x", 1000), ("y", 100)])
+def test_a_step_is_as_wide_as_the_speed_allows_and_two_counts(board, name, step, sign, lost):
+    largest = 2 + step * (lost + 1)
+    index, sample, _ = board.sample(lost=lost, **{name: sign * largest})
+    assert index == BLOCK + lost and getattr(sample, name) == pytest.approx(sign * largest * COUNT)
+    assert board.sample(lost=lost, **{name: sign * (2 * largest + 1)}) is None
+    assert board.refused() == {"implausible": 1}
+
+
+def test_a_sample_is_in_metres_and_ampere_at_the_time_of_its_number(board):
+    index, sample, truth = board.sample(x=900, y=-90, current=-1234)
+    assert (index, truth) == (BLOCK, None)
+    assert sample == (
+        START + BLOCK * PERIOD,
+        pytest.approx(900 * COUNT),
+        pytest.approx(-90 * COUNT),
+        pytest.approx(-1234 * AMPERE),
+    )
+    assert board.receiver.newest_ns == START + BLOCK * PERIOD
+
+
+def test_a_frame_of_no_state_is_an_error_and_a_state_with_a_fault_is_reported(board):
+    frames = board.receiver.wire.sample
+    payload = frames.pack(Report(8, 128, 0.0, 0.0, 0.0, Amplifier.OFF, 0, True), 0)
+    board.receive(frames.identifier, forged(frames, payload, Amplifier=0))
+    assert board.refused() == {"state": 1} and board.receiver.error_counter == 4
+    board.sample(amplifier=Amplifier.FAULT, fault=BoardFault.SUPPLY)
+    assert board.receiver.amplifier is Amplifier.FAULT and board.receiver.board_fault == BoardFault.SUPPLY
+    assert math.isnan(board.receiver.samples[-1][1].current)
+
+
+def test_readings_that_the_board_says_are_bad_are_counted_and_not_delivered(board):
+    received = board.receiver.received
+    assert board.sample(good=False) is None
+    assert board.refused() == {"encoders": 1} and board.receiver.received == received + 1
+    # It was a good frame all the same: its number counts.
+    assert board.sample()[0] == BLOCK + 1 and board.receiver.sequence.lost == 0
+
+
+def test_a_bad_frame_adds_four_errors_a_good_one_takes_one_off_and_the_limit_begins_anew():
+    board = Board(strike_limit=11).settled()
+    bad = board.receiver.wire.sample.identifier, bytes(16)
+    board.receive(*bad)
+    board.receive(*bad)
+    assert board.receiver.error_counter == 8 and board.refused() == {"crc": 2}
+    board.sample()
+    board.sample()
+    assert (board.receiver.error_counter, board.receiver.error_limit_hits) == (6, 0)
+    board.receive(*bad)
+    assert (board.receiver.error_counter, board.receiver.error_limit_hits) == (10, 0)
+    board.receive(*bad)
+    assert (board.receiver.error_counter, board.receiver.error_limit_hits) == (0, 1)
+    assert board.receiver.amplifier is None and not board.receiver.clock.settled
+    for _ in range(20):
+        board.sample()
+    assert board.receiver.error_counter == 0
+
+
+def test_a_sample_that_is_older_than_the_timeout_when_it_comes_is_stale_and_delivered():
+    board = Board(sample_timeout=0.004).settled()
+    assert board.sample(late_ns=4_000_000) and board.receiver.stale == 0
+    assert board.sample(late_ns=4_001_000) and board.receiver.stale == 1
+
+
+def test_errors_that_the_interface_reports_are_counted_by_their_classes(board):
+    for classes, details in (
+        (0x40, bytes(8)),
+        (0x04, bytes([0, 0x10])),
+        (0x04, bytes([0, 0x20])),
+        (0x04, bytes([0, 0x04])),
+        (0x04, b"\x30"),
+        (0x02, bytes([0, 0x30])),
+    ):
+        board.receiver.receive_error_frame(classes, details)
+    assert board.refused() == {"error_frames": 6, "bus_off": 1, "error_passive": 2}
+    assert board.receiver.error_counter == 0
+
+
+def test_a_heartbeat_tells_the_boards_state_and_its_time(board):
+    heartbeat = board.receiver.wire.heartbeat.identifier
+    # The highest bit is CiA 301's toggle bit of node guarding.
+    operational = board.receiver.wire.meaning.heartbeat.operational_value
+    for payload in (bytes([operational]), bytes([operational | 0x80])):
+        board.receive(heartbeat, payload, late_ns=7)
+        assert board.receiver.node_state == operational
+        assert board.receiver.heartbeat_ns == START + board.number * PERIOD + 7
+    assert board.receiver.boot_ups == 0 and board.receiver.amplifier is Amplifier.ON
+    board.receive(heartbeat, b"\5\5")
+    assert board.refused() == {"length": 1} and board.receiver.error_counter == 4
+
+
+def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
+    truth = Truth(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    plain, reporting = Board().settled(), Board(simulated_stage=True).settled()
+    emulator = EmulatorFrames(1, reporting.receiver.wire)
+    identifier, truth_payload = emulator.truth_id, emulator.truth_payload
+    assert identifier not in plain.receiver.identifiers
+    reporting.receive(identifier, truth_payload(reporting.number, truth))
+    assert reporting.sample()[2] == truth
+    reporting.receive(identifier, truth_payload(reporting.number + 1, truth))
+    assert reporting.sample()[2] is None
+    assert reporting.sample()[2] == truth
+    payload = truth_payload(reporting.number, truth)
+    for damaged in (payload[:-1], bytes([payload[0] ^ 1]) + payload[1:]):
+        reporting.receive(identifier, damaged)
+    assert reporting.sample()[2] is None
+    # Nothing acts on it: it is counted, and is no error.
+    assert reporting.refused() == {"truth": 2} and reporting.receiver.error_counter == 0
+
+
+def test_stamps_never_run_backwards_when_the_clock_is_set_anew(board):
+    newest = board.sample()[1].stamp_ns
+    board.receiver.restart()
+    # The host's clock seems to have gone back by ten periods: what would come before is not delivered.
+    board.number -= 10
+    stamps = [sample[1].stamp_ns for sample in (board.sample() for _ in range(2 * BLOCK)) if sample]
+    assert stamps and stamps[0] > newest and set(np.diff(stamps)) == {PERIOD}
+
+
+def board_of(file):
+    return node_parameters("driver", shipped_parameters(stage=str(file))).can
+
+
+BARE = board_of(Path(__file__).with_name("bare.yaml"))
+FOREIGN = board_of(share_path("config/board_motorola.yaml"))
+
+
+def feed_still(receiver, numbers):
+    wire = receiver.wire
+    for number in numbers:
+        alive = number % (wire.sample.counts("alive") or 1)
+        payload = wire.sample.pack(Report(alive, None, 1e-5, 0.0, 0.0, Amplifier.ON, 0, True), 0)
+        receiver.receive(wire.sample.identifier, payload, START + number * PERIOD)
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_sample_lost_without_a_counter_is_found_by_the_clock(lost):
+    receiver = Receiver(BARE, STAGE)
+    feed_still(receiver, range(2 * BLOCK))
+    assert receiver.sequence.lost == 0
+    feed_still(receiver, range(2 * BLOCK + lost, 4 * BLOCK))
+    assert receiver.sequence.lost == lost
+    index, sample, _ = receiver.samples[-1]
+    assert index == 4 * BLOCK - 1 and abs(sample.stamp_ns - START - index * PERIOD) < PERIOD / 10
+
+
+def test_a_silence_beyond_a_short_counter_starts_the_numbers_and_the_clock_anew():
+    receiver = Receiver(FOREIGN, STAGE)
+    feed_still(receiver, range(2 * BLOCK))
+    feed_still(receiver, range(2 * BLOCK + 300, 5 * BLOCK + 300))
+    assert receiver.sequence.jumps == 1 and receiver.sequence.lost == 0
+    index, sample, _ = receiver.samples[-1]
+    assert index % 256 == (5 * BLOCK + 299) % 256
+    assert abs(sample.stamp_ns - START - (5 * BLOCK + 299) * PERIOD) < PERIOD / 10
+
+
+def test_the_state_of_the_amplifier_may_come_between_the_samples():
+    receiver = Receiver(FOREIGN, STAGE)
+    feed_still(receiver, range(BLOCK))
+    assert receiver.amplifier is None
+    status = receiver.wire.status
+    report = Report(amplifier=Amplifier.FAULT, fault=34)
+    for turn in range(2):
+        receiver.receive(status.identifier, status.pack(report, turn), START + turn)
+    assert receiver.amplifier is Amplifier.FAULT and receiver.board_fault == 34
+    assert receiver.status_ns == START

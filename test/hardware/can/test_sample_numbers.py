@@ -1,19 +1,151 @@
-"""The number of a sample from a counter that wraps: never guessed, and what is missing is counted once."""
+"""Number and time of a sample: which frames belong to it, its number from a counter that wraps, its place on a line."""
 
+import itertools
 import random
 
+import numpy as np
 import pytest
 
 from straightcomp_ros.hardware.can.frames import Report
-from straightcomp_ros.hardware.can.sequence import Sequence
+from straightcomp_ros.hardware.can.sample_numbers import BLOCK, OPEN, FrameSets, SampleClock, SampleNumbers, together
 
 PERIOD = 500_000
+START = 1_700_000_000_123_456_789
 ALIVE_MODULUS, COUNTER_MODULUS = 15, 15 * 2**28
+
+
+def x(number):
+    return 0, Report(alive=number % 15, x=float(number))
+
+
+def y(number):
+    return 1, Report(alive=number % 15, y=float(number))
+
+
+def fed(sets, frames):
+    """The whole samples of frames, each (frame, time in periods), as pairs of their x and y."""
+    whole = [sets.add(part, frame, frame.alive, round(at * PERIOD)) for (part, frame), at in frames]
+    return [(one[0].x, one[0].y) for one in whole if one is not None]
+
+
+@pytest.mark.parametrize("modulus", [15, 0], ids=["by counts", "by times"])
+@pytest.mark.parametrize("lost", [None, x, y])
+def test_each_sample_is_whole_unless_a_frame_of_it_is_lost_which_is_counted(modulus, lost):
+    sets = FrameSets(2, modulus, PERIOD)
+    in_turn = [(frame, k, k + late) for k in range(100) for frame, late in ((x, 0.0), (y, 0.1))]
+    frames = [(frame(k), at) for frame, k, at in in_turn if not (frame is lost and k == 7)]
+    assert fed(sets, frames) == [(k, k) for k in range(100) if lost is None or k != 7]
+    assert (sets.incomplete, sets.repeated, sets.out_of_order) == (int(lost is not None), 0, 0)
+
+
+THIRD = [(x(3), 3), (y(3), 3.1)]
+
+
+@pytest.mark.parametrize(
+    ("modulus", "frames", "whole", "counters"),
+    [
+        # Frames of two samples that are swapped find their own by their counts.
+        (15, [(x(1), 1), (x(2), 2), (y(1), 2.1), (y(2), 2.2), *THIRD], [1, 2, 3], (0, 0, 1)),
+        # One that comes after a later sample is whole makes none.
+        (15, [(x(1), 1), (x(2), 2), (y(2), 2.1), (y(1), 2.2), *THIRD], [2, 3], (1, 0, 1)),
+        (15, [(x(1), 1), (x(1), 1.05), (y(1), 1.1), (y(1), 1.2), (x(1), 1.3)], [1], (0, 3, 0)),
+        # Fifteen samples of which every y is lost, and at last an x: another sample has the same count.
+        (15, [(x(0), 0), (y(15), 15.1), (x(15), 15.2)], [15], (1, 0, 0)),
+        # Without counts, frames half a period apart are of two samples.
+        (0, [(y(0), 0.1), (x(1), 0.7), (y(1), 0.8)], [1], (1, 0, 0)),
+        (15, [(x(k), 0.1 * k) for k in range(OPEN + 1)], [], (1, 0, 0)),
+    ],
+    ids=["swapped", "late", "repeated", "the same count", "half a period apart", "too many wait"],
+)
+def test_frames_that_come_in_another_order_make_no_wrong_sample(modulus, frames, whole, counters):
+    sets = FrameSets(2, modulus, PERIOD)
+    assert fed(sets, frames) == [(k, k) for k in whole]
+    assert (sets.incomplete, sets.repeated, sets.out_of_order) == counters
+
+
+def test_as_many_samples_as_may_wait_become_whole_and_none_after_a_reset():
+    sets = FrameSets(2, 15, PERIOD)
+    assert fed(sets, [(x(k), 0.1 * k) for k in range(OPEN)]) == []
+    assert fed(sets, [(y(k), 0.5) for k in range(OPEN)]) == [(k, k) for k in range(OPEN)]
+    assert fed(sets, [(x(9), 9)]) == []
+    sets.reset()
+    assert fed(sets, [(y(9), 9.1)]) == []
+
+
+def test_the_time_of_a_whole_sample_is_that_of_its_first_frame():
+    sets = FrameSets(2, 15, PERIOD)
+    assert sets.add(*y(1), 1, 100) is None
+    assert sets.add(*x(1), 1, 250) == (Report(alive=1, x=1.0, y=1.0), 100)
+
+
+def test_a_whole_is_good_if_each_of_its_frames_is():
+    frames = [x(1)[1], y(1)[1]]
+    assert together(frames).good
+    assert not together([frames[0], frames[1]._replace(good=False)]).good
+    assert together([Report(alive=3, x=1.0), Report(alive=4, current=0.5)]) == Report(alive=3, x=1.0, current=0.5)
+
+
+def followed(ppm, lateness_ns, lost=0.0, count=40_000, seed=1):
+    """Errors in ns of the stamps as they are given, and the stamps."""
+    random = np.random.default_rng(seed)
+    clock, errors, stamps = SampleClock(PERIOD), [], []
+    for index in range(count):
+        true_ns = START + round(index * PERIOD * (1 + ppm * 1e-6))
+        if random.random() < lost:
+            continue
+        clock.observe(index, true_ns + round(lateness_ns(index, random)))
+        if clock.settled:
+            stamps.append(clock.stamp(index))
+            errors.append(stamps[-1] - true_ns)
+    return np.array(errors), stamps
+
+
+@pytest.mark.parametrize("ppm", [-100, 0, 100])
+def test_the_clock_follows_a_quartz_through_jitter_and_losses(ppm):
+    errors, stamps = followed(ppm, lambda _, random: 100_000 + random.exponential(60_000), lost=0.05)
+    settled = errors[20 * BLOCK :]
+    # Late by the promptest frame's 100 µs, to a fiftieth of a period.
+    assert np.abs(settled - 100_000).max() < PERIOD / 50
+    assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
+
+
+def test_a_stall_of_the_host_does_not_drag_the_clock_along():
+    def lateness(index, random):
+        stall_end = 20_000 + 400
+        return (stall_end - index) * PERIOD if 20_000 <= index < stall_end else random.exponential(20_000)
+
+    errors, _ = followed(50, lateness)
+    assert np.abs(errors[15_000:]).max() < PERIOD / 5
+
+
+def test_a_first_sample_that_is_late_does_not_make_all_stamps_late():
+    errors, _ = followed(0, lambda index, _: 20_000_000 - 500_000 * index if index < 40 else 0, count=1000)
+    assert np.abs(errors).max() < 100
+
+
+def test_a_clock_that_was_interrupted_is_found_again():
+    clock = SampleClock(PERIOD)
+    for index in range(4000):
+        clock.observe(index, START + index * PERIOD + (50 * PERIOD if index > 2000 else 0))
+    assert clock.settled and clock.stamp(4000) - (START + 4050 * PERIOD) == pytest.approx(0, abs=1)
+
+
+def test_time_gives_the_number_of_samples_since():
+    clock = SampleClock(PERIOD)
+    for index in range(BLOCK):
+        clock.observe(index, START + index * PERIOD)
+    assert clock.elapsed(BLOCK - 1, START + (BLOCK + 6) * PERIOD) == pytest.approx(7)
+
+
+def test_a_line_that_was_drawn_too_late_is_drawn_in_as_soon_as_frames_come_early():
+    errors, stamps = followed(0, lambda index, _: 5_000_000 if index < 2 * BLOCK else 0, count=20 * BLOCK)
+    assert errors[0] == 5_000_000 and np.abs(errors[12 * BLOCK :]).max() < PERIOD / 5
+    assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
 
 
 def sequence(modulus=ALIVE_MODULUS, full_modulus=COUNTER_MODULUS):
     """By a clock at which sample n comes at n periods; a full counter comes in frames of its own."""
-    return Sequence(lambda index, arrival_ns: arrival_ns / PERIOD - index, PERIOD, modulus, full_modulus)
+    return SampleNumbers(lambda index, arrival_ns: arrival_ns / PERIOD - index, PERIOD, modulus, full_modulus)
 
 
 def waiting(number):
@@ -83,13 +215,6 @@ def test_what_lies_between_two_samples_is_lost_until_it_comes_and_then_out_of_or
     assert (found.lost, found.out_of_order, found.repeated) == (2, 2, 3)
 
 
-def test_the_first_frame_of_all_loses_nothing():
-    found = sequence()
-    assert found.accept(77, 1) == 77 and found.lost == 0
-    found.count_old(0)
-    assert found.repeated == 1
-
-
 def test_only_the_last_256_missing_samples_are_remembered():
     found = at(0)
     found.accept(0, 200)
@@ -118,7 +243,7 @@ def test_waiting_frames_are_placed_by_a_counter_that_came_with_the_newest_or_aft
         found = at(980)
         for number in (992, 995, 1000):
             found.wait(waiting(number), number * PERIOD)
-        # The counter is that of sample ``newest``; the newest frame that was heard is 1000.
+        # The counter is that of sample ``newest``; the newest frame that came is 1000.
         assert [number for number, _ in found.place(newest, newest * PERIOD)] == [992, 995, 1000]
 
 

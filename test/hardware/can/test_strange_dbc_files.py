@@ -11,11 +11,10 @@ import pytest
 
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.doctor.stage_findings import wire_findings
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters
 from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError
 from straightcomp_ros.hardware.can.frames import Amplifier, Command, Report
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
-from straightcomp_ros.hardware.can.wire_parameters import WireParameters
 from straightcomp_ros.parameters.declaration import RefusedParameter, from_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 
@@ -161,10 +160,10 @@ def test_a_unit_that_the_file_spells_its_own_way_is_said_in_the_mapping(board):
     with pytest.raises(RefusedParameter, match=r"wire.y.signal.*'micron'.*wire.y.unit"):
         board(text)
     wire = board(text, {"command.unit": "mA", "y.unit": "nm"}).make_wire()
-    assert wire.command.span == pytest.approx((-0.032768, 0.032767))
+    assert wire.command.spans["current"] == pytest.approx((-0.032768, 0.032767))
     assert wire.sample.spans["y"] == pytest.approx((-1.6384e-6, 1.63835e-6))
     # The mapping's word counts, also where the file's is known.
-    assert board(BOARD, {"command.unit": "mA"}).make_wire().command.span[1] == pytest.approx(0.032767)
+    assert board(BOARD, {"command.unit": "mA"}).make_wire().command.spans["current"][1] == pytest.approx(0.032767)
     with pytest.raises(RefusedParameter, match=r"wire.x.unit.*'A'"):
         board(BOARD, {"x.unit": "A"})
 
@@ -305,8 +304,8 @@ NAMES = {
 def test_the_frames_of_every_file_that_is_accepted_compile(board, compiled, shape):
     can = board(SHAPES[shape], NAMES.get(shape, {}))
     wire = can.make_wire()
-    told = wire.sample.unpack(wire.sample.pack(REPORT, 0))
-    assert (told.x, told.y) == pytest.approx((0.5, -22e-6), abs=1e-7)
+    found = wire.sample.unpack(wire.sample.pack(REPORT, 0))
+    assert (found.x, found.y) == pytest.approx((0.5, -22e-6), abs=1e-7)
     assert wire.command.unpack(wire.command.pack(Command(3, True, None, 0.25, None))).current == pytest.approx(0.25)
     compiled(can)
 

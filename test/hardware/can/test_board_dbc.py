@@ -1,28 +1,44 @@
-"""A board's DBC file and the meaning of its signals: what the driver makes of them, and what it refuses."""
+"""A board's DBC file and the meaning of its signals: what the driver makes of them, what it refuses, what they lack."""
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from straightcomp_ros.hardware.can.can_parameters import CanParameters
+from straightcomp_ros.hardware.can.board_dbc import gaps
+from straightcomp_ros.hardware.can.can_parameters import (
+    SHIPPED_DBC,
+    CanParameters,
+    ProtectedMessages,
+    ProtectionParameters,
+    SignalParameters,
+    shipped_wire,
+)
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Amplifier, BoardFault, Command, Report
+from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.parameters.share import share_path
+from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from trials.can_servo import run_servo_trial
 
 MEANING = str(share_path("config/board_motorola.yaml"))
-SPLIT = Path(__file__).with_name("split.yaml")
+SPLIT_FILE = Path(__file__).with_name("split.yaml")
 REPORT = Report(4, None, 1.7, -22e-6, -0.5, Amplifier.ON, 0, True)
 
 
-def driver(**changes):
-    """The driver's parameters of the foreign board, with others by their name in `can`; "/" stands for a dot."""
-    values = shipped_parameters(stage=MEANING)
+def board_of(file, **changes):
+    """The driver's parameters `can` of a stage file, with others by their name; "/" stands for a dot."""
+    values = shipped_parameters(stage=str(file))
     values["driver"] |= {"hardware": "can"} | {f"can.{name.replace('/', '.')}": to for name, to in changes.items()}
     return node_parameters("driver", values).can
+
+
+def driver(**changes):
+    return board_of(MEANING, **changes)
 
 
 def foreign(**changes):
@@ -56,20 +72,20 @@ def test_another_boards_file_gives_identifiers_lengths_and_kinds_of_frames():
 
 def test_physical_values_of_another_board_are_in_si_units():
     wire = foreign()
-    told = wire.sample.unpack(wire.sample.pack(REPORT, 0))
-    assert (told.x, told.y, told.current) == pytest.approx((1.7, -22e-6, -0.5), rel=1e-7)
+    found = wire.sample.unpack(wire.sample.pack(REPORT, 0))
+    assert (found.x, found.y, found.current) == pytest.approx((1.7, -22e-6, -0.5), rel=1e-7)
     command = Command(3, True, False, 0.25, 77)
     assert wire.command.unpack(wire.command.pack(command)) == command
     turned = foreign(**{"wire/y/factor": -1.0, "wire/command/factor": 0.5})
     assert turned.sample.unpack(wire.sample.pack(REPORT, 0)).y == pytest.approx(22e-6, rel=1e-7)
-    assert turned.command.span == (-1.0, 1.0)
+    assert turned.command.spans["current"] == (-1.0, 1.0)
 
 
-def test_pages_of_a_multiplexed_status_take_turns_and_tell_what_they_have():
+def test_pages_of_a_multiplexed_status_take_turns_and_have_their_own_fields():
     wire = foreign()
-    told = [wire.status.unpack(wire.status.pack(REPORT._replace(fault=34), turn)) for turn in range(4)]
-    assert [one.amplifier for one in told] == [Amplifier.ON, None, Amplifier.ON, None]
-    assert [one.fault for one in told] == [None, 34, None, 34]
+    found = [wire.status.unpack(wire.status.pack(REPORT._replace(fault=34), turn)) for turn in range(4)]
+    assert [one.amplifier for one in found] == [Amplifier.ON, None, Amplifier.ON, None]
+    assert [one.fault for one in found] == [None, 34, None, 34]
     assert wire.fault_words(34) == "SUPPLY" and wire.fault_words(99) == "fault 99"
     assert wire.fault_codes[BoardFault.COMMAND_TIMEOUT] == 17 and wire.fault_codes[BoardFault.NONE] == 0
 
@@ -78,7 +94,7 @@ def test_values_without_a_meaning_of_their_own_are_off_where_the_parameters_say_
     wire = foreign()
     off = wire.status.pack(REPORT._replace(amplifier=Amplifier.OFF), 0)
     assert wire.status.unpack(off).amplifier is Amplifier.OFF
-    # Now READY, the other of the two, is "on" and ENABLED none: what is not told is refused.
+    # Now READY, the other of the two, is "on" and ENABLED none: what has no meaning is refused.
     strict = foreign(**{"wire/amplifier/off_value": 0, "wire/amplifier/on_value": 1})
     assert strict.status.unpack(strict.status.pack(REPORT, 0)).amplifier is Amplifier.ON
     with pytest.raises(ValueError, match="state"):
@@ -124,7 +140,7 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
             {"wire/enable/message": "DSP_STATUS", "wire/enable/signal": "SUPPLY"},
             "'can.wire.enable.message': 'DSP_STATUS' is a message of the board already",
         ),
-        ({"wire/counter/message": "DSP_STATUS"}, "'can.wire.counter.signal': '' is not allowed beside message"),
+        ({"wire/counter/message": "DSP_STATUS"}, "'can.wire.counter.signal': '' is not allowed with message"),
         ({"wire/amplifier/fault_value": -1}, "'can.wire.amplifier.fault_value': -1 needs"),
         (
             {"wire/amplifier/on_value": 8},
@@ -153,7 +169,7 @@ def test_a_reading_that_is_no_number_is_not_good(edited):
         ),
         (
             {"wire/protection/status/profile": "none"},
-            "'can.wire.protection.status.profile': 'none' is not allowed beside",
+            "'can.wire.protection.status.profile': 'none' is not allowed with",
         ),
         ({"wire/protection/current/alive": "MEAS_CNT"}, "'can.wire.protection.current': is given, but"),
         ({"wire/protection/sample/data_id": "x"}, "'can.wire.protection.sample.data_id': 'x' is not allowed"),
@@ -168,13 +184,11 @@ def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_
 
 def split(**changes):
     """A board with a message for each axis, to which the host sends two."""
-    values = shipped_parameters(stage=str(SPLIT))
-    values["driver"] |= {f"can.{name.replace('/', '.')}": to for name, to in changes.items()}
-    return node_parameters("driver", values).can.make_wire()
+    return board_of(SPLIT_FILE, **changes).make_wire()
 
 
 def names(several):
-    return [frames.signals.message.name for frames in several]
+    return [frames.name for frames in several]
 
 
 def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
@@ -186,8 +200,8 @@ def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
     assert wire.reports[0x110].unpack(wire.reports[0x110].pack(REPORT, 0)) == Report(4, x=1.7, amplifier=2, fault=0)
     assert wire.reports[0x111].unpack(wire.reports[0x111].pack(REPORT, 0)).y == pytest.approx(-22e-6)
     command = Command(3, True, False, 0.25, 7)
-    told = [frames.unpack(frames.pack(command)) for frames in wire.commands]
-    assert told == [Command(3, True, False, None, 7), Command(3, None, None, 0.25, None)]
+    found = [frames.unpack(frames.pack(command)) for frames in wire.commands]
+    assert found == [Command(3, True, False, None, 7), Command(3, None, None, 0.25, None)]
 
 
 def test_the_sample_is_numbered_by_the_message_that_has_a_count():
@@ -219,7 +233,7 @@ def test_messages_that_do_not_go_together_are_refused(changes, words, tmp_path):
     if "dbc" in changes:
         file = tmp_path / "sixteen.dbc"
         file.write_text(
-            SPLIT.with_suffix(".dbc")
+            SPLIT_FILE.with_suffix(".dbc")
             .read_text()
             .replace("Y_CNT : 35|4@0+ (1,0) [0|14]", "Y_CNT : 35|4@0+ (1,0) [0|15]")
         )
@@ -272,3 +286,96 @@ def test_the_meaning_of_the_own_file_may_be_said_as_that_of_any_other():
     assert said.sample.pack(REPORT._replace(counter=49), 0) == own.sample.pack(REPORT._replace(counter=49), 0)
     with pytest.raises(ParameterError, match="without a file in"):
         dataclasses.replace(CanParameters(), wire=own.meaning)
+
+
+BARE = board_of(Path(__file__).with_name("bare.yaml"))
+SPLIT = board_of(SPLIT_FILE)
+
+
+def without_counts(can):
+    """The board of split.yaml without CRCs, counters and echo."""
+    wire = replace(can.wire, protection=ProtectedMessages(), echo=SignalParameters())
+    return replace(can, wire=wire)
+
+
+def test_the_packages_own_frames_leave_nothing_open():
+    assert gaps(CanParameters(fd=False).make_wire()) == gaps(CanParameters(fd=True).make_wire()) == []
+
+
+def test_what_the_frames_of_a_board_lack_is_reported():
+    found = " ".join(gaps(BARE.make_wire()))
+    for words in (
+        "SAMPLE has no CRC",
+        "SAMPLE has no counter",
+        "whether the readings are good",
+        "the commanded one stands for it",
+        "no heartbeat",
+        "SET has no CRC",
+        "SET has no counter",
+        "SET has no echo",
+        "SET has no reset",
+    ):
+        assert words in found
+    assert [text.split(":")[0] for text in gaps(foreign())] == [
+        "DSP_MEAS counts to 256 only",
+        "there is no heartbeat",
+    ]
+
+
+def test_what_messages_of_one_sample_or_one_command_lack_is_reported():
+    assert [text.split(":")[0] for text in gaps(split())] == [
+        "DSP_X counts to 15 only",
+        "DSP_I has no CRC",
+        "there is no heartbeat",
+    ]
+    found = " ".join(gaps(without_counts(SPLIT).make_wire()))
+    for words in (
+        "DSP_Y has no CRC: a damaged sample",
+        "DSP_X and DSP_Y have no counter in each: frames that come within half a period",
+        "DSP_X and DSP_Y have no counter: repeated samples",
+        "PC_SWITCH has no CRC: the board would act",
+        "PC_SWITCH and PC_CURRENT have no counter in each",
+    ):
+        assert words in found
+
+
+def test_what_a_message_between_the_samples_says_without_a_crc_is_reported():
+    found = gaps(foreign(**{"wire/protection/status/profile": "none", "wire/protection/status/crc": ""}))
+    assert "DSP_STATUS has no CRC: a damaged state of the amplifier or fault code is believed" in found
+    assert "DSP_I has no CRC: a damaged measured current is believed" in gaps(split())
+    wire = shipped_wire(fd=False)
+    bare = replace(wire, protection=replace(wire.protection, current=ProtectionParameters()))
+    classic = CanParameters(dbc=str(share_path(SHIPPED_DBC)), wire=bare, fd=False)
+    assert gaps(classic.make_wire()) == [
+        "CoilCurrent has no CRC: a damaged number of a sample or measured current is believed"
+    ]
+
+
+@pytest.mark.parametrize("board", [BARE, without_counts(SPLIT)], ids=["bare", "put together by time"])
+def test_the_servo_holds_the_platform_by_a_board_that_says_only_what_it_must(board):
+    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
+    trial = run_servo_trial({}, guide, board, frames=2000)
+    assert trial.state is State.ON and trial.latched == {} and trial.on > 0.9
+    assert trial.unflagged_wrong == trial.unsafe == 0
+    # Lost samples are noticed late, but the servo stays on and the numbers come right again.
+    lossy = run_servo_trial({"drop": 0.002}, guide, board, frames=4000)
+    assert lossy.injected["drop"] > 5 and lossy.state is State.ON and lossy.on > 0.9 and lossy.unsafe == 0
+
+
+def test_a_fault_that_only_the_code_reports_is_latched_and_cleared():
+    guide = load_map(MapParameters(file="config/guide_synthetic.csv"))
+    trial = run_servo_trial({"cut": 0.001}, guide, BARE, frames=4000, seed=2)
+    assert trial.injected["cut"] >= 2 and trial.latched and trial.unsafe == trial.unflagged_wrong == 0
+    assert trial.on > 0.3
+
+
+def test_options_of_an_interface_are_pairs_of_a_name_and_a_value():
+    assert CanParameters(options="bustype=x tty=/dev/a=b empty=").further_options() == {
+        "bustype": "x",
+        "tty": "/dev/a=b",
+        "empty": "",
+    }
+    assert CanParameters().further_options() == {}
+    for wrong in ("name", "a-b=1", "=1", "a=1 b"):
+        with pytest.raises(ParameterError, match="NAME=VALUE"):
+            CanParameters(options=wrong)

@@ -1,0 +1,481 @@
+"""A board's DBC file and the meaning of its signals: the frames between board and host, and what they leave open.
+
+Each signal that means something has a role, whose parameters in `can.wire` name it. :class:`Wire` has the frames with
+these signals; file and meaning that do not fit together are refused with the parameter, the signal and the rule.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from straightcomp_ros.hardware.can.can_parameters import (
+    SHIPPED_DBC,
+    ProtectionParameters,
+    WireParameters,
+    shipped_wire,
+)
+from straightcomp_ros.hardware.can.dbc_file import (
+    Dbc,
+    DbcError,
+    is_fd,
+    limits,
+    modulus,
+    refuse_signal,
+    selectors,
+    used_signals,
+)
+from straightcomp_ros.hardware.can.frames import (
+    UNITS,
+    Amplifier,
+    BoardFault,
+    Command,
+    Crc,
+    Frames,
+    Report,
+    alive_modulus,
+    data_ids,
+)
+from straightcomp_ros.parameters.declaration import RefusedParameter, to_mapping
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
+
+OF_BOARD = ("x", "y", "current", "counter", "good", "amplifier", "fault")
+OF_HOST = ("command", "enable", "reset", "echo")
+READINGS = ("x", "y", "good")
+"""What a sample is not complete without, as far as the board has it."""
+_NEEDED = ("x", "y", "amplifier", "command", "enable")
+_SWITCHES = ("good", "enable", "reset")
+_PROTECTED = {
+    "sample": ("x",),
+    "y": ("y",),
+    "good": ("good",),
+    "status": ("amplifier", "fault"),
+    "current": ("current", "counter"),
+    **{role: (role,) for role in OF_HOST},
+}
+"""By the group of `wire.protection` the roles whose message it describes, if no group before it does."""
+_COUNTS = ("wire.counter.signal", "wire.echo.signal", *(f"wire.protection.{group}.alive" for group in _PROTECTED))
+_FACTORS = {
+    "m": {"": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
+    "A": {"": 1.0, "A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "μA": 1e-6},
+}
+"""By the SI unit of a field the units that a DBC file may have for it, with their factors."""
+_FIELDS = {"command": "current", "heartbeat": "state"}
+"""The field of a report, a command or a heartbeat, where it is not called as the role."""
+_LEAST_COUNTS = 4
+_USUAL_EVERY = 10
+"""Samples between two of the slower frames, where the DBC file does not say it."""
+_HEARTBEAT_PERIOD = 0.05
+"""s, where the DBC file does not say it."""
+
+
+class Wire:
+    """All frames of one board and its host.
+
+    Args:
+        dbc: the DBC file.
+        meaning: of its signals.
+        node: added to the identifiers of the file, less one.
+        fd: the bus is one for CAN FD.
+
+    Attributes:
+        sample: the frames with x.
+        parts: all frames of which each sample has one, those with its number first: ``sample`` and those with y and
+            ``good``, if they are others.
+        part_modulus: of the count by which the frames of a sample belong together; 0: by their time.
+        reports: all frames of the board but the heartbeat, by identifier.
+        counting: frames with the sample's number: ``sample``, others, or None.
+        homes: the board's frames by the role of each of their signals.
+        commands: all frames of the host, in the order of sending: those with the current last.
+        command: those with the current.
+        command_modulus: as ``part_modulus``, of the frames of a command.
+        status: frames with the amplifier's state.
+        current: frames with the measured current; None for a board without.
+        heartbeat: None for a board without.
+        sample_modulus: of the count in each sample's own frames, by which samples are numbered; 0 without one.
+        number_modulus: of the numbers of samples that board and host agree on; 0 without any.
+        echo_modulus: of the echo in a command; 0 for a command without.
+        fault_codes: the board's code of each fault: that with its name in the DBC file, else its number as far as it
+            fits.
+
+    Raises:
+        RefusedParameter: file and meaning do not fit together; the names begin with ``wire.``.
+    """
+
+    def __init__(self, dbc: Dbc, meaning: WireParameters, node: int = 1, fd: bool = True) -> None:
+        self.dbc, self.meaning, self.fd, self._node = dbc, meaning, fd, node
+        self._places: dict[str, str] = {}
+        """By message the group of parameters that describes its protection."""
+        self._taken: dict[int, str] = {}
+        self._signals = signals = self._signals_of_roles()
+        self._names = names = {role: self._message(role).name for role in signals}
+        self._check_messages()
+        self._check_values()
+        protection = self._protections()
+        by_message = {name: [role for role in (*OF_BOARD, *OF_HOST) if names.get(role) == name] for name in protection}
+        reports = {
+            name: self._frames(name, inside, *protection[name], Report)
+            for name, inside in by_message.items()
+            if inside[0] in OF_BOARD
+        }
+        self.homes = {role: reports[names[role]] for role in OF_BOARD if role in names}
+        self.sample, self.status = self.homes["x"], self.homes["amplifier"]
+        self.current, self.counting = self.homes.get("current"), self.homes.get("counter")
+        self.reports: Mapping[int, Frames] = {frames.identifier: frames for frames in reports.values()}
+        last_first = dict.fromkeys(names[role] for role in reversed(OF_HOST) if role in names)
+        commands = {name: self._frames(name, by_message[name], *protection[name], Command) for name in last_first}
+        self.command = commands.pop(names["command"])
+        self.commands = *commands.values(), self.command
+        self.parts = self._parts()
+        self.part_modulus, self.command_modulus = self._common_modulus(self.parts), self._common_modulus(self.commands)
+        self.heartbeat: Frames | None = None
+        if "heartbeat" in signals:
+            self.heartbeat = self._frames(names["heartbeat"], ["heartbeat"], "", ProtectionParameters(), None)
+            self.heartbeat.period = self.heartbeat.period or _HEARTBEAT_PERIOD
+        self.sample_modulus = self.parts[0].sample_modulus
+        self.number_modulus = self.counting.counts("counter") if self.counting else self.sample_modulus
+        self.echo_modulus = min(max(frames.counts("echo") for frames in self.commands), self.number_modulus)
+        choices = signals["fault"].choices if "fault" in signals else None
+        self._fault_words = {int(raw): str(words) for raw, words in (choices or {}).items()}
+        self.fault_codes = {fault: self._fault_code(fault) for fault in BoardFault}
+        self._set_rates()
+        self._check_numbers()
+
+    @property
+    def readback_lag(self) -> int:
+        """Samples by which the measured current is older than the readings that it comes with.
+
+        A current in a message of its own comes after the sample that it belongs to.
+        """
+        return 0 if self.current is None or self.current in self.parts else 1
+
+    @property
+    def identifiers(self) -> list[int]:
+        """Of all frames that the board sends."""
+        return [*self.reports, *([self.heartbeat.identifier] if self.heartbeat else [])]
+
+    def source(self) -> str:
+        """Name of the DBC file, and a checksum of it with the meaning: by it a firmware knows whether it has these
+        frames."""
+        usual = to_mapping(WireParameters())
+        given = {name: value for name, value in to_mapping(self.meaning).items() if value != usual[name]}
+        content = self.dbc.path.read_bytes() + repr(sorted(given.items())).encode()
+        # It stands in texts of C.
+        name = re.sub(r"[^A-Za-z0-9._-]", "_", self.dbc.path.name)
+        return f"{name} {hashlib.sha256(content).hexdigest()[:12]}"
+
+    def fault_words(self, code: int) -> str:
+        """What the DBC file calls a fault code of the board."""
+        return self._fault_words.get(code, f"fault {code}")
+
+    def _fault_code(self, fault: BoardFault) -> int:
+        for raw, words in self._fault_words.items():
+            if words.lower().replace("_", " ") == fault.words:
+                return raw
+        if fault is BoardFault.NONE:
+            return self.meaning.fault.none_value
+        signal = self._signals.get("fault")
+        return min(int(fault), modulus(signal) - 1) if signal else 0
+
+    def _signals_of_roles(self) -> dict[str, Signal]:
+        found: dict[str, Signal] = {}
+        for role in (*OF_BOARD, *OF_HOST, "heartbeat"):
+            named = getattr(self.meaning, role)
+            if named.signal if role != "heartbeat" else named.message:
+                found[role] = self._find(self._message(role), named.signal, f"wire.{role}.signal")
+            elif role != "heartbeat" and named.message and role not in ("x", "command"):
+                raise RefusedParameter(f"wire.{role}.signal", f"'' is not allowed with message '{named.message}'")
+        for role in _NEEDED:
+            if role not in found:
+                raise RefusedParameter(f"wire.{role}.signal", "'' is not allowed; the driver needs this signal")
+        return found
+
+    def _message_parameter(self, role: str) -> str:
+        """The role whose parameters name the message of ``role``: its own, or that of x or the command."""
+        main = "command" if role in OF_HOST else "x"
+        return role if getattr(self.meaning, role).message else main
+
+    def _message(self, role: str) -> Message:
+        where = self._message_parameter(role)
+        name = getattr(self.meaning, where).message
+        try:
+            message = self.dbc.message(name)
+        except DbcError as error:
+            raise RefusedParameter(f"wire.{where}.message", str(error)) from None
+        if is_fd(message) and not self.fd:
+            text = f"'{name}' of {self.dbc.file} is a message of CAN FD; allowed: others ('{{group}}fd' is false)"
+            raise RefusedParameter(f"wire.{where}.message", text)
+        return message
+
+    def _find(self, message: Message, name: str, parameter: str, *, in_every_frame: bool = False) -> Signal:
+        """The signal ``name`` that ``parameter`` asks for."""
+        try:
+            signal = self.dbc.signal(message, name)
+            refuse_signal(message, signal)
+        except DbcError as error:
+            raise RefusedParameter(parameter, str(error)) from None
+        place = f"'{name}' of message '{message.name}'"
+        if parameter in _COUNTS and (signal.is_signed or signal.is_float):
+            raise RefusedParameter(parameter, f"{place} is signed or a float; allowed: an unsigned integer")
+        if in_every_frame and selectors(message, signal):
+            text = f"{place} is multiplexed; allowed: a signal that is in every frame"
+            raise RefusedParameter(parameter, text)
+        return signal
+
+    def _page(self, role: str) -> list[tuple[Signal, list[int]]]:
+        """The multiplexer pages that have the role's signal."""
+        return selectors(self._message(role), self._signals[role])
+
+    def _check_messages(self) -> None:
+        names = self._names
+        of_board = {names[role] for role in names if role not in OF_HOST}
+        for role in OF_HOST:
+            if names.get(role) in of_board:
+                text = f"'{names[role]}' is a message of the board already; allowed: one that the host sends"
+                raise RefusedParameter(f"wire.{self._message_parameter(role)}.message", text)
+        if names.get("heartbeat") in [names[role] for role in names if role != "heartbeat"]:
+            text = f"'{names['heartbeat']}' has other signals of the board; allowed: a message of its own"
+            raise RefusedParameter("wire.heartbeat.message", text)
+        readings = {names[role] for role in READINGS if role in names}
+        # Frames of several messages belong together by their counts, so that each sample must have one of each.
+        page = self._page("x") if len(readings) == 1 else []
+        wanted = {role: page for role in (*READINGS, "counter") if names.get(role) in readings}
+        wanted |= {role: [] for role in OF_HOST if role in names}
+        for role, own in wanted.items():
+            if self._page(role) != own:
+                text = "is not in all frames that it must be in; allowed: one that is"
+                raise RefusedParameter(f"wire.{role}.signal", f"{self._place(role)} {text}")
+
+    def _check_values(self) -> None:
+        for role in (role for role in ("amplifier", *_SWITCHES, "heartbeat") if role in self._signals):
+            named, (least, largest) = getattr(self.meaning, role), limits(self._signals[role])
+            for name in (name for name in vars(named) if name.endswith("_value")):
+                raw = getattr(named, name)
+                # -1 says of the amplifier's states that they have no value of their own.
+                if not least <= raw <= largest and not (role == "amplifier" and raw == -1 and name != "on_value"):
+                    text = f"{raw} does not fit signal {self._place(role)}; allowed: {least} to {largest}"
+                    raise RefusedParameter(f"wire.{role}.{name}", text)
+        if self.meaning.amplifier.fault_value < 0:
+            together = self._names.get("fault") == self._names["amplifier"]
+            if not together or self._page("fault") != self._page("amplifier"):
+                text = "-1 needs a signal for 'fault' in the same frames as the amplifier's"
+                raise RefusedParameter("wire.amplifier.fault_value", text)
+
+    def _place(self, role: str) -> str:
+        return f"'{self._signals[role].name}' of message '{self._names[role]}'"
+
+    def _protections(self) -> dict[str, tuple[str, ProtectionParameters]]:
+        """For each message by name the group that describes its protection, and how."""
+        found: dict[str, tuple[str, ProtectionParameters]] = {}
+        for group, roles in _PROTECTED.items():
+            protected = getattr(self.meaning.protection, group)
+            names = [self._names[role] for role in roles if self._names.get(role) not in (None, *found)]
+            if not names and protected != ProtectionParameters():
+                text = "is given, but the signals are in a message that another group protects"
+                raise RefusedParameter(f"wire.protection.{group}", text)
+            found |= {name: (group, protected) for name in names}
+        return found
+
+    def _frames(
+        self, name: str, inside: Sequence[str], group: str, protected: ProtectionParameters, kind: Any
+    ) -> Frames:
+        """The frames of the message ``name``: the signals of the roles ``inside``, and their protection."""
+        message = self.dbc.message(name)
+        self._places[name] = place = f"wire.protection.{group}"
+        try:
+            identifier = self.dbc.identifier(message, self._node)
+        except DbcError as error:
+            raise RefusedParameter("node", str(error)) from None
+        other = self._taken.setdefault(identifier, name)
+        if other != name:
+            raise RefusedParameter("dbc", f"messages '{other}' and '{name}' of {self.dbc.file} have one identifier")
+        fields = {_FIELDS.get(role, role): self._signals[role] for role in inside}
+        alive, used, crc = None, list(fields.values()), None
+        if protected.alive:
+            alive = fields["alive"] = self._find(message, protected.alive, f"{place}.alive", in_every_frame=True)
+            used.append(alive)
+        if protected.profile != "none":
+            try:
+                ids = data_ids(protected.data_id, protected.profile, identifier)
+            except DbcError as error:
+                raise RefusedParameter(f"{place}.data_id", str(error)) from None
+            used.append(self._find(message, protected.crc, f"{place}.crc", in_every_frame=True))
+            try:
+                crc = Crc(message, used[-1], alive, protected.profile, ids, by_identifier=not protected.data_id)
+            except DbcError as error:
+                raise RefusedParameter(f"{place}.crc", str(error)) from None
+        elif protected.crc or protected.data_id:
+            raise RefusedParameter(f"{place}.profile", "'none' is not allowed with a CRC signal or data id")
+        try:
+            message = used_signals(message, list({one.name: one for one in used}.values()))
+        except DbcError as error:
+            raise RefusedParameter(f"wire.{inside[0]}.signal", str(error)) from None
+        factors = {_FIELDS.get(role, role): self._factor(role) for role in inside if _FIELDS.get(role, role) in UNITS}
+        counts = alive_modulus(alive, protected.profile) if alive is not None else 0
+        no_fault = self.meaning.fault.none_value
+        return Frames(message, identifier, fields, factors, self._values(), kind, counts, crc, no_fault)
+
+    def _factor(self, role: str) -> float:
+        """From the file's unit of the role's signal to SI units, with the factor that the parameters give."""
+        named, known = getattr(self.meaning, role), _FACTORS[UNITS[_FIELDS.get(role, role)]]
+        factor: float = named.factor
+        if factor == 0.0:
+            raise RefusedParameter(f"wire.{role}.factor", "0.0 is not allowed; allowed: any other number")
+        unit = named.unit or self._signals[role].unit or ""
+        if unit not in known:
+            text = f"{self._place(role)} is in '{unit}'; allowed: {', '.join(known)[2:]}, or no unit for SI"
+            if named.unit:
+                raise RefusedParameter(f"wire.{role}.unit", text)
+            raise RefusedParameter(f"wire.{role}.signal", f"{text}; 'wire.{role}.unit' says what another spelling is")
+        return known[unit] * factor
+
+    def _values(self) -> dict[str, Mapping[Any, int]]:
+        """For each role that says something the raw value of each meaning."""
+        switches = {role: getattr(self.meaning, role) for role in _SWITCHES}
+        amplifier = self.meaning.amplifier
+        states = {
+            Amplifier.OFF: amplifier.off_value,
+            Amplifier.ON: amplifier.on_value,
+            Amplifier.FAULT: amplifier.fault_value,
+        }
+        return {"amplifier": states} | {
+            role: {False: named.no_value, True: named.yes_value} for role, named in switches.items()
+        }
+
+    def _parts(self) -> tuple[Frames, ...]:
+        found = dict.fromkeys(self.homes[role] for role in READINGS if role in self.homes)
+        return tuple(sorted(found, key=lambda one: 0 if one is self.counting else 1 if one.sample_modulus else 2))
+
+    def _common_modulus(self, several: Sequence[Frames]) -> int:
+        """Modulus of what the counts of these messages have in common; 0 if one of them has none."""
+        moduli = [frames.sample_modulus for frames in several]
+        if len(several) == 1 or not all(moduli):
+            return 0
+        common = math.gcd(*moduli)
+        if common < _LEAST_COUNTS:
+            names = " and ".join(f"'{one.name}' to {one.sample_modulus}" for one in several)
+            text = f"frames that belong together have the same count, but {names} count otherwise"
+            raise RefusedParameter(
+                f"{self._places[several[-1].name]}.alive",
+                f"{text}; allowed: moduli with a common divisor >= {_LEAST_COUNTS}, or ''",
+            )
+        return common
+
+    def _set_rates(self) -> None:
+        sample_ms = self.sample.message.cycle_time
+        for frames in self.reports.values():
+            if frames not in self.parts:
+                cycle_ms = frames.message.cycle_time
+                frames.every = max(1, round(cycle_ms / sample_ms)) if sample_ms and cycle_ms else _USUAL_EVERY
+
+    def _check_numbers(self) -> None:
+        counts = self.parts[0].counts("alive")
+        if self.counting and self.counting not in self.parts and (not counts or self.number_modulus % counts):
+            text = (
+                f"'{self.counting.name}' is not allowed without a count in the frames of 'x' that divides the "
+                "counter's; allowed: the message of 'x', or give 'wire.protection.sample.alive'"
+            )
+            raise RefusedParameter("wire.counter.message", text)
+        if self.sample_modulus and self.sample_modulus < _LEAST_COUNTS:
+            text = f"message '{self.parts[0].name}' counts to {self.sample_modulus}; allowed: >= {_LEAST_COUNTS} counts"
+            raise RefusedParameter("wire.counter.signal", text)
+        if "echo" in self._signals and not self.number_modulus:
+            raise RefusedParameter("wire.echo.signal", "needs a count of the samples: 'counter' or 'protection.sample'")
+        if self.echo_modulus and self.number_modulus % self.echo_modulus:
+            text = f"{self._place('echo')} counts to {self.echo_modulus}; allowed: a divisor of the "
+            raise RefusedParameter("wire.echo.signal", f"{text}{self.number_modulus} of the samples")
+
+
+def make_wire(file: str, meaning: WireParameters, node: int, fd: bool) -> Wire:
+    """The wire of the DBC ``file``, or without one of the package's own; raises RefusedParameter."""
+    if file:
+        path = os.path.expanduser(file)
+        return _made(file, os.stat(path).st_mtime_ns if os.path.exists(path) else 0, meaning, node, fd)
+    usual = to_mapping(WireParameters())
+    for name, value in to_mapping(meaning).items():
+        if value != usual[name]:
+            raise RefusedParameter(f"wire.{name}", f"{value!r} is not allowed without a file in '{{group}}dbc'")
+    return _made(SHIPPED_DBC, 0, shipped_wire(fd), node, fd)
+
+
+@lru_cache(maxsize=16)
+def _made(file: str, modified: int, meaning: WireParameters, node: int, fd: bool) -> Wire:
+    """A wire, made once as long as its file is not ``modified``."""
+    try:
+        dbc = Dbc(file)
+    except DbcError as error:
+        raise RefusedParameter("dbc", str(error)) from None
+    return Wire(dbc, meaning, node, fd)
+
+
+_SHORT = 256
+"""Samples: a counter of no more counts does not bridge a fifth of a second at 2 kHz."""
+
+_SLOW = {
+    "amplifier": "state of the amplifier",
+    "fault": "fault code",
+    "counter": "number of a sample",
+    "current": "measured current",
+}
+"""What frames say that do not come with each sample."""
+
+
+def gaps(wire: Wire) -> list[str]:
+    """One sentence for each thing that the frames lack; none for the package's own."""
+    found = []
+    for frames in wire.parts:
+        if frames.crc is None:
+            name = frames.name
+            found.append(f"{name} has no CRC: a damaged sample is found only where it is not plausible")
+    if len(wire.parts) > 1 and not wire.part_modulus:
+        found.append(
+            f"{_has(wire.parts)} no counter in each: frames that come within half a period of each other are taken for "
+            "one sample"
+        )
+    if not wire.sample_modulus:
+        found.append(
+            f"{_has(wire.parts)} no counter: repeated samples are not found, lost ones only after eight more; after a "
+            "silence of ten the numbers start anew, which is a fault while the amplifier is on"
+        )
+    elif wire.number_modulus <= _SHORT:
+        found.append(
+            f"{wire.parts[0].name} counts to {wire.sample_modulus} only: after a silence of as many "
+            "samples the numbers start anew, which is a fault while the amplifier is on"
+        )
+    if "good" not in wire.homes:
+        found.append("no signal says whether the readings are good: bad ones are found only by their limits")
+    for frames in wire.reports.values():
+        if frames not in wire.parts and frames.crc is None:
+            said = " or ".join(words for field, words in _SLOW.items() if field in frames.fields)
+            found.append(f"{frames.name} has no CRC: a damaged {said} is believed")
+    if wire.current is None:
+        found.append("no signal has the measured current: the commanded one stands for it")
+    if wire.heartbeat is None:
+        found.append("there is no heartbeat: a board that restarts is found only by its samples and its state")
+    for asked in wire.commands:
+        name = asked.name
+        if asked.crc is None:
+            found.append(f"{name} has no CRC: the board would act on a damaged command")
+        if "alive" not in asked.fields:
+            found.append(f"{name} has no counter: the board does not find repeated commands")
+    has = _has(wire.commands)
+    asks = {field for asked in wire.commands for field in asked.fields}
+    if len(wire.commands) > 1 and not wire.command_modulus:
+        found.append(f"{has} no counter in each: the board must find by their time which belong together")
+    if "echo" not in asks:
+        found.append(f"{has} no echo: the board does not know which sample a command answers, and how old it is")
+    if "reset" not in asks:
+        found.append(f"{has} no reset: the board must clear its fault when a command says off")
+    return found
+
+
+def _has(several: Sequence[Frames]) -> str:
+    names = [frames.name for frames in several]
+    return f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'}"
