@@ -14,16 +14,16 @@ from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval, Limit, LimitCheck, assess, judged, read_limits
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation
-from straightcomp_ros.analysis.html_document import _number, html_table
+from straightcomp_ros.analysis.html_page import blocks
 from straightcomp_ros.analysis.html_report import (
     _BINS,
     _error,
     _events,
     _extremes,
-    _figures,
     _spectrum,
     _straightness,
     _timing,
+    report_html,
 )
 from straightcomp_ros.analysis.map_building import Choices, build
 from straightcomp_ros.analysis.metrics import evaluate, stroke_figures, true_error
@@ -310,8 +310,9 @@ def test_another_run_is_shown_beside_it_from_the_same_beginning(make_record):
     record = make_record(0.2e-6)
     late = replace(record, time=record.time + 100.0)
     found, other = (assess(Path(name), evaluation_of(one)) for name, one in (("a", record), ("b", late)))
-    assert _figures(found, other).count("<td class=n>") == 2 * len(found.figures())
-    assert _figures(found, None).count("<td class=n>") == len(found.figures())
+    for pages, compared in ((1, None), (2, other)):
+        figures = report_html(found, compared).partition("<h2>Figures</h2>")[2]
+        assert figures.count('<td class="n">') == pages * len(found.figures())
     *_, theirs = _error(found, other).data
     assert min(theirs.x) == pytest.approx(record.time[found.motion.window.start], abs=0.05)
     assert theirs.name == "b" and len(_spectrum(found, other).data) == 2
@@ -333,32 +334,24 @@ def test_every_delay_is_in_a_bar_of_the_report_around_it(make_record):
 
 
 def test_events_are_in_the_report_in_the_units_of_their_columns_and_forty_at_most():
-    def told(**events):
+    def events(**found):
         none = {"gaps": [], "saturated": [], "amplifier_off": [], "stick_slips": []}
-        return _events(SimpleNamespace(**none | events))
+        return dict(_events(SimpleNamespace(**none | found)))
 
     slips = [StickSlip(1.5, 0.2, 0.25, 7e-6)] * 41
-    text = told(stick_slips=slips)
-    assert "Stick-slip: 41" in text and "and 1 more" in text and text.count("<tr>") == 41
-    heads = re.findall(r"<th>(.*?)</th>", text.replace("<wbr>", ""))
+    text = events(stick_slips=slips)["Stick-slip: 41"]
+    assert "and 1 more" in text and text.count("<tr>") == 41
+    heads = re.findall(r"<th(?: [^>]*)?>(.*?)</th>", text.replace("<wbr>", ""))
     cells = re.findall(r"<td[^>]*>(.*?)</td>", text)[:4]
     assert dict(zip(heads, cells, strict=True)) == {"time_s": "1.5", "x_mm": "200", "stuck_ms": "250", "slip_um": "7"}
-    assert "more" not in told(stick_slips=slips[:40]) and told() == ""
-    assert "Amplifier off while the stage moved: 1" in told(amplifier_off=[Interval(0.5, 0.75, 500)])
+    assert "more" not in events(stick_slips=slips[:40])["Stick-slip: 40"] and not events()
+    assert "Amplifier off while the stage moved: 1" in events(amplifier_off=[Interval(0.5, 0.75, 500)])
 
 
-def test_what_is_no_number_is_a_dash_in_the_report():
-    assert [_number(value) for value in (None, math.nan, math.inf, 3, 0.123456, "a<b")] == [
-        "–",
-        "–",
-        "–",
-        "3",
-        "0.1235",
-        "a&lt;b",
-    ]
-
-
-def test_a_table_of_the_report_has_a_row_for_each_event_and_says_none_where_there_is_none():
-    assert "none" in html_table([])
-    text = html_table([{"time_s": 0.5, "slip_um": 2.0}, {"time_s": 1.5, "slip_um": None}])
-    assert text.count("<tr>") == 3 and "time_<wbr>s" in text and "1.5" in text and "–" in text and "none" not in text
+def test_a_table_shows_numbers_to_four_digits_texts_as_they_are_and_a_dash_for_nothing():
+    assert "none" in blocks.table([])
+    values = (None, math.nan, math.inf, 3, 0.123456, "a<b", True, False)
+    text = blocks.table([{"slip_um": value} for value in values])
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", text)
+    assert cells == ["–", "–", "–", "3", "0.1235", "a&lt;b", "passed", "FAILED"]
+    assert text.count("<tr>") == len(values) + 1 and "slip_<wbr>um" in text
