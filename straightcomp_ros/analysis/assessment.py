@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.error_detail import BANDS, Spectrum, StickSlip, error_spectrum, stick_slips
 from straightcomp_ros.analysis.evaluation import BagEvaluation, percentile_us
-from straightcomp_ros.analysis.host_stalls import PAUSE
+from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import Metrics, MetricsError, StrokeFigures, evaluate, stroke_figures, true_error
 from straightcomp_ros.analysis.record import Motion, RecordedReference, find_motion

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,27 +12,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.attached_map import attached_map
-from straightcomp_ros.analysis.host_stalls import PAUSE, Stall, stalls_of
 from straightcomp_ros.analysis.interruption import (
     ENDS_APART,
+    PAUSE,
     EncoderRun,
     LatchedFault,
+    Stall,
     clock_jump,
     encoder_run,
     interruption,
     latched_faults,
+    stalls_of,
 )
+from straightcomp_ros.analysis.map_building import values_at
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
-from straightcomp_ros.analysis.survey_series import values_at
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.messages import Messages
-from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.recorded_diagnostics import reports_in
-from straightcomp_ros.bags.recorded_parameters import recorded_parameters
+from straightcomp_ros.bags.reader import Messages, StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import (
     COMMAND,
@@ -43,8 +43,34 @@ from straightcomp_ros.contract import (
     TRUTH,
     Stream,
 )
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.survey import SurveyError
 from straightcomp_ros.timing.node_timing import Report
+
+
+def attached_map(
+    attachments: Mapping[str, bytes], parameters: Mapping[str, Mapping[str, Any]]
+) -> StraightnessMap | None:
+    """The map; None where no survey is attached, or one that makes no map by the recorded parameters.
+
+    Args:
+        attachments: of the bag, by name.
+        parameters: of the recorded nodes, by node and dotted name.
+    """
+    section = parameters.get("feedforward", {})
+    own = {
+        name.removeprefix("stage.guide."): value for name, value in section.items() if name.startswith("stage.guide.")
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        survey = unpacked_map(attachments, Path(folder))
+        if survey is None:
+            return None
+        try:
+            return load_map(from_mapping(MapParameters, {**own, "file": str(survey)}))
+        except (ParameterError, SurveyError):
+            return None
+
 
 FOR_EVER = int(np.iinfo(np.int64).max)
 """The last stamp, ns."""

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import typestore
-from straightcomp_ros.bags.messages import Messages, decoded, read_messages
-from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.bags.reader import Messages, decoded, read_messages, read_streams
+from straightcomp_ros.bags.topics import typestore
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
 

@@ -1,16 +1,20 @@
-"""metadata.yaml: what rosbag2 knows of a bag before it opens the files. Version 9, as ROS 2 Jazzy writes it.
+"""What a bag says of itself: metadata.yaml, which rosbag2 reads before the files, and which program made the bag.
 
-Source: rosbag2_storage/yaml.hpp, ``convert<BagMetadata>`` and ``convert<TopicMetadata>``.
+Version 9, as ROS 2 Jazzy writes it. Source: rosbag2_storage/yaml.hpp, ``convert<BagMetadata>`` and
+``convert<TopicMetadata>``.
 """
 
+import importlib.metadata
+import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import yaml
 
-from straightcomp_ros.bags.definitions import ROS_DISTRO, Definition
-from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.topics import ROS_DISTRO, Definition, TopicQos
+from straightcomp_ros.contract import PACKAGE
 
 VERSION = 9
 ROOT_KEY = "rosbag2_bagfile_information"
@@ -94,3 +98,27 @@ def _duration(time_range: tuple[int, int] | None) -> dict[str, int]:
 def as_yaml(information: Mapping[str, object]) -> str:
     """YAML in the order of rosbag2; without anchors, since no object occurs twice in it."""
     return str(yaml.safe_dump(dict(information), sort_keys=False, allow_unicode=True))
+
+
+ORIGIN_METADATA = "origin"
+"""Metadata record of a bag with what :func:`origin` gives."""
+
+
+def origin() -> dict[str, str]:
+    """Package, version, and ``revision`` (with ``-dirty`` after changes) or ``unknown``."""
+    try:
+        version = importlib.metadata.version(PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        version = "unknown"
+    return {"package": PACKAGE, "version": version, "revision": _revision()}
+
+
+def _revision() -> str:
+    git = ["git", "-C", str(Path(__file__).resolve().parent)]
+    describe = ["describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        # Where the package is installed inside another repository, git would give that one's revision.
+        subprocess.run([*git, "ls-files", "--error-unmatch", __file__], capture_output=True, timeout=5, check=True)
+        return subprocess.run([*git, *describe], capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"

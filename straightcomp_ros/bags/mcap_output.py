@@ -22,9 +22,9 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from straightcomp_ros.bags.definitions import Definition
 from straightcomp_ros.bags.information import Topic
-from straightcomp_ros.bags.mcap_records import FRAME, MESSAGE, MESSAGE_FIELDS
+from straightcomp_ros.bags.mcap_input import FRAME, MESSAGE, MESSAGE_FIELDS
+from straightcomp_ros.bags.topics import Definition
 from straightcomp_ros.contract import PACKAGE
 
 ChannelMessage = tuple[int, int, int, bytes]

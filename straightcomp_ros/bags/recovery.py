@@ -18,12 +18,21 @@ from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import Definition
 from straightcomp_ros.bags.folder import compressed_messages, found_files
-from straightcomp_ros.bags.mcap_input import McapInput, Record, is_opcode
-from straightcomp_ros.bags.mcap_records import FRAME, MESSAGE_FIELDS, UNREADABLE, Summary, frames, measured, parsed
-from straightcomp_ros.bags.messages import COMPRESSIONS
-from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.mcap_input import (
+    FRAME,
+    MESSAGE_FIELDS,
+    UNREADABLE,
+    McapInput,
+    Record,
+    Summary,
+    frames,
+    is_opcode,
+    measured,
+    parsed,
+)
+from straightcomp_ros.bags.reader import COMPRESSIONS
+from straightcomp_ros.bags.topics import Definition, TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 
 RECOVERY_METADATA = "recovery"

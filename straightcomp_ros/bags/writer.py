@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import Definition, definition
 from straightcomp_ros.bags.information import ROOT_KEY, BagFile, Topic, as_yaml, bag_information
-from straightcomp_ros.bags.intake import Message
 from straightcomp_ros.bags.mcap_output import COMPRESSORS, McapOutput
-from straightcomp_ros.bags.qos import TopicQos
+from straightcomp_ros.bags.topics import Definition, TopicQos, definition
 from straightcomp_ros.parameters.whole_file import write_whole
 
+Message = tuple[str, bytes, int, int]
+"""Topic, serialised message, time of reception and of its source in ns since the epoch."""
 CHUNK_SIZE = 512 * 1024
 """Bytes of messages in a chunk: about a fifth of a second of all streams at 2 kHz."""
 FLUSH_AGE = 0.15

@@ -13,9 +13,9 @@ from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
-from straightcomp_ros.bags.definitions import definition
-from straightcomp_ros.bags.recorded_parameters import attach_map
+from straightcomp_ros.bags.recorded_nodes import attach_map
 from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
+from straightcomp_ros.bags.topics import definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER, STAGE_TRAJECTORY, STREAMS, UNCONNECTED
 from straightcomp_ros.messages.cdr import header_stamp_ns

@@ -8,8 +8,8 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.recorder import Announced
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.runtime.message_definition import definition_of_class, known, message_class
 from straightcomp_ros.runtime.streams import RawQueue
 

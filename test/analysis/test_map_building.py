@@ -9,8 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.map_building import Choices, build, build_from_series
-from straightcomp_ros.analysis.survey_series import Sensor, Series, _course, recognise, series_of_bag
+from straightcomp_ros.analysis.map_building import (
+    Choices,
+    Sensor,
+    Series,
+    _course,
+    build,
+    build_from_series,
+    recognise,
+    series_of_bag,
+)
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from straightcomp_ros.analysis.survey_series import Sensor, is_series, series_of_bag, series_of_csv
+from straightcomp_ros.analysis.map_building import Sensor, is_series, series_of_bag, series_of_csv
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.straightness.survey import SurveyError

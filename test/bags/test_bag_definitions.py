@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import definition
+from straightcomp_ros.bags.topics import definition
 from straightcomp_ros.contract import STREAMS
 
 TYPES = sorted({stream.layout.type_name for stream in STREAMS} | {"diagnostic_msgs/msg/DiagnosticArray"})

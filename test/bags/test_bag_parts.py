@@ -11,15 +11,11 @@ from pathlib import Path
 import pytest
 
 from straightcomp_ros.bags import BagError, recorder
-from straightcomp_ros.bags.folder import bag_files, found_files, split_number
-from straightcomp_ros.bags.intake import BREAK, Intake
-from straightcomp_ros.bags.losses import Losses
-from straightcomp_ros.bags.mcap_records import frames, message_places
-from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.recorded_parameters import recorded_parameters, unpacked_map
-from straightcomp_ros.bags.recorder import DiskGuard
-from straightcomp_ros.bags.sqlite_input import SqliteInput
-from straightcomp_ros.bags.topics import chosen_topics, resolved
+from straightcomp_ros.bags.folder import SqliteInput, bag_files, found_files, split_number
+from straightcomp_ros.bags.mcap_input import frames, message_places
+from straightcomp_ros.bags.recorded_nodes import recorded_parameters, unpacked_map
+from straightcomp_ros.bags.recorder import BREAK, DiskGuard, Intake, Losses
+from straightcomp_ros.bags.topics import TopicQos, chosen_topics, resolved
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.parameters.declaration import declarations

@@ -16,11 +16,10 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags import stream_columns as columns
-from straightcomp_ros.bags.definitions import definition
-from straightcomp_ros.bags.mcap_records import message_places
-from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
-from straightcomp_ros.bags.stream_columns import meaningful
+from straightcomp_ros.bags import reader as columns
+from straightcomp_ros.bags.mcap_input import message_places
+from straightcomp_ros.bags.reader import meaningful, read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.topics import definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER, REFERENCE, STREAMS
 from straightcomp_ros.messages.cdr import joint_state, read_by_names

@@ -16,9 +16,9 @@ from recording import START_NS, add_streams
 from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, Recovery, recover
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER

@@ -15,9 +15,8 @@ from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.definitions import definition
-from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.topics import TopicQos, definition
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
 

@@ -20,8 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.fields import Field, read_field
-from straightcomp_ros.bags.messages import read_messages
-from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.contract import ENCODER, STREAMS
@@ -332,11 +331,9 @@ def test_a_type_that_the_bag_does_not_describe_is_named(tmp_path, text, fresh_ty
 @pytest.fixture
 def fresh_types(monkeypatch):
     """No type of another test."""
-    from straightcomp_ros.bags import definitions, fields, messages
-
     store = get_typestore(Stores.ROS2_JAZZY)
-    for module in (definitions, fields, messages):
-        monkeypatch.setattr(module, "typestore", lambda: store)
+    for module in ("fields", "reader", "topics"):
+        monkeypatch.setattr(f"straightcomp_ros.bags.{module}.typestore", lambda: store)
 
 
 @pytest.mark.parametrize("missing", [0, 1, 2, 3])

@@ -8,11 +8,9 @@ import pytest
 from recording import START_NS
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags import origin as origin_module
-from straightcomp_ros.bags.intake import BREAK, Intake
-from straightcomp_ros.bags.losses import Losses
-from straightcomp_ros.bags.origin import origin
-from straightcomp_ros.bags.recorder import DiskGuard
+from straightcomp_ros.bags import information as origin_module
+from straightcomp_ros.bags.information import origin
+from straightcomp_ros.bags.recorder import BREAK, DiskGuard, Intake, Losses
 from straightcomp_ros.contract import COMMAND, ENCODER
 
 

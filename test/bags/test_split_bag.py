@@ -17,11 +17,10 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.folder import bag_files
 from straightcomp_ros.bags.mcap_output import McapOutput
-from straightcomp_ros.bags.messages import read_messages
-from straightcomp_ros.bags.qos import TopicQos
-from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recorder import Announced, Recorder, RecorderOptions
 from straightcomp_ros.bags.recovery import recover
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.offline.replay.audit import audit

@@ -7,7 +7,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags import stream_columns as columns
+from straightcomp_ros.bags import reader as columns
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.contract import STREAMS

@@ -1,7 +1,6 @@
 import numpy as np
 
-from straightcomp_ros.bags.stream_columns import StreamColumns
-from straightcomp_ros.bags.values_at import values_at
+from straightcomp_ros.bags.reader import StreamColumns, values_at
 
 WANTED = np.array([10, 20, 30, 40], np.int64)
 

@@ -19,10 +19,10 @@ import numpy as np
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import bag_files
-from straightcomp_ros.bags.qos import TopicQos
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cell.launcher import Graph, ros_available
 from straightcomp_ros.contract import STREAMS
@@ -147,7 +147,7 @@ def _reading(bag: Path) -> dict[str, Any]:
     spent = statistics.median(times)
     count = sum(map(len, ours.values()))
 
-    from straightcomp_ros.bags.definitions import typestore
+    from straightcomp_ros.bags.topics import typestore
 
     store = typestore()
     theirs: dict[str, list[tuple[int, list[float]]]] = {topic: [] for topic in ours}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.bags.definitions import typestore
+from straightcomp_ros.bags.topics import typestore
 from straightcomp_ros.contract import COMMAND, ENCODER, REFERENCE
 from straightcomp_ros.messages.cdr import NANOSECONDS
 
