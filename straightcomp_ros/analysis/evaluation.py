@@ -24,13 +24,12 @@ from straightcomp_ros.analysis.interruption import (
     latched_faults,
     stalls_of,
 )
-from straightcomp_ros.analysis.map_building import values_at
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.reader import Messages, StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.reader import Messages, attachments_of, streams_of
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import (
@@ -155,9 +154,17 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     """
     wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH, DISPLACEMENT)
     diagnostics = Messages(DIAGNOSTICS)
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
-    reports, finished = _reports(bag, diagnostics, (remap or {}).get(ENCODER.topic, ENCODER.topic))
-    attachments = read_attachments(bag)
+    with opened(bag) as files:
+        streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
+        attachments = attachments_of(files)
+        encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
+        finished = all(file.summary is not None for file in files if isinstance(file, McapInput))
+    try:
+        reports = reports_in(bag, diagnostics, encoder_topic)
+    except BagError as error:
+        # Every node of a machine reports there: others' messages do not make a run's samples unreadable.
+        warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
+        reports = {}
     parameters = recorded_parameters(bag, attachments)
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
@@ -196,12 +203,18 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         guide=truth.get("guide_deviation"),
         law=str(parameters.get("controller", {}).get("control.law", "unknown")),
     )
+    guide = None
+    if DISPLACEMENT.topic in unique and len(unique[DISPLACEMENT.topic][0]) > 1:
+        stamps, rows_of_guide = unique[DISPLACEMENT.topic]
+        readings = streams[DISPLACEMENT.topic].columns["deviation"][rows_of_guide]
+        values, known_there = FieldValues(stamps, readings, True).at(common)
+        guide = np.where(known_there, values, np.nan)
     driver = streams.get(DRIVER_STATE.topic)
     columns = driver.columns if driver else {}
     latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
     answered = unique[COMMAND.topic][0]
     state = driver.stamp if driver else answered[:0]
-    told = np.isfinite(latency)
+    recorded = np.isfinite(latency)
     answers = max(int(unique[topic][0][-1]) for topic in (REFERENCE.topic, COMMAND.topic))
     reported = max((own[-1].time_ns for own in reports.values()), default=0)
     for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
@@ -222,7 +235,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         received_samples=len(encoder),
         lost_references=_missing(run, unique[REFERENCE.topic][0]),
         lost_commands=_missing(run, answered),
-        latency=latency[told],
+        latency=latency[recorded],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
         amplifier_on=on,
@@ -231,26 +244,13 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         stalls=tuple(stalls),
         begin_ns=int(common[0]),
         coil_current=column(ENCODER, "coil_current"),
-        guide=_guide(streams, unique, common),
-        latency_stamps=state[told],
+        guide=guide,
+        latency_stamps=state[recorded],
         encoder=run,
         reports=reports,
         faults=latched_faults(reports, int(encoder[0])),
         clock_jump=jump,
     )
-
-
-def _reports(bag: Path, diagnostics: Messages, encoder: str) -> tuple[Mapping[str, Sequence[Report]], bool]:
-    """What the nodes reported, and whether the recording was finished."""
-    with opened(bag) as files:
-        full = resolved(encoder, topic_names(files), str(bag))
-        finished = all(file.summary is not None for file in files if isinstance(file, McapInput))
-    try:
-        return reports_in(bag, diagnostics, full), finished
-    except BagError as error:
-        # Every node of a machine reports there: others' messages do not make a run's samples unreadable.
-        warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
-        return {}, finished
 
 
 def _judged(stamps: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -267,18 +267,6 @@ def _judged(stamps: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.boo
                 if before.size and after.size and before[-1] <= pause:
                     judged[before[-1] : after[0]] = False
     return judged
-
-
-def _guide(
-    streams: Mapping[str, StreamColumns], unique: Mapping[str, Sequence[NDArray[Any]]], at: NDArray[np.int64]
-) -> NDArray[np.float64] | None:
-    topic = DISPLACEMENT.topic
-    if topic not in streams or len(unique[topic][0]) < 2:
-        return None
-    stamps, rows = unique[topic]
-    readings = FieldValues(stamps, streams[topic].columns["deviation"][rows], True)
-    values, known = values_at(readings, at)
-    return np.where(known, values, np.nan)
 
 
 def samples_taken(stamps: NDArray[np.int64]) -> int:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import MOVING, MetricsError, Stroke, jumps_of, motion_of, speed_at_end
+from straightcomp_ros.analysis.record import MOVING, Stroke, speed_at_end, strokes_and_jumps
 from straightcomp_ros.bags.reader import StreamColumns
 from straightcomp_ros.timing.node_timing import Report
 
@@ -157,12 +157,8 @@ def encoder_run(
     # An encoder that fails reads NaN.
     known = np.flatnonzero(np.isfinite(x))
     time, x = (stamps[known] - stamps[0]) * 1e-9, x[known]
-    try:
-        strokes = motion_of(time, x).strokes
-    except MetricsError:
-        strokes = ()
+    strokes, jumps = strokes_and_jumps(time, x) if known.size > 2 else ((), known[:0])
     placed = [Stroke(int(known[one.start]), int(known[one.stop - 1]) + 1, one.direction) for one in strokes]
-    jumps = jumps_of(time, x) if known.size > 2 else known[:0]
     lost_at = speed_at_end(time, x) if (goes_on or silent) and known.size > 2 else 0.0
     return EncoderRun(stamps, off, judged_ns, placed, known[jumps], lost_at, silent and bool(on[-1]))
 

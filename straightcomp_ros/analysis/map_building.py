@@ -33,8 +33,6 @@ TIME_COLUMN = "time_s"
 """A CSV file with this column is a recording over time; without it, a list of the points of runs."""
 STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
 """The slider's x in the topics of our own graph."""
-_LONGEST_GAP_NS = 100_000_000
-"""Time between two samples of the stage; across a longer one its x is not interpolated."""
 _WHOLE = 0.9
 """Fraction of the longest run's travel from which a run is whole: others were broken off, or lead to the start."""
 _STOP = 0.2
@@ -93,10 +91,10 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
     """
     positions, readings = _read(bag, stage), _read(bag, sensor.readings)
     taken_at = readings.stamp - round(sensor.delay * 1e9)
-    x, usable = values_at(positions, taken_at)
+    x, usable = positions.at(taken_at)
     deviation = readings.values / DEVIATION.per_metre[sensor.unit] * (-1.0 if sensor.inverted else 1.0)
     if sensor.on_platform:
-        y, known = values_at(_read(bag, Field(stage.topic, f"position[{PLATFORM}]")), taken_at)
+        y, known = _read(bag, Field(stage.topic, f"position[{PLATFORM}]")).at(taken_at)
         deviation, usable = deviation - y, usable & known
     usable &= np.isfinite(deviation) & np.isfinite(x)
     if np.count_nonzero(usable) < 3:
@@ -148,15 +146,6 @@ def _read(bag: Path, field: Field) -> FieldValues:
     values = read_field(bag, field)
     stamp, first = np.unique(values.stamp, return_index=True)
     return FieldValues(stamp, values.values[first], values.stamped)
-
-
-def values_at(known: FieldValues, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Values at ``stamps``, and where they are known: at a sample, or between two that are not far apart."""
-    first, last = known.stamp[0], known.stamp[-1]
-    place = np.searchsorted(known.stamp[:-1], stamps)
-    near = np.diff(known.stamp, prepend=first)[place] <= _LONGEST_GAP_NS
-    usable = (known.stamp[place] == stamps) | (near & (stamps > first) & (stamps < last))
-    return np.interp((stamps - first) * 1e-9, (known.stamp - first) * 1e-9, known.values), usable
 
 
 class Passage(NamedTuple):
@@ -216,13 +205,13 @@ def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, ste
         chosen = np.arange(begin, end)
         group = np.round(series.x[chosen] / step).astype(np.int64)
     values = series.deviation[chosen]
-    bad = spikes(values - (_middles(values, group) if at_rest else _course(values)), limit)
+    bad = spikes(values - (_middles(values, group) if at_rest else _from_neighbours(values)), limit)
     run = Run(name, moves[0][0].direction, *group_means(series.x[chosen][~bad], values[~bad], group[~bad]))
     start = float(series.time[begin])
     return Passage(run, start, float(series.time[end - 1]) - start, at_rest, len(chosen), int(bad.sum()))
 
 
-def _course(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _from_neighbours(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Each reading estimated from its neighbours: the median of the means of opposite ones, which is exact on a slope.
 
     The reading itself is left out. In a running median it would be the result wherever the readings rise steadily.

@@ -18,6 +18,8 @@ from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
 
 _IDL_HEAD = re.compile(r"={80}\nIDL: .*\n")
 """Line between the types of a definition in encoding ``ros2idl``."""
+_LONGEST_GAP_NS = 100_000_000
+"""Time between two samples up to which their values are interpolated."""
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
 
 
@@ -56,6 +58,15 @@ class FieldValues:
     stamp: NDArray[np.int64]
     values: NDArray[np.float64]
     stamped: bool
+
+    def at(self, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Values at ``stamps``, and where they are known: at a sample, or between two that are not far apart. Its own
+        stamps must rise."""
+        first, last = self.stamp[0], self.stamp[-1]
+        place = np.searchsorted(self.stamp[:-1], stamps)
+        near = np.diff(self.stamp, prepend=first)[place] <= _LONGEST_GAP_NS
+        usable = (self.stamp[place] == stamps) | (near & (stamps > first) & (stamps < last))
+        return np.interp((stamps - first) * 1e-9, (self.stamp - first) * 1e-9, self.values), usable
 
 
 def read_field(bag: Path, field: Field) -> FieldValues:

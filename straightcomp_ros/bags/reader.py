@@ -244,24 +244,35 @@ def read_streams(
         UserWarning: the bag was not finished; what is whole is read.
     """
     with opened(bag) as files:
-        names = topic_names(files)
-        wanted = chosen_topics(layouts, names, str(bag), remap or {})
-        decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
-        found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
-        count = 0
-        for file in files:
-            for topic in file.topics.values():
-                if topic.name in wanted:
-                    _check_kind(file.path, topic, layouts[wanted[topic.name]])
-                elif topic.name in found:
-                    found[topic.name].describe(topic)
-            for data, places in file.blocks([*wanted, *found]):
-                for name, starts in places.items():
-                    count += len(starts)
-                    if name in wanted:
-                        decoders[name].add(data, starts)
-                    elif name in found:
-                        found[name].add(data, starts)
+        return streams_of(bag, files, layouts, remap, whole)
+
+
+def streams_of(
+    bag: Path,
+    files: Sequence[BagInput],
+    layouts: Mapping[str, Layout],
+    remap: Mapping[str, str] | None = None,
+    whole: Sequence[Messages] = (),
+) -> dict[str, StreamColumns]:
+    """As :func:`read_streams`, from the open files of a bag."""
+    names = topic_names(files)
+    wanted = chosen_topics(layouts, names, str(bag), remap or {})
+    decoders = {full: StreamDecoder(f"bag {bag}: topic '{full}'", layouts[key]) for full, key in wanted.items()}
+    found = {full: one for one in whole if (full := resolved(one.topic, names, str(bag)))}
+    count = 0
+    for file in files:
+        for topic in file.topics.values():
+            if topic.name in wanted:
+                _check_kind(file.path, topic, layouts[wanted[topic.name]])
+            elif topic.name in found:
+                found[topic.name].describe(topic)
+        for data, places in file.blocks([*wanted, *found]):
+            for name, starts in places.items():
+                count += len(starts)
+                if name in wanted:
+                    decoders[name].add(data, starts)
+                elif name in found:
+                    found[name].add(data, starts)
     finished = ((key, decoders[full].finished()) for full, key in wanted.items())
     streams = {key: columns for key, columns in finished if columns is not None}
     if not streams and any(isinstance(file, SqliteInput) for file in files):
@@ -274,12 +285,17 @@ def read_streams(
 def read_attachments(bag: Path) -> dict[str, bytes]:
     """The files attached to a bag, by name; of two with one name the later. A SQLite bag has none. Raises BagError when
     the bag is absent or damaged."""
-    found: dict[str, bytes] = {}
     with opened(bag) as files:
-        for file in (file for file in files if isinstance(file, McapInput)):
-            for record in file.records(Opcode.ATTACHMENT):
-                attachment = file.attachment(record)
-                found[attachment.name] = attachment.data
+        return attachments_of(files)
+
+
+def attachments_of(files: Sequence[BagInput]) -> dict[str, bytes]:
+    """As :func:`read_attachments`, from the open files of a bag."""
+    found: dict[str, bytes] = {}
+    for file in (file for file in files if isinstance(file, McapInput)):
+        for record in file.records(Opcode.ATTACHMENT):
+            attachment = file.attachment(record)
+            found[attachment.name] = attachment.data
     return found
 
 
