@@ -43,8 +43,11 @@ def law_ends(at, amplifier=off):
     return change
 
 
-@pytest.mark.parametrize("at", [0.5, FORWARD, 3.0])
-@pytest.mark.parametrize("amplifier", [off, lambda topic, stamp, numbers: (stamp, numbers)])
+def on(topic, stamp, numbers):
+    return stamp, numbers
+
+
+@pytest.mark.parametrize(("at", "amplifier"), [(0.5, off), (FORWARD, on), (3.0, off)])
 def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_count(tmp_path, capsys, at, amplifier):
     bag = rewritten(SMC, tmp_path / "b", law_ends(at, amplifier))
     code, found = judged(bag, capsys)
@@ -88,8 +91,10 @@ def jump_from(at, by, log_too=False):
     return change
 
 
-@pytest.mark.parametrize("by", [-3 * 86400.0, -3600.0, -1.0, -0.05, 0.05, 1.0, 3600.0, 86400.0])
-@pytest.mark.parametrize("log_too", [False, True])
+@pytest.mark.parametrize(
+    ("by", "log_too"),
+    [(-3 * 86400.0, False), (-1.0, True), (-0.05, True), (-0.05, False), (0.05, True), (3600.0, False)],
+)
 def test_a_clock_that_jumps_in_motion_is_named(tmp_path, capsys, by, log_too):
     code, found = judged(rewritten(SMC, tmp_path / "b", jump_from(FORWARD, by, log_too)), capsys)
     assert code == 1
@@ -97,8 +102,7 @@ def test_a_clock_that_jumps_in_motion_is_named(tmp_path, capsys, by, log_too):
     assert "clock_jumped" in (found["verdict"] if isinstance(found, dict) else found.replace(" ", "_"))
 
 
-@pytest.mark.parametrize("at", [0.01, 2.25])
-@pytest.mark.parametrize("by", [-1.0, 1.0, 86400.0])
+@pytest.mark.parametrize(("at", "by"), [(0.01, 1.0), (2.25, -1.0), (2.25, 86400.0)])
 def test_a_clock_that_jumps_at_rest_is_named_where_the_recording_has_its_own(tmp_path, capsys, at, by):
     assert judged(rewritten(SMC, tmp_path / "b", jump_from(at, by)), capsys)[0] == 1
 
@@ -127,11 +131,12 @@ def test_an_order_of_recording_that_is_not_that_of_the_stamps_is_no_jump(tmp_pat
     with (bag / "b_0.mcap").open("rb") as file, (tmp_path / "sorted.mcap").open("wb") as target:
         reader, writer = make_reader(file), Writer(target)
         writer.start("ros2")
+        ids = {}
         for schema, channel, message in reader.iter_messages():
-            number = writer.register_schema(schema.name, schema.encoding, schema.data)
-            writer.add_message(
-                writer.register_channel(channel.topic, "cdr", number), message.log_time, message.data, message.log_time
-            )
+            if channel.id not in ids:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.id] = writer.register_channel(channel.topic, "cdr", number)
+            writer.add_message(ids[channel.id], message.log_time, message.data, message.log_time)
         writer.finish()
     assert judged(tmp_path / "sorted.mcap", capsys)[1]["verdict"] == "in_order"
 

@@ -13,7 +13,7 @@ from straightcomp_ros.analysis.map_building import (
     Choices,
     Sensor,
     Series,
-    _course,
+    _from_neighbours,
     build,
     build_from_series,
     recognise,
@@ -124,7 +124,7 @@ def test_a_spike_does_not_reach_the_points_even_where_a_point_has_one_reading():
 @pytest.mark.parametrize("count", [3, 5, 8, 9, 30])
 def test_on_a_slope_the_neighbours_say_what_each_reading_says(count):
     slope = np.linspace(1e-6, 9e-6, count)
-    assert _course(slope) == pytest.approx(slope, abs=1e-18)
+    assert _from_neighbours(slope) == pytest.approx(slope, abs=1e-18)
 
 
 def test_stops_make_points_of_their_second_halves():
@@ -177,14 +177,6 @@ def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, capsys)
     built, true = load_map(MapParameters(str(output))), load_map(MapParameters("config/guide_synthetic.csv"))
     x = np.linspace(0.002, 1.758, 1000)
     assert np.ptp(built.deviations(x) - true.deviations(x)) < 0.12e-6
-
-
-def test_an_existing_map_is_not_replaced_unasked(tmp_path, capsys):
-    output = tmp_path / "map.csv"
-    output.write_text("mine")
-    assert main(["map", "build", str(SAMPLE), "-o", str(output)]) == 2
-    assert output.read_text() == "mine"
-    assert "--force" in capsys.readouterr().err
 
 
 def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, capsys):

@@ -72,28 +72,16 @@ def test_a_stage_that_stands_is_refused(make_record: RecordMaker) -> None:
         find_motion(dataclasses.replace(record, x=np.where(np.arange(record.x.size) % 2 == 0, 0.5, 0.5 + 2e-7)))
 
 
-def test_time_that_stands_still_is_refused_with_its_place(make_record: RecordMaker) -> None:
-    time = make_record().time.copy()
-    time[77] = time[76]
-    with pytest.raises(MetricsError, match="does not rise at sample 77"):
-        find_motion(dataclasses.replace(make_record(), time=time))
-
-
-def test_a_record_of_two_samples_is_refused() -> None:
-    two = np.array([0.0, 1.0])
-    with pytest.raises(MetricsError, match="2 samples"):
-        find_motion(StrokeRecord(two, two, two, two, two, "x"))
-
-
-def test_columns_of_different_length_are_refused() -> None:
-    three, two = np.zeros(3), np.zeros(2)
-    with pytest.raises(MetricsError, match=r"current has shape \(2,\), time has \(3,\)"):
-        StrokeRecord(three, three, three, three, two, "x")
-    with pytest.raises(MetricsError, match=r"time has shape \(1, 3\)"):
-        StrokeRecord(three[None], three, three, three, three, "x")
-
-
-def test_half_a_truth_is_refused() -> None:
-    three = np.zeros(3)
-    with pytest.raises(MetricsError, match="true_y only"):
-        StrokeRecord(three, three, three, three, three, "x", true_y=three)
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"current": np.zeros(2)}, r"current has shape \(2,\), time has \(3,\)"),
+        ({"time": np.zeros((1, 3))}, r"time has shape \(1, 3\)"),
+        ({"true_y": np.zeros(3)}, "true_y only"),
+        (dict.fromkeys(("time", "x", "y", "r", "current"), np.array([0.0, 1.0])), "2 samples"),
+    ],
+)
+def test_columns_that_make_no_record_are_refused(change, words) -> None:
+    columns = dict.fromkeys(("time", "x", "y", "r", "current"), np.zeros(3)) | change
+    with pytest.raises(MetricsError, match=words):
+        find_motion(StrokeRecord(law="x", **columns))
