@@ -173,8 +173,6 @@ def robust_regression(terms: Array, wanted: Array, least: float) -> tuple[Array,
     return found, float(np.sqrt(np.mean((weights * residuals) ** 2)) / np.mean(weights == 1.0))
 
 
-Array = NDArray[np.float64]
-
 _EXPLAINED = 0.2
 """Largest residual of an accepted fit, as a fraction of the current's steps."""
 _INSTANT = 1e9

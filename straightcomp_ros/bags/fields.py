@@ -114,14 +114,15 @@ def _register_type(bag: Path, messages: Messages) -> None:
     if name in store.fielddefs:
         return
     where = f"bag {bag}: topic '{messages.topic}' has messages of type '{name}', which the bag does not describe"
-    if not messages.definition.strip():
+    text = str(messages.described.text) if messages.described else ""
+    if not text.strip():
         raise BagError(f"{where}; record again where the package of that type is installed")
     try:
-        if messages.definition_encoding == "ros2idl":
-            texts = _IDL_HEAD.split(messages.definition)
-            described = {key: value for text in texts if text for key, value in get_types_from_idl(text).items()}
+        if messages.described and messages.described.encoding == "ros2idl":
+            parts = filter(None, _IDL_HEAD.split(text))
+            described = {key: value for part in parts for key, value in get_types_from_idl(part).items()}
         else:
-            described = get_types_from_msg(messages.definition, name)
+            described = get_types_from_msg(text, name)
         store.register({key: value for key, value in described.items() if key not in store.fielddefs})
         store.hash_rihs01(name)  # needs the types of all its fields
     except Exception as error:  # The parser raises errors of many kinds on a malformed text.

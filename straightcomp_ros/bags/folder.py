@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY
 from straightcomp_ros.bags.mcap_input import MESSAGE, MESSAGE_FIELDS, Block, McapInput
-from straightcomp_ros.bags.topics import RecordedTopic
+from straightcomp_ros.bags.topics import Definition, Topic
 from straightcomp_ros.parameters.yaml_text import load_yaml
 
 _AT_ONCE = 5000
@@ -35,15 +35,15 @@ class SqliteInput:
         self.path = path
 
     @cached_property
-    def topics(self) -> dict[int, RecordedTopic]:
+    def topics(self) -> dict[int, Topic]:
         """Topics by id; their definitions where the file has them, which is since ROS 2 Iron."""
         found = list(self._query("SELECT id, name, type, serialization_format FROM topics"))
         definitions = {}
         if any(self._query("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'")):
             described = self._query("SELECT topic_type, encoded_message_definition, encoding FROM message_definitions")
-            definitions = {type_name: (text, encoding) for type_name, text, encoding in described if text}
+            definitions = {type_name: Definition(text, "", encoding) for type_name, text, encoding in described if text}
         return {
-            topic_id: RecordedTopic(name, type_name, encoding, *definitions.get(type_name, ()))
+            topic_id: Topic(name, type_name, described=definitions.get(type_name), encoding=encoding)
             for topic_id, name, type_name, encoding in found
         }
 

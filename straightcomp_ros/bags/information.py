@@ -7,13 +7,12 @@ Version 9, as ROS 2 Jazzy writes it. Source: rosbag2_storage/yaml.hpp, ``convert
 import importlib.metadata
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import yaml
 
-from straightcomp_ros.bags.topics import ROS_DISTRO, Definition, TopicQos
+from straightcomp_ros.bags.topics import ROS_DISTRO, Topic
 from straightcomp_ros.contract import PACKAGE
 
 VERSION = 9
@@ -21,17 +20,6 @@ ROOT_KEY = "rosbag2_bagfile_information"
 """The only key at the top of metadata.yaml."""
 _NO_TIME = 2**63 - 1
 """Start of a bag without messages, in ns: rosbag2 writes the end of time."""
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A recorded topic: full name, ROS type, quality of service, definition of the type, encoding of its messages."""
-
-    name: str
-    type_name: str
-    qos: TopicQos
-    described: Definition
-    encoding: str = "cdr"
 
 
 class BagFile(NamedTuple):
@@ -63,7 +51,7 @@ def bag_information(
                     "type": topic.type_name,
                     "serialization_format": topic.encoding,
                     "offered_qos_profiles": topic.qos.as_profiles(),
-                    "type_description_hash": topic.described.type_hash,
+                    "type_description_hash": topic.definition.type_hash,
                 },
                 "message_count": sum(file.message_counts.get(topic.name, 0) for file in files),
             }

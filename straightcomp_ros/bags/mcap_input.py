@@ -28,7 +28,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.topics import RecordedTopic
+from straightcomp_ros.bags.topics import Definition, Topic
 
 FRAME = struct.Struct("<BQ")
 """Opcode and length, before the content of every record. The length does not count these bytes."""
@@ -123,14 +123,14 @@ class Summary:
         described = all(channel.schema_id in (0, *self.schemas) for channel in self.channels.values())
         return bool(self.channels) and described and count <= len(self.channels)
 
-    def topics(self) -> dict[int, RecordedTopic]:
+    def topics(self) -> dict[int, Topic]:
         """The topic of each channel."""
         topics = {}
         for channel in self.channels.values():
             schema = self.schemas.get(channel.schema_id) or Schema(0, b"", "", "")
-            text = schema.data.decode(errors="replace")
-            topics[channel.id] = RecordedTopic(
-                channel.topic, schema.name, channel.message_encoding, text, schema.encoding
+            described = Definition(schema.data.decode(errors="replace"), "", schema.encoding)
+            topics[channel.id] = Topic(
+                channel.topic, schema.name, described=described, encoding=channel.message_encoding
             )
         return topics
 
@@ -262,7 +262,7 @@ class McapInput:
             position += FRAME.size + length
 
     @cached_property
-    def topics(self) -> dict[int, RecordedTopic]:
+    def topics(self) -> dict[int, Topic]:
         """Topics by the id of their channel: from the summary, from the data where it does not have all. Raises
         BagError when the file is damaged."""
         if self.summary and self.summary.complete:

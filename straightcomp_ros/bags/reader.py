@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import BagInput, SqliteInput, compressed_messages, opened, topic_names
 from straightcomp_ros.bags.mcap_input import FRAME, HEAD, UNREADABLE, McapInput, parsed, rows
-from straightcomp_ros.bags.topics import RecordedTopic, chosen_topics, resolved, typestore
+from straightcomp_ros.bags.topics import Definition, Topic, chosen_topics, resolved, typestore
 from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, Layout, LayoutMismatch, read_by_names
 
 COMPRESSIONS = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4"}
@@ -26,24 +26,23 @@ class Messages:
     """Messages of one topic in the order in which they were recorded.
 
     Attributes:
-        topic, type_name, definition, definition_encoding: as in :class:`straightcomp_ros.bags.topics.RecordedTopic`.
+        topic, type_name, described: as in :class:`straightcomp_ros.bags.topics.Topic`.
         log_time, publish_time: when each was received, and made by its source, ns since the epoch.
         data: each as CDR.
     """
 
     topic: str
     type_name: str = ""
-    definition: str = ""
-    definition_encoding: str = ""
+    described: Definition | None = None
     log_time: list[int] = field(default_factory=list)
     publish_time: list[int] = field(default_factory=list)
     data: list[bytes] = field(default_factory=list)
 
-    def describe(self, topic: RecordedTopic) -> None:
+    def describe(self, topic: Topic) -> None:
         """Take type and definition of the first entry that has them."""
         self.type_name = self.type_name or topic.type_name
-        if topic.definition and not self.definition:
-            self.definition, self.definition_encoding = topic.definition, topic.definition_encoding
+        if topic.described and topic.described.text and not self.described:
+            self.described = topic.described
 
     def add(self, block: bytes, starts: NDArray[np.int64]) -> None:
         """Take the message records at ``starts`` (n,) in ``block``."""
@@ -317,7 +316,7 @@ def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
     return found
 
 
-def _check_kind(path: Path, topic: RecordedTopic, layout: Layout) -> None:
+def _check_kind(path: Path, topic: Topic, layout: Layout) -> None:
     # Some tools write the type without its namespace: sensor_msgs/JointState.
     if layout.type_name not in (topic.type_name, topic.type_name.replace("/", "/msg/", 1)) or topic.encoding != "cdr":
         raise BagError(

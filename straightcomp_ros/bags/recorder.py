@@ -13,7 +13,7 @@ import numpy as np
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ORIGIN_METADATA, origin
-from straightcomp_ros.bags.topics import Definition, TopicQos
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import FLUSH_AGE, BagWriter, Message
 from straightcomp_ros.messages.cdr import NANOSECONDS
 
@@ -140,21 +140,6 @@ class RecorderOptions:
     min_free: int = 0
 
 
-@dataclass(frozen=True)
-class Announced:
-    """A topic of every bag: full name, type, quality of service, and the definition of a type that ROS 2's own
-    packages do not have."""
-
-    name: str
-    type_name: str
-    qos: TopicQos
-    described: Definition | None = None
-
-    def add_to(self, bag: BagWriter) -> None:
-        """Add the topic to a bag."""
-        bag.add_topic(self.name, self.type_name, self.qos, self.described)
-
-
 class DiskGuard:
     """Fails when fewer than ``min_free`` bytes are free on the disk of ``folder``."""
 
@@ -197,9 +182,9 @@ class Recorder:
         self, options: RecorderOptions, stamped: Collection[str], describe: Callable[[BagWriter, bool], bool]
     ) -> None:
         self._options, self._stamped, self._describe = options, frozenset(stamped), describe
-        self._topics: list[Announced] = []
-        self._new_topics: deque[Announced] = deque()
-        self._expected: list[Announced] = []
+        self._topics: list[Topic] = []
+        self._new_topics: deque[Topic] = deque()
+        self._expected: list[Topic] = []
         self._count = self.written = 0
         self._stopping, self._splitting = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -212,12 +197,12 @@ class Recorder:
         """Whether a bag is open."""
         return self._thread is not None
 
-    def announce(self, topic: Announced) -> None:
+    def announce(self, topic: Topic) -> None:
         """Add a topic, to the present bag too. Its first message may follow at once."""
         self._topics.append(topic)
         self._new_topics.append(topic)
 
-    def expect(self, topic: Announced) -> None:
+    def expect(self, topic: Topic) -> None:
         """Name a topic that will be announced when its publishers' quality of service is known. A bag that ends before
         that lists it as it is given here, without messages."""
         self._expected.append(topic)
@@ -235,7 +220,7 @@ class Recorder:
             bag.add_metadata(ORIGIN_METADATA, origin())
             self._new_topics.clear()
             for topic in self._topics:
-                topic.add_to(bag)
+                _add(bag, topic)
         except BaseException:
             bag.close()
             raise
@@ -279,7 +264,7 @@ class Recorder:
                 bag.add_metadata(name, {key: str(number) for key, number in numbers.items()})
             for topic in self._expected:
                 if topic.name not in bag.topics:
-                    topic.add_to(bag)
+                    _add(bag, topic)
 
     def _closed_intake(self) -> Intake:
         intake = Intake(self._options.queue_limit)
@@ -314,7 +299,7 @@ class Recorder:
         count = len(queue)
         # After the count: the topic of each of these messages was announced before it came.
         while self._new_topics:
-            self._new_topics.popleft().add_to(self._bag)
+            _add(self._bag, self._new_topics.popleft())
         messages: list[Message] = []
         for _ in range(count):
             message = queue.popleft()
@@ -336,3 +321,7 @@ class Recorder:
                 stamped.setdefault(topic, []).append(data)
         for topic, of_topic in stamped.items():
             self._losses.add(topic, of_topic)
+
+
+def _add(bag: BagWriter, topic: Topic) -> None:
+    bag.add_topic(topic.name, topic.type_name, topic.qos, topic.described)

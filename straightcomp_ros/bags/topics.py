@@ -16,121 +16,6 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 
-class RecordedTopic(NamedTuple):
-    """A topic of a bag: full name, ROS type, encoding (``cdr``), and the type's text as the bag has it, empty where it
-    has none, with the text's encoding (``ros2msg``, ``ros2idl``)."""
-
-    name: str
-    type_name: str
-    encoding: str
-    definition: str = ""
-    definition_encoding: str = "ros2msg"
-
-
-def resolved(name: str, topics: Collection[str], bag: str) -> str | None:
-    """The bag's topic for a relative name (``encoder``): ``/encoder``, otherwise the only one of that name in a
-    namespace. A full name (``/encoder``) means exactly that topic. Some writers leave out a name's first slash.
-
-    Returns the topic's name in the bag, or None when it is not among ``topics``. Raises BagError, with the name of the
-    ``bag``, when several namespaces have the topic.
-    """
-    absolute = name if name.startswith("/") else f"/{name}"
-    found = sorted(topic for topic in topics if topic.endswith(absolute) and absolute != name)
-    for exact in (absolute, absolute[1:]):
-        if exact in topics:
-            return exact
-    if len(found) > 1:
-        raise BagError(f"bag {bag}: topic '{name}' is {' and '.join(found)}; ask for one by its full name")
-    return found[0] if found else None
-
-
-def chosen_topics(wanted: Iterable[str], topics: set[str], bag: str, remap: Mapping[str, str]) -> dict[str, str]:
-    """Each of the ``wanted`` names that the bag has, by the bag's full name for it; parameters as :func:`resolved`.
-
-    ``remap`` gives for some of the wanted names the bag's own. Raises BagError when several namespaces have a topic, or
-    the bag lacks one that ``remap`` names.
-    """
-    chosen = {}
-    for name in wanted:
-        full = resolved(remap.get(name, name), topics, bag)
-        if full:
-            chosen[full] = name
-        elif name in remap:
-            raise BagError(f"bag {bag}: has no topic '{remap[name]}' for '{name}'; it has {', '.join(sorted(topics))}")
-    return chosen
-
-
-_POLICIES = {
-    "history": ("keep_last", "keep_all", "unknown", "system_default"),
-    "reliability": ("reliable", "best_effort", "unknown", "best_available", "system_default"),
-    "durability": ("transient_local", "volatile", "unknown", "best_available", "system_default"),
-}
-"""The names in rmw/qos_string_conversions.c, which metadata version 9 stores. Older metadata stores the numbers in
-rmw/types.h: 1 is the first name, 0 the last."""
-_INFINITE = {"sec": 9223372036, "nsec": 854775807}
-"""RMW_DURATION_INFINITE: 2⁶³ − 1 ns."""
-
-
-@dataclass(frozen=True)
-class TopicQos:
-    """Quality of service of one topic; deadline, lifespan and lease are infinite, liveliness is automatic.
-
-    Attributes:
-        reliability: ``reliable``, ``best_effort``, …
-        durability: ``volatile``, ``transient_local``, …
-        history: ``keep_last``, ``keep_all``, …
-        depth: messages kept with ``keep_last``.
-    """
-
-    reliability: str = "reliable"
-    durability: str = "volatile"
-    history: str = "keep_last"
-    depth: int = 10
-
-    def __post_init__(self) -> None:
-        for field, allowed in _POLICIES.items():
-            if getattr(self, field) not in allowed:
-                raise BagError(f"QoS {field} is '{getattr(self, field)}': allowed are {', '.join(allowed)}")
-        if self.depth < 0:
-            raise BagError(f"QoS depth is {self.depth}: allowed is 0 or more")
-
-    @classmethod
-    def from_yaml(cls, text: str) -> TopicQos:
-        """The first profile of a list as rosbag2 stores it, with names or (before Jazzy) numbers. What it lacks has its
-        default; a text that is no such list gives the default of all."""
-        try:
-            profile = (load_yaml(text) or [{}])[0]
-            named = {name: _named(name, profile[name]) for name in _POLICIES if name in profile}
-            return cls(**named, depth=int(profile.get("depth", cls.depth)))
-        except (BagError, AttributeError, LookupError, TypeError, ValueError):
-            return cls()
-
-    def as_profiles(self) -> list[dict[str, object]]:
-        """The list of one profile that stands in metadata.yaml as ``offered_qos_profiles``."""
-        return [
-            {
-                "history": self.history,
-                "depth": self.depth,
-                "reliability": self.reliability,
-                "durability": self.durability,
-                "deadline": dict(_INFINITE),
-                "lifespan": dict(_INFINITE),
-                "liveliness": "automatic",
-                "liveliness_lease_duration": dict(_INFINITE),
-                "avoid_ros_namespace_conventions": False,
-            }
-        ]
-
-    @cache  # noqa: B019 - a handful of values, as long as the process
-    def as_yaml(self) -> str:
-        """The same list as text, as it stands in the MCAP channel's metadata."""
-        return str(yaml.safe_dump(self.as_profiles(), sort_keys=False)).rstrip()
-
-
-def _named(policy: str, value: object) -> str:
-    return _POLICIES[policy][value - 1] if isinstance(value, int) else str(value)
-
-
 ROS_DISTRO = "jazzy"
 """The ROS 2 release whose message definitions are used."""
 
@@ -169,3 +54,108 @@ def definition(type_name: str) -> Definition:
         )
     text, _ = store.generate_msgdef(type_name, ros_version=2)
     return Definition(text, store.hash_rihs01(type_name))
+
+
+_POLICIES = {
+    "history": ("keep_last", "keep_all", "unknown", "system_default"),
+    "reliability": ("reliable", "best_effort", "unknown", "best_available", "system_default"),
+    "durability": ("transient_local", "volatile", "unknown", "best_available", "system_default"),
+}
+"""The names in rmw/qos_string_conversions.c, which metadata version 9 stores. Older metadata stores the numbers in
+rmw/types.h: 1 is the first name, 0 the last."""
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+"""RMW_DURATION_INFINITE: 2⁶³ − 1 ns."""
+
+
+@dataclass(frozen=True)
+class TopicQos:
+    """Quality of service of one topic; deadline, lifespan and lease are infinite, liveliness is automatic.
+
+    ``depth`` messages are kept with ``keep_last``.
+    """
+
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    history: str = "keep_last"
+    depth: int = 10
+
+    def __post_init__(self) -> None:
+        for field, allowed in _POLICIES.items():
+            if getattr(self, field) not in allowed:
+                raise BagError(f"QoS {field} is '{getattr(self, field)}': allowed are {', '.join(allowed)}")
+        if self.depth < 0:
+            raise BagError(f"QoS depth is {self.depth}: allowed is 0 or more")
+
+    @classmethod
+    def from_yaml(cls, text: str) -> TopicQos:
+        """The first profile of a list as rosbag2 stores it, with names or (before Jazzy) numbers. What it lacks has its
+        default; a text that is no such list gives the default of all."""
+        try:
+            profile = (load_yaml(text) or [{}])[0]
+            found = {name: profile[name] for name in _POLICIES if name in profile}
+            named = {k: _POLICIES[k][v - 1] if isinstance(v, int) else str(v) for k, v in found.items()}
+            return cls(**named, depth=int(profile.get("depth", cls.depth)))
+        except (BagError, AttributeError, LookupError, TypeError, ValueError):
+            return cls()
+
+    def as_profiles(self) -> list[dict[str, object]]:
+        """The list of one profile that stands in metadata.yaml as ``offered_qos_profiles``."""
+        policies = {name: getattr(self, name) for name in ("history", "depth", "reliability", "durability")}
+        times = {"deadline": dict(_INFINITE), "lifespan": dict(_INFINITE), "liveliness": "automatic"}
+        lease = {"liveliness_lease_duration": dict(_INFINITE), "avoid_ros_namespace_conventions": False}
+        return [{**policies, **times, **lease}]
+
+    @cache  # noqa: B019 - a handful of values, as long as the process
+    def as_yaml(self) -> str:
+        """The same list as text, as it stands in the MCAP channel's metadata."""
+        return str(yaml.safe_dump(self.as_profiles(), sort_keys=False)).rstrip()
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag: full name, ROS type, quality of service, definition of the type as the bag or its publisher has
+    it (None: that of ROS 2's own packages), and encoding of the messages."""
+
+    name: str
+    type_name: str
+    qos: TopicQos = TopicQos()
+    described: Definition | None = None
+    encoding: str = "cdr"
+
+    @property
+    def definition(self) -> Definition:
+        """The definition; BagError when neither the topic nor ROS 2's own packages have it."""
+        return self.described or definition(self.type_name)
+
+
+def resolved(name: str, topics: Collection[str], bag: str) -> str | None:
+    """The bag's topic for a relative name (``encoder``): ``/encoder``, otherwise the only one of that name in a
+    namespace. A full name (``/encoder``) means exactly that topic. Some writers leave out a name's first slash.
+
+    Returns the topic's name in the bag, or None when it is not among ``topics``. Raises BagError, with the name of the
+    ``bag``, when several namespaces have the topic.
+    """
+    absolute = name if name.startswith("/") else f"/{name}"
+    found = sorted(topic for topic in topics if topic.endswith(absolute) and absolute != name)
+    for exact in (absolute, absolute[1:]):
+        if exact in topics:
+            return exact
+    if len(found) > 1:
+        raise BagError(f"bag {bag}: topic '{name}' is {' and '.join(found)}; ask for one by its full name")
+    return found[0] if found else None
+
+
+def chosen_topics(wanted: Iterable[str], topics: set[str], bag: str, remap: Mapping[str, str]) -> dict[str, str]:
+    """Each of the ``wanted`` names that the bag has, by the bag's full name for it; parameters as :func:`resolved`.
+
+    ``remap`` gives for some of the wanted names the bag's own. Raises BagError when several namespaces have a topic, or
+    the bag lacks one that ``remap`` names.
+    """
+    chosen = {}
+    for name in wanted:
+        full = resolved(remap.get(name, name), topics, bag)
+        if full:
+            chosen[full] = name
+        elif name in remap:
+            raise BagError(f"bag {bag}: has no topic '{remap[name]}' for '{name}'; it has {', '.join(sorted(topics))}")
+    return chosen

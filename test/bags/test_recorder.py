@@ -12,8 +12,8 @@ from straightcomp_ros.bags import BagError, recorder
 from straightcomp_ros.bags import information as origin_module
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.reader import read_metadata, read_streams
-from straightcomp_ros.bags.recorder import BREAK, Announced, DiskGuard, Intake, Losses, Recorder, RecorderOptions
-from straightcomp_ros.bags.topics import TopicQos
+from straightcomp_ros.bags.recorder import BREAK, DiskGuard, Intake, Losses, Recorder, RecorderOptions
+from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.contract import ENCODER
 
 
@@ -118,7 +118,7 @@ def test_the_free_space_is_looked_at_twice_a_second(monkeypatch, tmp_path):
 
 
 def announced(recorder: Recorder) -> None:
-    recorder.announce(Announced("/encoder", ENCODER.layout.type_name, TopicQos()))
+    recorder.announce(Topic("/encoder", ENCODER.layout.type_name, TopicQos()))
 
 
 def sample(number: int) -> tuple[str, bytes, int, int]:
@@ -144,7 +144,7 @@ def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tm
     assert not recorder.recording
     recorder.intake.add(*sample(100))
     assert recorder.start() == tmp_path / "run_2"
-    recorder.announce(Announced("/late", "std_msgs/msg/Float64", TopicQos()))
+    recorder.announce(Topic("/late", "std_msgs/msg/Float64", TopicQos()))
     recorder.intake.add(*sample(101))
     recorder.intake.add("/late", bytes(12), 10**18, 10**18)
     recorder.stop()
@@ -165,7 +165,7 @@ def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tm
 
 def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_expected(tmp_path):
     recorder = Recorder(RecorderOptions(str(tmp_path / "run")), [], lambda bag, at_end: True)
-    recorder.expect(Announced("/encoder", ENCODER.layout.type_name, TopicQos("best_effort")))
+    recorder.expect(Topic("/encoder", ENCODER.layout.type_name, TopicQos("best_effort")))
     recorder.start()
     recorder.stop()
     recorder.start()
