@@ -93,9 +93,9 @@ def read_recording(bag: Path) -> Recording:
     for stream in (ENCODER, COMMAND):
         if stream.topic not in streams:
             raise IdentificationError(f"bag {bag}: has no messages on '{stream.topic}'; record driver and controller")
-    encoder = streams[ENCODER.topic]
-    stamps, rows = np.unique(encoder.stamp, return_index=True)
-    x, y, current = (encoder.columns[name][rows] for name in ("x", "y", "coil_current"))
+    encoder = streams[ENCODER.topic].by_stamp()
+    stamps = encoder.stamp
+    x, y, current = (encoder.columns[name] for name in ("x", "y", "coil_current"))
     current = advanced(current, readback_lag(bag))
     if not np.isfinite(current).any():
         raise IdentificationError(
@@ -132,10 +132,9 @@ def _longest_stretch(stamps: NDArray[np.int64], usable: NDArray[np.bool_], perio
 
 def _held(stamps: NDArray[np.int64], stream: StreamColumns) -> NDArray[np.float64]:
     """The command for each stamp; the one before replaces a missing one, as in the amplifier."""
-    known, rows = np.unique(stream.stamp, return_index=True)
-    commands = stream.columns["control_current"][rows]
-    before = np.searchsorted(known, stamps, side="right") - 1
-    return np.where(before >= 0, commands[np.maximum(before, 0)], 0.0)
+    own = stream.by_stamp()
+    before = np.searchsorted(own.stamp, stamps, side="right") - 1
+    return np.where(before >= 0, own.columns["control_current"][np.maximum(before, 0)], 0.0)
 
 
 Array = NDArray[np.float64]

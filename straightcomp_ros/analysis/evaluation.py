@@ -29,19 +29,10 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import opened, topic_names
 from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.reader import Messages, attachments_of, streams_of
+from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters, reports_in, unpacked_map
 from straightcomp_ros.bags.topics import resolved
-from straightcomp_ros.contract import (
-    COMMAND,
-    DIAGNOSTICS,
-    DISPLACEMENT,
-    DRIVER_STATE,
-    ENCODER,
-    REFERENCE,
-    TRUTH,
-    Stream,
-)
+from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import SurveyError
@@ -169,72 +160,63 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     for stream in (ENCODER, REFERENCE, COMMAND):
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; was the whole graph running?")
-    jump = clock_jump(streams[ENCODER.topic])
-    # By stamp and without repetitions: lockstep repeats a sample that got no answer.
-    unique = {topic: np.unique(stream.stamp, return_index=True) for topic, stream in streams.items()}
-    encoder, rows = unique[ENCODER.topic]
-    on = np.isfinite(streams[ENCODER.topic].columns["coil_current"][rows])
+    jump, driver = clock_jump(streams[ENCODER.topic]), streams.get(DRIVER_STATE.topic)
+    unique = {topic: stream.by_stamp() for topic, stream in streams.items()}
+    samples, reference, command, truth = (unique.get(one.topic) for one in (ENCODER, REFERENCE, COMMAND, TRUTH))
+    assert samples and reference and command
+    on = np.isfinite(samples.columns["coil_current"])
     first = int(on.argmax())
-    encoder, rows, on = encoder[first:], rows[first:], on[first:]
-    unique[ENCODER.topic] = encoder, rows
+    encoder, x, on = samples.stamp[first:], samples.columns["x"][first:], on[first:]
     common = encoder
-    for stream in (REFERENCE, COMMAND, TRUTH):
-        if stream.topic in unique:
-            common = np.intersect1d(common, unique[stream.topic][0], assume_unique=True)
+    for own in (reference, command, *([truth] if truth else [])):
+        common = np.intersect1d(common, own.stamp, assume_unique=True)
     if len(common) < 2:
         raise BagError(f"bag {bag}: its streams do not belong together: they have no common stamps")
     if (np.diff(common) >= PAUSE * 1e9).any():
-        common = common[_judged(common, streams[ENCODER.topic].columns["x"][rows[np.searchsorted(encoder, common)]])]
+        common = common[_judged(common, x[np.searchsorted(encoder, common)])]
 
-    def column(stream: Stream, name: str) -> NDArray[np.float64]:
-        stamps, rows = unique[stream.topic]
-        return streams[stream.topic].columns[name][rows[np.searchsorted(stamps, common)]]
+    def column(stream: StreamColumns, name: str) -> NDArray[np.float64]:
+        return stream.columns[name][np.searchsorted(stream.stamp, common)]
 
-    known = ("true_x", "true_y", "guide_deviation") if TRUTH.topic in streams else ()
-    truth = {name: column(TRUTH, name) for name in known}
     record = StrokeRecord(
         time=(common - common[0]) * 1e-9,
-        x=column(ENCODER, "x"),
-        y=column(ENCODER, "y"),
-        r=column(REFERENCE, "r"),
-        current=column(COMMAND, "control_current"),
-        true_x=truth.get("true_x"),
-        true_y=truth.get("true_y"),
-        guide=truth.get("guide_deviation"),
+        x=column(samples, "x"),
+        y=column(samples, "y"),
+        r=column(reference, "r"),
+        current=column(command, "control_current"),
+        true_x=column(truth, "true_x") if truth else None,
+        true_y=column(truth, "true_y") if truth else None,
+        guide=column(truth, "guide_deviation") if truth else None,
         law=str(parameters.get("controller", {}).get("control.law", "unknown")),
     )
-    guide = None
-    if DISPLACEMENT.topic in unique and len(unique[DISPLACEMENT.topic][0]) > 1:
-        stamps, rows_of_guide = unique[DISPLACEMENT.topic]
-        readings = streams[DISPLACEMENT.topic].columns["deviation"][rows_of_guide]
-        values, known_there = FieldValues(stamps, readings, True).at(common)
-        guide = np.where(known_there, values, np.nan)
-    driver = streams.get(DRIVER_STATE.topic)
+    guide, sensor = None, unique.get(DISPLACEMENT.topic)
+    if sensor and len(sensor) > 1:
+        values, known = FieldValues(sensor.stamp, sensor.columns["deviation"], True).at(common)
+        guide = np.where(known, values, np.nan)
     columns = driver.columns if driver else {}
     latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
-    answered = unique[COMMAND.topic][0]
-    state = driver.stamp if driver else answered[:0]
+    state = driver.stamp if driver else encoder[:0]
     recorded = np.isfinite(latency)
-    answers = max(int(unique[topic][0][-1]) for topic in (REFERENCE.topic, COMMAND.topic))
+    answers = max(int(reference.stamp[-1]), int(command.stamp[-1]))
     reported = max((own[-1].time_ns for own in reports.values()), default=0)
     for pause in np.flatnonzero(np.diff(encoder) >= PAUSE * 1e9).tolist():
         begin, end = ((int(encoder[at]) - int(encoder[0])) * 1e-9 for at in (pause, pause + 1))
         warnings.warn(f"the recording was paused for {end - begin:.6g} s after {begin:.6g} s", stacklevel=2)
     run = encoder_run(
         encoder,
-        streams[ENCODER.topic].columns["x"][rows],
+        x,
         on,
         int(common[-1]),
         goes_on=answers > encoder[-1] or reported > encoder[-1] + ENDS_APART * 1e9,
         silent=not finished or reported > encoder[-1] + PAUSE * 1e9,
     )
-    stalls = stalls_of(encoder - common[0], answered - common[0], state - common[0], columns)
+    stalls = stalls_of(encoder - common[0], command.stamp - common[0], state - common[0], columns)
     return BagEvaluation(
         record=record,
         expected_samples=samples_taken(encoder),
         received_samples=len(encoder),
-        lost_references=_missing(run, unique[REFERENCE.topic][0]),
-        lost_commands=_missing(run, answered),
+        lost_references=_missing(run, reference.stamp),
+        lost_commands=_missing(run, command.stamp),
         latency=latency[recorded],
         lateness=lateness[np.isfinite(lateness)],
         stamps=encoder,
@@ -243,7 +225,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         map=attached_map(attachments, parameters),
         stalls=tuple(stalls),
         begin_ns=int(common[0]),
-        coil_current=column(ENCODER, "coil_current"),
+        coil_current=column(samples, "coil_current"),
         guide=guide,
         latency_stamps=state[recorded],
         encoder=run,

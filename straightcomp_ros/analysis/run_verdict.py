@@ -282,16 +282,9 @@ def verdict_of(motion: JudgedMotion, bounds: Bounds) -> Verdict:
     The true position is used where the run has it, otherwise the encoder's. Whether guide and map fit can only be said
     where the guide is known.
     """
-    later = _first_reason(motion, bounds)
+    tried = (_at_stop, _left_map, _saturated, _wrong_guide, _oscillates, _inaccurate)
+    later = next((found for reason in tried if (found := reason(motion, bounds))), None)
     return _starved(motion, later) or later or _in_order(motion)
-
-
-def _first_reason(motion: JudgedMotion, bounds: Bounds) -> Verdict | None:
-    for tried in (_at_stop, _left_map, _saturated, _wrong_guide, _oscillates, _inaccurate):
-        found = tried(motion, bounds)
-        if found is not None:
-            return found
-    return None
 
 
 def _starved(motion: JudgedMotion, later: Verdict | None) -> Verdict | None:

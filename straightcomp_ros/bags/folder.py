@@ -181,7 +181,7 @@ def _information(bag: Path) -> Mapping[str, Any]:
 
 @lru_cache(maxsize=4)
 def _information_of(file: Path, changed_ns: int, size: int) -> Mapping[str, Any]:
-    """Content of a metadata.yaml with this time of its last change; an evaluation opens its bag several times."""
+    """Content of a metadata.yaml with this time of its last change; some verbs open a bag several times."""
     found = load_yaml(file, _LARGEST_METADATA, _LARGEST_METADATA // 32)[ROOT_KEY]
     return found if isinstance(found, Mapping) else {}
 

@@ -1,5 +1,7 @@
 """Reads a bag: streams as columns, messages of any type as they are, attachments, metadata."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -115,6 +117,12 @@ class StreamColumns:
 
     def __len__(self) -> int:
         return len(self.stamp)
+
+    def by_stamp(self) -> StreamColumns:
+        """In the order of the stamps, the first message of each: lockstep repeats a sample that got no answer."""
+        _, rows = np.unique(self.stamp, return_index=True)
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        return StreamColumns(self.log_time[rows], self.publish_time[rows], self.stamp[rows], columns)
 
 
 class StreamDecoder:
@@ -326,14 +334,10 @@ def _check_kind(path: Path, topic: Topic, layout: Layout) -> None:
 
 
 def values_at(stream: StreamColumns | None, name: str, stamps: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Column ``name`` of ``stream`` at ``stamps`` (n,) in ns, (n,); NaN where it has none, or is not there.
-
-    Of messages with the same stamp the first counts: lockstep repeats a sample that got no answer.
-    """
-    found = np.full(len(stamps), np.nan)
-    if stream is not None:
-        own, rows = np.unique(stream.stamp, return_index=True)
-        places = np.minimum(np.searchsorted(own, stamps), max(0, len(own) - 1))
-        there = own[places] == stamps if len(own) else np.zeros(len(stamps), dtype=bool)
-        found[there] = stream.columns[name][rows[places[there]]]
-    return found
+    """Column ``name`` of ``stream`` at ``stamps`` (n,) in ns, (n,); NaN where it has none, or is not there. Of messages
+    with the same stamp the first counts."""
+    if stream is None or not len(stream):
+        return np.full(len(stamps), np.nan)
+    own = stream.by_stamp()
+    places = np.minimum(np.searchsorted(own.stamp, stamps), len(own) - 1)
+    return np.where(own.stamp[places] == stamps, own.columns[name][places], np.nan)
