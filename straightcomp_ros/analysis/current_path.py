@@ -30,7 +30,7 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 
 
 def readback_lag(bag: Path) -> int:
-    """Samples; 0 where the bag does not tell.
+    """Samples; 0 where the bag does not say it.
 
     Raises:
         BagError: the bag cannot be read.

@@ -88,7 +88,7 @@ class BagEvaluation:
         coil_current: (m,) measured control current of the coils in A at the samples of ``record``; NaN without it.
         guide: (m,) m, the guide's deviation by the displacement sensor at the samples of ``record``, up to a constant,
             NaN where it was not recorded; None without a sensor.
-        latency_stamps: stamps in ns of the driver's records that tell ``latency``, as many.
+        latency_stamps: stamps in ns of the driver's records that have ``latency``, as many.
         encoder: all samples of the run, as the encoder saw the stage move; None for a run that was not recorded.
         reports: what each node reported in its diagnostics, by its name.
         faults: that were latched in the run, or after it.

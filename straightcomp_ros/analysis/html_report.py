@@ -108,7 +108,7 @@ def _spectrum(assessment: Assessment, other: Assessment | None) -> go.Figure:
             name = "this run" if one is assessment else str(one.bag)
             figure.add_scatter(x=one.spectrum.frequency[1:], y=density, name=name, line={"color": colour, "width": 1})
     figure.update_xaxes(type="log")
-    # Powers of ten: a prefix such as µ would stand beside the µ of the unit.
+    # Powers of ten: a prefix such as µ would stand next to the µ of the unit.
     figure.update_yaxes(type="log", exponentformat="power")
     return figure
 

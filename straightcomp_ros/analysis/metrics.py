@@ -91,7 +91,7 @@ class StrokeFigures(_Figures):
         start, duration, travel: of the movement, travel in x.
         encoder_pp, encoder_rms: compensation error as the encoder sees it.
         true_pp, true_rms: the true one, None without truth.
-        before_least_squares, before_end_points: straightness of the guide by ISO 230-1, beside either line.
+        before_least_squares, before_end_points: straightness of the guide by ISO 230-1, relative to either line.
         after_least_squares, after_end_points: straightness of the workpiece, likewise. True positions where they are
             known, else the map's and the encoder's.
     """
@@ -176,7 +176,7 @@ def stroke_figures(
 def residual_of_stroke(
     time: NDArray[np.float64], x: NDArray[np.float64], deviation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """``deviation`` (n,) over ``x`` (n,) in m of one movement beside its least squares line, weighed by the speed as in
+    """``deviation`` (n,) over ``x`` (n,) in m of one movement, from its least squares line, weighed by the speed as in
     :func:`residual_over`."""
     return least_squares_residual(x, deviation, np.abs(np.gradient(x, time)))
 
@@ -191,7 +191,7 @@ def true_error(record: StrokeRecord, straightness: ReferenceMap) -> NDArray[np.f
 def residual_over(
     x: NDArray[np.float64], deviation: NDArray[np.float64], record: StrokeRecord, motion: Motion
 ) -> NDArray[np.float64]:
-    """``deviation`` (n,) over ``x`` (n,) in m beside its least squares line, (m,) for the samples ``motion.samples()``.
+    """``deviation`` (n,) over ``x`` (n,) in m, from its least squares line, (m,) for the samples ``motion.samples()``.
 
     Samples are weighed by the speed, since the stage lingers where it starts and stops.
     """
@@ -225,7 +225,7 @@ _LEAST_TRAVEL = 2.0 * _BENDING
 
 
 class ForceBalance(NamedTuple):
-    """Friction in A and K̄_y/K̄_i in A/m; NaN where the stroke does not tell them."""
+    """Friction in A and K̄_y/K̄_i in A/m; NaN where they are not identifiable."""
 
     friction: float
     stiffness: float

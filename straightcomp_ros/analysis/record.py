@@ -183,7 +183,7 @@ def strokes_and_jumps(time: NDArray[np.float64], x: NDArray[np.float64]) -> tupl
 
 def _jumps(time: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.intp]:
     """The samples (m,) at which ``x`` (n,) in m is not where a stage can have gone since the sample before: an encoder
-    that failed, a driver that was started again, or two drivers. Samples beside a gap of ``time`` (n,) are not judged.
+    that failed, a driver that was started again, or two drivers. Samples next to a gap of ``time`` (n,) are not judged.
     """
     steps = np.diff(time)
     period = float(np.median(steps))

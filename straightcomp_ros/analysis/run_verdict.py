@@ -67,7 +67,7 @@ def bounds_of(parameters: Mapping[str, Mapping[str, Any]], straightness: Straigh
     """Bounds from parameters of each node alone, by dotted name, as a bag has them.
 
     A node that is there has its defaults for what is not named; of one that is not, nothing is known. A board on CAN
-    tells neither its stop nor its converter, unless it is the emulator.
+    reports neither its stop nor its converter, unless it is the emulator.
     """
     bounds, shipped = Bounds(), StageParameters()
     if "controller" in parameters:
@@ -98,8 +98,8 @@ _COUNTED = 1e-12
 
 
 class GuideFit(NamedTuple):
-    """How the guide's true deviation fits the map, beside the least squares line, in m: p-p and RMS of the guide, and
-    of what a platform that follows the map exactly would leave."""
+    """How the guide's true deviation fits the map, from the least squares line, in m: p-p and RMS of the guide, and of
+    what a platform that follows the map exactly would leave."""
 
     guide_pp: float
     guide_rms: float
@@ -409,7 +409,7 @@ def _in_order(motion: JudgedMotion) -> Verdict:
         return Verdict(IN_ORDER, f"uncompensated, the reference moved by {travel} only; error {_um(motion.pp)} p-p")
     mask = disturbed(motion, motion.stalls)
     calm = motion.pp if mask.all() else peak_to_peak(motion.error[~mask])
-    raised = f", {_um(calm)} beside the stalls of the host ({len(motion.stalls)})" if calm < motion.pp else ""
+    raised = f", {_um(calm)} without the stalls of the host ({len(motion.stalls)})" if calm < motion.pp else ""
     return Verdict(
         IN_ORDER,
         f"error {_um(motion.pp)} p-p{raised}; a platform that stands still would leave {_um(motion.uncompensated)}",

@@ -51,8 +51,7 @@ class Field:
 class FieldValues:
     """Stamps (n,) int64 in ns since the epoch, and values (n,) float64 in the unit of the messages.
 
-    ``stamped`` tells whether the stamps are those of the messages' headers; without headers they are the times of
-    sending.
+    ``stamped``: whether the stamps are those of the messages' headers; without headers they are the times of sending.
     """
 
     stamp: NDArray[np.int64]

@@ -65,7 +65,7 @@ class SqliteInput:
 
     def _query(self, statement: str, *values: int) -> Iterator[tuple[Any, ...]]:
         try:
-            # Read only: SQLite must not create files beside the bag.
+            # Read only: SQLite must not create files next to the bag.
             with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as connection:
                 yield from connection.execute(statement, values)
         except sqlite3.Error as error:

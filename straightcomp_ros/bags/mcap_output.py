@@ -133,7 +133,7 @@ class McapOutput:
         self.size, self._crc = self._put(MAGIC + _packed(records.Header("ros2", PACKAGE)))
 
     def add_channel(self, topic: Topic, metadata: dict[str, str]) -> int:
-        """Add a topic; returns its channel id. One of no type has no schema. It is written beside the chunks, not into
+        """Add a topic; returns its channel id. One of no type has no schema. It is written between the chunks, not into
         one, so that a damaged chunk costs its own messages only."""
         schemas, channels = self._summary[Opcode.SCHEMA], self._summary[Opcode.CHANNEL]
         key = (topic.type_name, topic.definition)

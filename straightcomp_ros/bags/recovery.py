@@ -251,7 +251,7 @@ class _Copy:
 
 
 def default_output(bag: Path) -> Path:
-    """Where the recovered bag goes when no folder is named: beside the original. Raises BagError when the place is
+    """Where the recovered bag goes when no folder is named: next to the original. Raises BagError when the place is
     taken."""
     bag = Path(bag).absolute()
     output = bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_recovered")

@@ -56,7 +56,7 @@ def test_an_error_made_in_a_stall_is_the_host_s_and_without_the_stall_it_is_the_
 def test_a_stall_that_did_no_harm_leaves_a_run_in_order():
     assert word(course(stalls=(Stall(4.0, 4.1),))) == "in_order"
     raised = verdict_of(course(SMALL + bump(4.0, 0.09e-6), stalls=(Stall(3.95, 4.02),)), Bounds())
-    assert raised.in_order and "beside the stalls of the host (1)" in raised.reason
+    assert raised.in_order and "without the stalls of the host (1)" in raised.reason
 
 
 def test_a_doubled_error_within_a_count_of_the_encoder_is_no_harm():
