@@ -1,7 +1,12 @@
 """Damaged and cut-off bags: a clear refusal, or a warning and what is whole; never a wrong number."""
 
+import os
 import random
+import signal
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,3 +151,34 @@ def test_what_is_no_bag_is_refused_with_the_reason(tmp_path, name, content, reas
         (folder / name).write_bytes(content)
     with pytest.raises(BagError, match=reason):
         read_streams(folder, LAYOUTS)
+
+
+def test_a_killed_recording_loses_the_open_chunk_at_most(tmp_path):
+    chunk_size = 5000
+    program = f"""
+import os, signal, sys
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from recording import add_streams, messages
+from straightcomp_ros.bags.writer import BagWriter
+bag = BagWriter(Path({str(tmp_path / "bag")!r}), chunk_size={chunk_size})
+add_streams(bag)
+for message in messages(100):
+    bag.write(message.topic, message.data, message.log_time, message.publish_time)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    ended = subprocess.run([sys.executable, "-c", program], check=False, env=environment)
+    assert ended.returncode == -signal.SIGKILL
+    streams, warned = read(tmp_path / "bag")
+    assert warned
+    kept = sum(map(len, streams.values()))
+    written = messages(100)
+    assert sum(len(message.data) for message in written[kept:]) < chunk_size
+    x = [
+        values
+        for message in written[:kept]
+        if message.topic == "/encoder"
+        for values in LAYOUTS["encoder"].unpack(message.data)[1][:1]
+    ]
+    assert streams["encoder"].columns["x"].tobytes() == np.array(x).tobytes()

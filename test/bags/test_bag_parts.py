@@ -221,6 +221,8 @@ def test_a_relative_name_is_found_below_the_root_or_in_the_only_namespace():
     assert resolved("y", topics, "bag") == "/y" and resolved("z", topics, "bag") == "/c/z"
     assert resolved("/c/y", topics, "bag") == "/c/y" and resolved("/z", topics, "bag") is None
     assert resolved("q", topics, "bag") is None
+    # Some writers leave out a name's first slash.
+    assert resolved("x", ["x"], "bag") == resolved("/x", ["x"], "bag") == "x"
     with pytest.raises(BagError, match="/a/x and /b/x"):
         resolved("x", topics, "bag")
     assert chosen_topics(["y", "q"], topics, "bag", {}) == {"/y": "y"}

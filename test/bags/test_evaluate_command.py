@@ -95,3 +95,8 @@ def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, capsys):
             assert not found.out or json.loads(found.out)["verdict"] in ("interrupted", "clock_jumped")
         else:
             assert found.err.count("was not finished") == 1 or json.loads(found.out)["lost_samples"] == 0
+
+
+def test_two_bags_are_put_side_by_side(bag, capsys):
+    found = figures(capsys, bag, "--compare", bag)
+    assert found["compared_with"]["true_pp_um"] == found["true_pp_um"]
