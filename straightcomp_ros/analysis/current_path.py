@@ -25,7 +25,6 @@ from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_s
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.parameters.declaration import belongs_to_ros
 from straightcomp_ros.parameters.node_parameters import node_parameters
 
 
@@ -39,8 +38,7 @@ def readback_lag(bag: Path) -> int:
     driver = recorded_parameters(bag, read_attachments(bag)).get("driver", {})
     if driver.get("hardware") != "can":
         return 0
-    own = {name: value for name, value in driver.items() if not belongs_to_ros(name)}
-    lag: int = node_parameters("driver", {"driver": own}).readback_lag
+    lag: int = node_parameters("driver", {"driver": driver}).readback_lag
     return lag
 
 

@@ -142,15 +142,8 @@ def _standing(y: NDArray[np.float64]) -> list[tuple[int, int]]:
     return stretches
 
 
-class _Scale(NamedTuple):
-    """Length in s of a segment, and the lowest frequency in Hz of a line that it is to resolve."""
-
-    span: float
-    lowest: float
-
-
-_SCALES = (_Scale(0.25, 40.0), _Scale(1.0, 8.0))
-"""Bins 4 Hz and 1 Hz apart; ten and eight periods of the slowest line."""
+_SCALES = ((0.25, 40.0), (1.0, 8.0))
+"""Length in s of a segment, and the lowest frequency in Hz of a line that it is to resolve: ten and eight periods."""
 _HELD = 4
 """Consecutive segments, overlapping by half, in which the line must stand: 0.6 s, 2.5 s."""
 _MOST = 0.5
@@ -199,7 +192,7 @@ def sustained_oscillation(error: NDArray[np.float64], reference: NDArray[np.floa
         reference: (n,) what the platform was to follow at the same samples, in m.
         period: sampling period in s.
     """
-    return max(_held_line(error, reference, period, scale) for scale in _SCALES)
+    return max(_held_line(error, reference, period, *scale) for scale in _SCALES)
 
 
 def irregular_oscillation(error: NDArray[np.float64], reference: NDArray[np.float64], period: float) -> Oscillation:
@@ -209,8 +202,7 @@ def irregular_oscillation(error: NDArray[np.float64], reference: NDArray[np.floa
     to the next. The amplitude is that of a sine of the same RMS, the frequency that of the strongest line. Arguments as
     of :func:`sustained_oscillation`.
     """
-    scale = _SCALES[-1]
-    length = round(scale.span / period)
+    length = round(_SCALES[-1][0] / period)
     if error.size < length:
         return Oscillation(0.0, 0.0)
     power, asked = (_power(values, length).mean(axis=0) for values in (error, reference))
@@ -223,13 +215,15 @@ def irregular_oscillation(error: NDArray[np.float64], reference: NDArray[np.floa
     return Oscillation(float(np.sqrt(own.sum() / _HANN_BANDWIDTH)), float(frequencies[own.argmax()]))
 
 
-def _held_line(error: NDArray[np.float64], reference: NDArray[np.float64], period: float, scale: _Scale) -> Oscillation:
-    length = round(scale.span / period)
+def _held_line(
+    error: NDArray[np.float64], reference: NDArray[np.float64], period: float, span: float, lowest: float
+) -> Oscillation:
+    length = round(span / period)
     if error.size < length:
         return Oscillation(0.0, 0.0)
     frequencies = np.fft.rfftfreq(length, period)
     power, asked = (_power(values, length) for values in (error, reference))
-    power[:, frequencies < scale.lowest] = 0.0
+    power[:, frequencies < lowest] = 0.0
     peaks = power.argmax(axis=1)
     near = np.abs(np.arange(frequencies.size) - peaks[:, np.newaxis]) <= _LOBE
     own = np.where(near, power, 0.0)

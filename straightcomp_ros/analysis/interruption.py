@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import MOVING, Stroke, speed_at_end, strokes_and_jumps
+from straightcomp_ros.analysis.record import MOVING, Stroke, runs_of, speed_at_end, strokes_and_jumps
 from straightcomp_ros.bags.reader import StreamColumns
 from straightcomp_ros.timing.node_timing import Report
 
@@ -54,7 +54,8 @@ def stalls_of(
     later = np.flatnonzero(_late(lateness, period * 1e-9))
     silent = np.isnan(latency) & (enabled == 1.0)
     # More than half: its controller answers several samples at once.
-    first, last = _runs(silent if 2 * np.count_nonzero(silent) < silent.size else silent[:0])
+    first, stop = runs_of(silent if 2 * np.count_nonzero(silent) < silent.size else silent[:0]).T
+    first, last = first[stop - first > 1], stop[stop - first > 1] - 1
     found = [
         *zip(samples[gaps], samples[gaps + 1], strict=True),
         *zip(without, without + period, strict=True),
@@ -70,13 +71,6 @@ def _late(times: NDArray[np.float64], period: float) -> NDArray[np.bool_]:
     usual = float(np.median(known)) if known.size else 0.0
     # A comparison with NaN is false.
     return np.asarray(times > usual + _LATE * period)
-
-
-def _runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First and last index of each stretch of ``mask`` that is longer than one sample."""
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
-    first, last = edges[0::2], edges[1::2] - 1
-    return first[last > first], last[last > first]
 
 
 def _merged(times: Iterable[tuple[float, float]]) -> list[Stall]:

@@ -216,6 +216,11 @@ def _strokes(time: NDArray[np.float64], x: NDArray[np.float64], first: int, end:
                 yield Stroke(first + start + int(away[0]), first + start + int(away[-1]) + 1, direction)
 
 
+def runs_of(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(m, 2) first sample and the one after the last of each run of True in ``mask`` (n,)."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
+
+
 def speed_at_end(time: NDArray[np.float64], x: NDArray[np.float64]) -> float:
     """Speed in m/s at the last of the samples ``time`` (n,) in s and ``x`` (n,) in m, by a parabola through those of
     :data:`SPEED_SPAN`, at least five: at the last sample of a whole stroke the stage stands."""

@@ -36,7 +36,7 @@ from straightcomp_ros.analysis.judgement import (
     Verdict,
 )
 from straightcomp_ros.analysis.metrics import residual_over, true_error
-from straightcomp_ros.analysis.record import Motion, ReferenceMap, StrokeRecord, find_motion
+from straightcomp_ros.analysis.record import Motion, ReferenceMap, StrokeRecord, find_motion, runs_of
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -431,8 +431,8 @@ def _harmed(motion: JudgedMotion, mask: NDArray[np.bool_]) -> bool:
 
 
 def _with_recovery(motion: JudgedMotion, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
-    return disturbed(motion, [Stall(float(motion.time[a]), float(motion.time[b - 1])) for a, b in edges])
+    times = [Stall(float(motion.time[a]), float(motion.time[b - 1])) for a, b in runs_of(mask).tolist()]
+    return disturbed(motion, times)
 
 
 def _um(length: float) -> str:
