@@ -42,12 +42,7 @@ from straightcomp_ros.timing.node_timing import Report
 def attached_map(
     attachments: Mapping[str, bytes], parameters: Mapping[str, Mapping[str, Any]]
 ) -> StraightnessMap | None:
-    """The map; None where no survey is attached, or one that makes no map by the recorded parameters.
-
-    Args:
-        attachments: of the bag, by name.
-        parameters: of the recorded nodes, by node and dotted name.
-    """
+    """The map of the attached survey; None without one, or where it makes no map by the recorded parameters."""
     section = parameters.get("feedforward", {})
     own = {
         name.removeprefix("stage.guide."): value for name, value in section.items() if name.startswith("stage.guide.")

@@ -328,14 +328,9 @@ def build_from_series(series: Series, source: Path, choices: Choices) -> BuiltMa
 def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, str] | None = None) -> BuiltMap:
     """Reject runs and points that do not agree with the others, and build the map.
 
-    Args:
-        survey: the runs; the zero of their deviation is arbitrary, the mean over all is subtracted.
-        source: bag or file that they come from.
-        choices: see :class:`Choices`.
-        inputs: words for the provenance.
-
-    Raises:
-        SurveyError: the runs do not fit together, too few are left, or the correction exceeds the platform's travel.
+    The zero of a deviation is arbitrary: the mean over all runs is subtracted. ``source`` is the bag or file that they
+    come from, ``inputs`` are words for the provenance. SurveyError if the runs do not fit together, too few are left,
+    or the correction exceeds the platform's travel.
     """
     grid = choices.parameters.min_points, choices.parameters.max_gap
     kept, lost_runs, lost_points = _agreeing(survey, *on_common_grid(survey, *grid), choices)

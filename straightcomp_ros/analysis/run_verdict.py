@@ -235,18 +235,9 @@ def judged_run(
     straightness: StraightnessMap | None = None,
     stalls: Sequence[Stall] = (),
 ) -> Verdict:
-    """The verdict on ``record``.
-
-    Args:
-        record: the run.
-        reference: what its platform was to follow.
-        parameters: by node and dotted name, see :func:`straightcomp_ros.analysis.run_verdict.bounds_of`.
-        straightness: the map behind the reference; None if it is unknown.
-        stalls: of the host, on the record's clock.
-
-    Raises:
-        MetricsError: the stage does not move.
-    """
+    """The verdict on ``record``, whose platform was to follow ``reference``, made from the map ``straightness`` if that
+    is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock. MetricsError if the stage does
+    not move."""
     return verdict_of(judged_motion(record, reference, stalls), bounds_of(parameters, straightness))
 
 

@@ -104,12 +104,7 @@ class _OpenChunk:
 
 
 class McapOutput:
-    """A new MCAP file of profile ``ros2``.
-
-    Args:
-        path: the file; must not exist.
-        compression: ``zstd``, ``lz4`` or ``none``.
-        chunk_size: bytes of messages, before compression, that fill a chunk.
+    """A new MCAP file of profile ``ros2``, in chunks of ``chunk_size`` bytes of messages before compression.
 
     Attributes:
         time_range: first and last log time in the file in ns; None without messages.

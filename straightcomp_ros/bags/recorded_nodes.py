@@ -94,10 +94,8 @@ def read_reports(bag: Path) -> dict[str, list[Report]]:
     """What each node reported, by the node's name without its namespace, in the order of recording; empty for a bag
     without diagnostics.
 
-    Nodes of all namespaces report on one topic: those in the namespace of the bag's encoder are taken.
-
-    Raises:
-        BagError: the bag is absent or damaged, or has several encoders, or none and several namespaces.
+    Nodes of all namespaces report on one topic: those in the namespace of the bag's encoder are taken. BagError if the
+    bag is absent or damaged, or has several encoders, or none and several namespaces.
     """
     with opened(bag) as files:
         names = topic_names(files)
